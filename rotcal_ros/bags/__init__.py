@@ -1,0 +1,1 @@
+"""Bags: writing MCAP safely, reading it tolerantly, replaying it."""

@@ -1,0 +1,1 @@
+"""The correction of a rotary axis, and one writer per controller."""

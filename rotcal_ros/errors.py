@@ -1,0 +1,40 @@
+"""The errors of rotcal: one small family.
+
+The text of every error says what was found, where (file, station, ball, row), what was
+expected, and what to do.
+"""
+
+
+class RotcalError(Exception):
+    """Base of all errors that rotcal raises on purpose.
+
+    ``exit_code`` is the exit code of the command line (see docs/conventions.md).
+    """
+
+    exit_code = 2
+
+
+class ConfigurationError(RotcalError):
+    """A configuration, set-up or parameter is missing, misspelt or out of range."""
+
+
+class PlanError(RotcalError):
+    """A measuring plan is impossible or does not fit the data."""
+
+
+class BagError(RotcalError):
+    """A bag or table cannot be read or written."""
+
+
+class DataError(RotcalError):
+    """The data are contradictory, implausible or too few."""
+
+    exit_code = 3
+
+
+class GeometryError(DataError):
+    """Points do not determine the wanted plane, circle, sphere or transform."""
+
+
+class ObservabilityError(DataError):
+    """The geometry cannot tell what was asked; the text names the weak direction."""

@@ -1,0 +1,1 @@
+"""Planes, circles, spheres, rotations and rigid transforms: fits with covariance."""

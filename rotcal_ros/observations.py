@@ -1,0 +1,134 @@
+"""What was measured: frozen dataclasses in SI, without ROS.
+
+Everything the instruments say reaches the core as one of these records, be it live, from a
+bag or from a plain table. Time is integer nanoseconds of the machine's clock. Angles are
+radians counter-clockwise about the table axis +z, lengths and positions are metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class LengthStatus(IntEnum):
+    """Status of a tracer reading; the values of ``rotcal_msgs/TracerLength``."""
+
+    UNKNOWN = 0
+    OK = 1
+    BEAM_BROKEN = 2
+    UNSTABLE = 3
+
+
+class PointKind(IntEnum):
+    """What a probe point is; the values of ``rotcal_msgs/ProbePoint``."""
+
+    UNKNOWN = 0
+    REFLECTOR = 1  # reflector carried by the probe, standing at its target
+    SURFACE = 2  # tip centre touching a ball
+    CENTRE = 3  # ball centre computed by the machine
+    DIRECT = 4  # tracker: reflector measured directly
+    MIRRORED = 5  # tracker: the same reflector through the mirror
+    NEST = 6  # tracker: fixed nest for registration
+
+
+class Approach(IntEnum):
+    """Side from which the table reaches its angle; the values of ``rotcal_msgs/TableAngle``."""
+
+    UNKNOWN = 0
+    POSITIVE = 1  # angle increasing while approaching
+    NEGATIVE = 2  # angle decreasing while approaching
+
+
+@dataclass(frozen=True, slots=True)
+class TracerSample:
+    """One tracer reading: relative ``length`` and its standard deviation, both in metres."""
+
+    stamp_ns: int
+    sequence: int
+    length: float
+    length_std: float
+    status: LengthStatus
+
+
+@dataclass(frozen=True, slots=True)
+class TableSample:
+    """Table feedback: actual ``angle`` (rad, unwrapped by the drive) and ``velocity`` (rad/s)."""
+
+    stamp_ns: int
+    angle: float
+    velocity: float
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeSample:
+    """One probe point, machine frame, metres.
+
+    ``step`` and ``attempt`` echo the command that the machine carried out; ``target`` is the
+    index of target, ball step or nest; ``station`` that of the tracker station; ``point`` counts
+    the touch points of one ball.
+    """
+
+    stamp_ns: int
+    sequence: int
+    step: int
+    attempt: int
+    kind: PointKind
+    target: int
+    station: int
+    point: int
+    position: tuple[float, float, float]
+    position_std: tuple[float, float, float]
+    tip_radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureSample:
+    """One air or body temperature in degrees Celsius, with the name of its sensor."""
+
+    stamp_ns: int
+    sensor: str
+    temperature_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the planner ordered for one step: a table angle and where the probe shall be."""
+
+    step: int
+    attempt: int
+    table_angle: float
+    approach: Approach
+    kind: PointKind
+    target: int
+    position: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """One captured step: the mean of a window of samples, or the reason why there is none.
+
+    ``mean``, ``std`` (of the mean) and ``scatter`` (standard deviation of one sample) hold one
+    value (length) or three (point), in metres. A rejected observation keeps its numbers and
+    says why in ``reason``; an accepted one has an empty reason.
+    """
+
+    step: int
+    attempt: int
+    table_index: int
+    table_angle: float
+    target: int
+    station: int
+    kind: PointKind
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    scatter: tuple[float, ...]
+    probe_position: tuple[float, float, float]
+    n_samples: int
+    n_used: int
+    accepted: bool
+    reason: str
+    table_angle_measured: float
+    temperature_c: float | None
+    window_start_ns: int
+    window_end_ns: int

@@ -1,0 +1,1 @@
+"""Measuring plans: which table angle, which target, in which order."""

@@ -1,0 +1,174 @@
+"""The one form of result that all methods share.
+
+A method takes a frozen problem and returns a :class:`Result`; the solver node, the offline
+replay, the report, the comparison and the export never ask which method it was. Deviations are
+*actual - commanded*; absent components are absent, never zero.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.errors import DataError
+
+SCHEMA: Final = 1
+COMPONENTS: Final = ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")
+"""ISO 230-1 names: translations EXC, EYC, EZC in metres, rotations EAC, EBC, ECC in radians."""
+
+Verdict = Literal["ok", "suspect", "failed"]
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """An observation that was not used: its row ``index`` and the reason."""
+
+    index: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """One row per observation, used or not; all arrays have shape (n,).
+
+    ``residual`` is observed - computed in metres, ``redundancy`` lies in [0, 1] and
+    ``test_value`` is the normalised residual (dimensionless). Rows that were not used keep
+    their residual against the final solution and have ``used`` False.
+    """
+
+    table_index: NDArray[np.int64]
+    target: NDArray[np.int64]
+    residual: Floats
+    redundancy: Floats
+    test_value: Floats
+    used: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Result:
+    """Deviations of a rotary table with their uncertainties, and how far to trust them.
+
+    ``angles`` (n,) are the commanded table angles in radians. ``deviations``, ``std`` map ISO
+    230-1 names to (n,) arrays, ``covariance`` to (n, n) arrays. ``adjacent_deviations`` (n - 1,)
+    are the deviations of the steps between neighbouring angles, in radians. ``sigma0`` is
+    the a posteriori standard deviation of unit weight; 1 means that the stated noise fits.
+    """
+
+    method: str
+    angles: Floats
+    deviations: Mapping[str, Floats]
+    std: Mapping[str, Floats]
+    covariance: Mapping[str, Floats]
+    sigma0: float
+    dof: int
+    n_observations: int
+    rejected: tuple[Rejection, ...] = ()
+    verdict: Verdict = "ok"
+    warnings: tuple[str, ...] = ()
+    adjacent_deviations: Floats | None = None
+    adjacent_std: Floats | None = None
+    residuals: Residuals | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the machine-readable form described in docs/conventions.md (SI, plain types)."""
+        data: dict[str, Any] = {
+            "schema": SCHEMA,
+            "method": self.method,
+            "angles_rad": self.angles,
+            "deviations": self.deviations,
+            "std": self.std,
+            "covariance": self.covariance,
+        }
+        if self.adjacent_deviations is not None:
+            data["adjacent_deviations_rad"] = self.adjacent_deviations
+        if self.adjacent_std is not None:
+            data["adjacent_std_rad"] = self.adjacent_std
+        data |= {
+            "sigma0": self.sigma0,
+            "dof": self.dof,
+            "n_observations": self.n_observations,
+            "n_rejected": len(self.rejected),
+            "rejected": [{"index": r.index, "why": r.why} for r in self.rejected],
+            "verdict": self.verdict,
+            "warnings": list(self.warnings),
+            "details": self.details,
+        }
+        if self.residuals is not None:
+            data["residuals"] = {name: getattr(self.residuals, name) for name in Residuals.__slots__}
+        plain: dict[str, Any] = _plain(data)
+        return plain
+
+    def to_json(self) -> str:
+        """Return :meth:`to_dict` as JSON; every float round-trips to the last bit."""
+        return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Result:
+        """Rebuild a result from :meth:`to_dict`; raises DataError when it is not one."""
+        if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
+            raise DataError(f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry")
+        try:
+            return cls(
+                method=data["method"],
+                angles=_floats(data["angles_rad"]),
+                deviations=_float_map(data["deviations"]),
+                std=_float_map(data["std"]),
+                covariance=_float_map(data.get("covariance", {})),
+                sigma0=float(data["sigma0"]),
+                dof=int(data["dof"]),
+                n_observations=int(data["n_observations"]),
+                rejected=tuple(Rejection(r["index"], r["why"]) for r in data["rejected"]),
+                verdict=data["verdict"],
+                warnings=tuple(data["warnings"]),
+                adjacent_deviations=_optional(data.get("adjacent_deviations_rad")),
+                adjacent_std=_optional(data.get("adjacent_std_rad")),
+                residuals=_residuals(data.get("residuals")),
+                details=data["details"],
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"damaged rotcal result: {error!r}") from error
+
+
+def _plain(value: Any) -> Any:
+    """Turn arrays, mappings and tuples into lists and dicts of plain Python values."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return value
+
+
+def _floats(values: Any) -> Floats:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _optional(values: Any) -> Floats | None:
+    return None if values is None else _floats(values)
+
+
+def _float_map(values: Mapping[str, Any]) -> dict[str, Floats]:
+    return {name: _floats(column) for name, column in values.items()}
+
+
+def _residuals(data: Mapping[str, Any] | None) -> Residuals | None:
+    if data is None:
+        return None
+    return Residuals(
+        table_index=np.asarray(data["table_index"], dtype=np.int64),
+        target=np.asarray(data["target"], dtype=np.int64),
+        residual=_floats(data["residual"]),
+        redundancy=_floats(data["redundancy"]),
+        test_value=_floats(data["test_value"]),
+        used=np.asarray(data["used"], dtype=np.bool_),
+    )

@@ -1,0 +1,1 @@
+"""The simulated cell: table, probe, tracer and temperature as plain physics."""
