@@ -1,0 +1,53 @@
+"""A method with its configuration and plan, ready to take observations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from rotcal_ros.configuration import Configuration
+from rotcal_ros.observations import Observation
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.results import Result
+
+
+@dataclass(frozen=True)
+class Method:
+    """What a method brings.
+
+    ``plan`` builds the plan from a configuration; ``solve`` turns a configuration, its plan
+    and accepted observations into a result; ``topics`` are the instrument topics that must
+    have delivered before the first motion.
+    """
+
+    name: str
+    title: str
+    topics: tuple[str, ...]
+    plan: Callable[[Configuration], Plan]
+    solve: Callable[[Configuration, Plan, Sequence[Observation]], Result]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One configured calibration: what to measure and how to solve it."""
+
+    configuration: Configuration
+    method: Method
+    plan: Plan
+
+    def solve(self, observations: Iterable[Observation]) -> Result:
+        """Solve with the observations that count; see :func:`final_observations`."""
+        return self.method.solve(self.configuration, self.plan, final_observations(observations))
+
+
+def final_observations(observations: Iterable[Observation]) -> tuple[Observation, ...]:
+    """Return the accepted observation of the last attempt at every step, in step order.
+
+    The order in which observations arrive therefore never changes a result.
+    """
+    last: dict[int, Observation] = {}
+    for observation in observations:
+        known = last.get(observation.step)
+        if observation.accepted and (known is None or observation.attempt >= known.attempt):
+            last[observation.step] = observation
+    return tuple(last[step] for step in sorted(last))

@@ -1,0 +1,73 @@
+"""A measuring plan: the list of steps that the planner commands and the capture expects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rotcal_ros.errors import PlanError
+from rotcal_ros.observations import Approach, Command, PointKind
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step: turn the table, place the probe, observe once.
+
+    ``table_angle`` (rad) is approached from the side ``approach``; ``position`` (m) is the
+    nominal place of target number ``target``. ``n_points`` is the number of probe points that
+    make the observation (1 for a reflector that just stands there).
+    """
+
+    index: int
+    table_index: int
+    table_angle: float
+    approach: Approach
+    kind: PointKind
+    target: int
+    position: Point
+    station: int = 0
+    n_points: int = 1
+
+    def command(self, attempt: int) -> Command:
+        """Return the order for one attempt at this step."""
+        return Command(
+            step=self.index,
+            attempt=attempt,
+            table_angle=self.table_angle,
+            approach=self.approach,
+            kind=self.kind,
+            target=self.target,
+            position=self.position,
+        )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All steps of one calibration, with the table angles (rad) and targets (m) they refer to."""
+
+    method: str
+    table_angles: tuple[float, ...]
+    targets: tuple[Point, ...]
+    steps: tuple[Step, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse a plan whose steps do not fit its tables."""
+        if not self.steps:
+            raise PlanError(f"the plan of method {self.method} has no steps")
+        for number, step in enumerate(self.steps):
+            if step.index != number:
+                raise PlanError(f"step {number} of the plan carries the index {step.index}")
+            if not 0 <= step.table_index < len(self.table_angles):
+                raise PlanError(
+                    f"step {number}: table index {step.table_index} outside 0.."
+                    f"{len(self.table_angles) - 1}"
+                )
+
+    def step(self, index: int) -> Step:
+        """Return step ``index``; raises PlanError when the plan has no such step."""
+        if not 0 <= index < len(self.steps):
+            raise PlanError(
+                f"step {index} is not in the plan: it has the steps 0 to {len(self.steps) - 1}"
+            )
+        return self.steps[index]
