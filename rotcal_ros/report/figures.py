@@ -27,12 +27,13 @@ def unit_of(component: str) -> tuple[float, str]:
     return (MICROMETRE, "µm") if component in ("EXC", "EYC", "EZC") else (ARCSEC, "arcsec")
 
 
+@style.styled
 def deviations(result: Result, truth: Mapping[str, Any] | None = None) -> str:
     """Draw every measured deviation over the table angle with its band, and the truth if known."""
     names = [name for name in COMPONENTS if name in result.deviations]
-    figure = style.new_figure(height=2.9 * max(1, len(names)))
     angles = result.angles / DEGREE
-    for ax, name in zip(style.axes(figure, len(names)), names, strict=True):
+    panels = style.grid(len(names), height=2.9)
+    for ax, name in zip(panels, names, strict=True):
         factor, unit = unit_of(name)
         band = COVERAGE_FACTOR * result.std[name] / factor
         style.curve_with_band(
@@ -42,7 +43,7 @@ def deviations(result: Result, truth: Mapping[str, Any] | None = None) -> str:
         ax.set_ylabel(f"{name} / {unit}")
         ax.set_xlabel("commanded table angle / °")
         ax.legend(loc="best")
-    return style.svg(figure)
+    return style.svg(panels[0])
 
 
 def _draw_truth(ax: Axes, name: str, truth: Mapping[str, Any] | None) -> None:
@@ -56,12 +57,12 @@ def _draw_truth(ax: Axes, name: str, truth: Mapping[str, Any] | None) -> None:
     )
 
 
+@style.styled
 def adjacent(result: Result) -> str:
     """Draw the deviations of the steps between neighbouring angles as bars with k = 2 whiskers."""
     if result.adjacent_deviations is None:
         return ""
-    figure = style.new_figure()
-    (ax,) = style.axes(figure)
+    (ax,) = style.grid()
     middle = (result.angles[1:] + result.angles[:-1]) / 2 / DEGREE
     width = 0.6 * np.min(np.diff(result.angles)) / DEGREE
     std = result.adjacent_std
@@ -73,25 +74,26 @@ def adjacent(result: Result) -> str:
     ax.axhline(0.0, color=style.GREY, linewidth=0.8)
     ax.set_xlabel("middle of the step / °")
     ax.set_ylabel("adjacent deviation / arcsec")
-    return style.svg(figure)
+    return style.svg(ax)
 
 
+@style.styled
 def residuals(result: Result) -> str:
     """Draw residuals by table angle and by target; what was not used is marked."""
     rows = result.residuals
     if rows is None:
         return ""
-    figure = style.new_figure(height=3.0)
-    left, right = style.axes(figure, 1, 2, sharey=True)
+    left, right = style.grid(1, 2, sharey=True)
     for ax, index, label in (
         (left, rows.table_index, "table position (index)"),
         (right, rows.target, "target (index)"),
     ):
         _scatter_residuals(ax, index, rows.residual, rows.used)
         ax.set_xlabel(label)
+        style.whole_numbers(ax.xaxis)
     left.set_ylabel("residual / µm")
     right.legend(loc="best")
-    return style.svg(figure)
+    return style.svg(left)
 
 
 def _scatter_residuals(
@@ -111,6 +113,7 @@ def _scatter_residuals(
     ax.axhline(0.0, color=style.GREY, linewidth=0.8)
 
 
+@style.styled
 def residual_map(result: Result) -> str:
     """Draw the normalised residual of every table position and target as a map."""
     rows = result.residuals
@@ -118,16 +121,18 @@ def residual_map(result: Result) -> str:
         return ""
     grid = np.full((rows.table_index.max() + 1, rows.target.max() + 1), np.nan)
     grid[rows.table_index, rows.target] = rows.test_value
-    figure = style.new_figure(height=2.6)
-    (ax,) = style.axes(figure)
+    (ax,) = style.grid(height=2.6)
     ax.grid(visible=False)
     image = ax.imshow(grid, cmap="RdBu_r", vmin=-4, vmax=4, aspect="auto", interpolation="nearest")
     ax.set_xlabel("target (index)")
     ax.set_ylabel("table position")
-    figure.colorbar(image, ax=ax, label="normalised residual")
-    return style.svg(figure)
+    style.whole_numbers(ax.xaxis)
+    style.whole_numbers(ax.yaxis)
+    ax.figure.colorbar(image, ax=ax, label="normalised residual")
+    return style.svg(ax)
 
 
+@style.styled
 def stations(result: Result) -> str:
     """Draw the stations in plan view with the fitted circle, their errors exaggerated."""
     details = result.details
@@ -142,8 +147,7 @@ def stations(result: Result) -> str:
     error = (points - nominal) + tangent * (radius * result.deviations["ECC"])[:, None]
     largest = float(np.max(np.linalg.norm(error, axis=1)))
     scale = 0.25 * radius / largest if largest > 0 else 1.0
-    figure = style.new_figure(5.2, 5.0)
-    (ax,) = style.axes(figure)
+    (ax,) = style.grid(height=5.6)
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     circle = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
     ax.plot(*(circle / 1e-3).T, color=style.GREY, linewidth=0.9, label="fitted circle")
@@ -156,9 +160,10 @@ def stations(result: Result) -> str:
     ax.set_xlabel("x / mm")
     ax.set_ylabel("y / mm")
     ax.legend(loc="center")
-    return style.svg(figure)
+    return style.svg(ax)
 
 
+@style.styled
 def temperature(observations: Sequence[Observation]) -> str:
     """Draw the temperature at the observations over the time since the first one."""
     known = [
@@ -167,11 +172,10 @@ def temperature(observations: Sequence[Observation]) -> str:
     if len(known) < 2:
         return ""
     stamps, values = np.array(known, dtype=np.float64).T
-    figure = style.new_figure(height=2.2)
-    (ax,) = style.axes(figure)
+    (ax,) = style.grid(height=2.2)
     ax.plot(
         (stamps - stamps.min()) * NANOSECOND / 60.0, values, ".", color=style.GREEN, markersize=3
     )
     ax.set_xlabel("time since the first observation / min")
     ax.set_ylabel("temperature / °C")
-    return style.svg(figure)
+    return style.svg(ax)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 import io
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Any, Final, ParamSpec
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
+
+P = ParamSpec("P")
 
 INK: Final = "#1d2733"
 BLUE: Final = "#1f6fb2"
@@ -26,6 +32,7 @@ _RC: Final[dict[Any, Any]] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.color": "#e3e8ec",
     "grid.linewidth": 0.8,
     "xtick.color": INK,
@@ -36,26 +43,36 @@ _RC: Final[dict[Any, Any]] = {
 }
 
 
-def new_figure(width: float = 8.6, height: float = 3.0) -> Figure:
-    """Return an empty figure in the house style; size in inches."""
-    with mpl.rc_context(_RC):
-        return Figure(figsize=(width, height), layout="constrained")
+def styled(draw: Callable[P, str]) -> Callable[P, str]:
+    """Run a drawing function in the house style without touching matplotlib's global settings."""
+
+    @functools.wraps(draw)
+    def in_style(*args: P.args, **kwargs: P.kwargs) -> str:
+        with mpl.rc_context(_RC):
+            return draw(*args, **kwargs)
+
+    return in_style
 
 
-def axes(figure: Figure, rows: int = 1, columns: int = 1, **options: Any) -> list[Axes]:
-    """Return the axes of a grid in the house style, row by row."""
-    with mpl.rc_context(_RC):
-        grid = figure.subplots(rows, columns, squeeze=False, **options)
-    return list(grid.ravel())
+def grid(rows: int = 1, columns: int = 1, height: float = 3.0, **options: Any) -> list[Axes]:
+    """Return the axes of a new figure, row by row; ``height`` in inches per row."""
+    figure = Figure(figsize=(8.6, height * rows), layout="constrained")
+    return list(figure.subplots(rows, columns, squeeze=False, **options).ravel())
 
 
-def svg(figure: Figure) -> str:
-    """Return the figure as an ``<svg>`` element; equal figures give equal text."""
+def svg(ax: Axes) -> str:
+    """Return the figure of ``ax`` as an ``<svg>`` element; equal figures give equal text."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
     stream = io.StringIO()
-    with mpl.rc_context(_RC):
-        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     return text[text.index("<svg") :]
+
+
+def whole_numbers(axis: Axis) -> None:
+    """Tick an axis of indices at whole numbers only."""
+    axis.set_major_locator(MaxNLocator(integer=True))
 
 
 def curve_with_band(
