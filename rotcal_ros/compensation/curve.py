@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.units import DEGREE
 
 Floats = NDArray[np.float64]
 Interpolation = Literal["spline", "linear"]
 
 TURN: Final = 2.0 * pi
+SAME_ANGLE: Final = 1e-9
+"""rad; angles closer than this are the same table position."""
 
 
 def interpolation_matrix(
@@ -45,6 +48,31 @@ def interpolation_matrix(
     cell = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
     share = ((at - knots[cell]) / (knots[cell + 1] - knots[cell]))[:, None]
     return np.asarray((1.0 - share) * unit[cell] + share * unit[cell + 1], dtype=np.float64)
+
+
+def row_angles(nodes: Floats, period: float, spacing: float) -> Floats:
+    """Return the row angles every ``spacing`` rad: from 0 for a circle, inside of an arc else.
+
+    When the spacing does not divide the turn the last interval of a circle is shorter. An arc
+    keeps its two ends as rows.
+    """
+    if not np.isfinite(spacing) or spacing < 1e-5 or spacing > pi:
+        raise ConfigurationError(
+            f"spacing {spacing / DEGREE:.6g} deg: expected more than 0.001 and at most 180 deg"
+        )
+    if period > 0.0:
+        count = int(np.ceil(period / spacing - 1e-9))
+        return np.asarray(np.arange(count) * spacing, dtype=np.float64)
+    first, last = float(nodes[0]), float(nodes[-1])
+    steps = np.arange(np.ceil(first / spacing), np.floor(last / spacing) + 1) * spacing
+    inner = steps[(steps > first + SAME_ANGLE) & (steps < last - SAME_ANGLE)]
+    return np.asarray(np.concatenate([[first], inner, [last]]), dtype=np.float64)
+
+
+def wrapped(angle: float) -> float:
+    """Return ``angle`` within [0, 2 pi); a hair below the full turn counts as zero."""
+    within = float(np.mod(angle, TURN))
+    return 0.0 if TURN - within < SAME_ANGLE else within
 
 
 def harmonic_basis(angles: Floats, order: int) -> Floats:
@@ -79,7 +107,7 @@ def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
             "lower the order or measure evenly around the whole circle"
         )
     q, r = np.linalg.qr(white)
-    return np.asarray(np.linalg.solve(r, np.linalg.solve(root, q).T), dtype=np.float64)
+    return np.asarray(np.linalg.solve(r, np.linalg.solve(root.T, q).T), dtype=np.float64)
 
 
 def regular_root(covariance: Floats) -> Floats:
