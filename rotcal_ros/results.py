@@ -101,7 +101,9 @@ class Result:
             "details": self.details,
         }
         if self.residuals is not None:
-            data["residuals"] = {name: getattr(self.residuals, name) for name in Residuals.__slots__}
+            data["residuals"] = {
+                name: getattr(self.residuals, name) for name in Residuals.__slots__
+            }
         plain: dict[str, Any] = _plain(data)
         return plain
 

@@ -41,7 +41,7 @@ def interpolation_matrix(
         at = nodes[0] + np.mod(at - nodes[0], period)
         boundary = "periodic"
     else:
-        _refuse_outside(nodes, at)
+        refuse_outside(nodes, at)
         knots, unit, boundary = nodes, np.eye(len(nodes)), "not-a-knot"
     if kind == "spline" and len(nodes) >= (3 if period > 0.0 else 2):
         return np.asarray(CubicSpline(knots, unit, bc_type=boundary)(at), dtype=np.float64)
@@ -131,7 +131,8 @@ def regular_root(covariance: Floats) -> Floats:
         ) from error
 
 
-def _refuse_outside(nodes: Floats, at: Floats) -> None:
+def refuse_outside(nodes: Floats, at: Floats) -> None:
+    """Raise DataError when an angle of ``at`` lies outside of the arc of ``nodes`` (rad)."""
     slack = 1e-9
     outside = at[(at < nodes[0] - slack) | (at > nodes[-1] + slack)]
     if len(outside):
