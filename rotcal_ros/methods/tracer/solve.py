@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.tracer import station
+from rotcal_ros.methods.tracer import joint, station
 from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY, Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion, algorithm_error, scatter, table_motion
 from rotcal_ros.methods.tracer.grid import Grid, arrange
@@ -131,6 +131,7 @@ def _solve(problem: TracerProblem) -> _Solution:
 
 _VARIANTS = {
     "station": (station.adjust_stations, station.stations_covariance),
+    "joint": (joint.adjust_network, joint.network_covariance),
 }
 
 
