@@ -1,0 +1,71 @@
+"""Files that survive a crash: exclusive creation, whole records, explicit sync."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+class DurableFile:
+    """A new binary file for an appending writer; never replaces an existing one.
+
+    ``write`` puts all bytes into the file or none: after a failure (full disk) the file ends
+    where the failed record would have begun. Nothing is buffered here, so what was written
+    survives the death of this process, and what was synced that of the machine.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._size = 0
+        self._closed = False
+
+    def write(self, data: bytes) -> int:
+        """Append ``data``; on OSError the file is as it was before."""
+        remaining = memoryview(data)
+        try:
+            while remaining:
+                remaining = remaining[os.write(self._descriptor, remaining) :]
+        except OSError:
+            os.ftruncate(self._descriptor, self._size)
+            os.lseek(self._descriptor, self._size, os.SEEK_SET)
+            raise
+        self._size += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """Return the size of the file."""
+        return self._size
+
+    def flush(self) -> None:
+        """Do nothing: nothing is buffered."""
+
+    def sync(self) -> None:
+        """Return when everything written is on the medium."""
+        os.fsync(self._descriptor)
+
+    def close(self) -> None:
+        """Close the file; a second call does nothing."""
+        if not self._closed:
+            self._closed = True
+            os.close(self._descriptor)
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write ``text`` so that ``path`` holds either the old or the new content, never half."""
+    temporary = path.with_name(path.name + ".tmp")
+    with temporary.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names of new files in ``folder`` durable."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,26 @@
+"""The names inside a bag: attachments, metadata records, topics and message types."""
+
+from typing import Final
+
+CONFIGURATION: Final = "configuration.yaml"
+"""Attachment: the configuration text, byte for byte as it was given."""
+PARAMETERS: Final = "parameters.json"
+"""Attachment: every parameter of every node, by node name."""
+VERSIONS: Final = "versions.json"
+"""Attachment: versions of packages, Python, operating system and ROS middleware."""
+DEFINITIONS: Final = "definitions.json"
+"""Attachment: a second copy of all schemas and channels, in case their chunk is damaged."""
+
+LOSSES: Final = "rotcal_losses"
+"""Metadata record: loss counters by name, the last one counts."""
+ROSBAG2: Final = "rosbag2"
+"""Metadata record: rosbag2's own description of the bag."""
+
+PLAN: Final = "plan"
+TRACER_LENGTH: Final = "tracer_length"
+PROBE_POINT: Final = "probe_point"
+JOINT_STATES: Final = "joint_states"
+TEMPERATURE: Final = "temperature"
+TABLE_ANGLE: Final = "table_angle"
+PROBE_TARGET: Final = "probe_target"
+OBSERVATION: Final = "observation"

@@ -1,0 +1,137 @@
+"""rosbag2's ``metadata.yaml``: what every rosbag2 tool looks at first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import yaml
+
+VERSION: Final = 9
+"""Version of the format: the one of ROS 2 Kilted."""
+INFINITE_NS: Final = 2**63 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class OfferedQos:
+    """Quality of service that a publisher offers, in rosbag2's words; durations in ns."""
+
+    history: str = "unknown"
+    depth: int = 0
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    deadline_ns: int = INFINITE_NS
+    lifespan_ns: int = INFINITE_NS
+    liveliness: str = "automatic"
+    lease_ns: int = INFINITE_NS
+
+
+def qos_text(profiles: Iterable[OfferedQos]) -> str:
+    """Return the YAML text that rosbag2 keeps in a channel's ``offered_qos_profiles``."""
+    entries = [
+        {
+            "history": profile.history,
+            "depth": profile.depth,
+            "reliability": profile.reliability,
+            "durability": profile.durability,
+            "deadline": _duration(profile.deadline_ns),
+            "lifespan": _duration(profile.lifespan_ns),
+            "liveliness": profile.liveliness,
+            "liveliness_lease_duration": _duration(profile.lease_ns),
+            "avoid_ros_namespace_conventions": False,
+        }
+        for profile in profiles
+    ]
+    return _dump(entries) if entries else ""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """What a channel says about its topic."""
+
+    topic: str
+    type_name: str
+    type_hash: str = ""
+    offered_qos: str = ""
+
+
+@dataclass(slots=True)
+class FileInfo:
+    """One storage file: name, range of log times (ns) and number of messages per topic."""
+
+    name: str
+    start_ns: int = INFINITE_NS
+    end_ns: int = 0
+    counts: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def messages(self) -> int:
+        """Number of messages over all topics."""
+        return sum(self.counts.values())
+
+
+def bag_information(
+    files: Sequence[FileInfo],
+    topics: Sequence[TopicInfo],
+    *,
+    ros_distro: str = "",
+    custom_data: Mapping[str, str] | None = None,
+) -> dict[str, Any]:
+    """Return the mapping that rosbag2 calls ``rosbag2_bagfile_information``."""
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        **_span(files),
+        "topics_with_message_count": [_topic(topic, files) for topic in topics],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file.name for file in files],
+        "files": [{"path": file.name, **_span([file])} for file in files],
+        "custom_data": dict(custom_data or {}),
+        "ros_distro": ros_distro,
+    }
+
+
+def embedded_text(information: Mapping[str, Any]) -> str:
+    """Return the text of the ``serialized_metadata`` entry inside an MCAP file."""
+    return _dump(information)
+
+
+def file_text(information: Mapping[str, Any]) -> str:
+    """Return the text of ``metadata.yaml``."""
+    return _dump({"rosbag2_bagfile_information": information})
+
+
+def _topic(topic: TopicInfo, files: Sequence[FileInfo]) -> dict[str, Any]:
+    return {
+        "topic_metadata": {
+            "name": topic.topic,
+            "type": topic.type_name,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": yaml.safe_load(topic.offered_qos) or [],
+            "type_description_hash": topic.type_hash,
+        },
+        "message_count": sum(file.counts.get(topic.topic, 0) for file in files),
+    }
+
+
+def _span(files: Sequence[FileInfo]) -> dict[str, Any]:
+    filled = [file for file in files if file.messages]
+    start = min((file.start_ns for file in filled), default=0)
+    end = max((file.end_ns for file in filled), default=0)
+    return {
+        "duration": {"nanoseconds": max(0, end - start)},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(file.messages for file in files),
+    }
+
+
+def _duration(nanoseconds: int) -> dict[str, int]:
+    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    return {"sec": seconds, "nsec": rest}
+
+
+def _dump(data: Any) -> str:
+    text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=False)
+    return text
