@@ -6,13 +6,19 @@ prior
     the machine's coordinates are observations, weighted by ``target_std``;
 free
     they are start values only. Lengths do not feel a rigid motion of the whole network: six
-    directions stay open. They are filled up exactly while solving, and position and attitude are
-    then fixed by inner constraints on the targets: no mean shift, no mean turn against the
-    machine's coordinates. The angle does not feel that choice.
+    directions stay open. And a table carries the tracer round a plane circle, which leaves a
+    *seventh*: with the circle's centre as origin and z along the axis, let the targets move by
+    (x, y, -(x^2 + y^2 - R^2) / z) and the stations by (-X, -Y, 0), times any small number: no
+    length changes to first order. (Complete bipartite frameworks flex when one side lies on a
+    conic: Bolker and Roth, Pacific J. Math. 90 (1980) 27.) It scales the circle, so the angle does
+    not feel it either. The seven are fixed while solving: no shift and turn of the stations, and
+    their rms distance from their centroid stays what the machine's coordinates give. Then the network is moved rigidly to the
+    inner constraints on the targets: no mean shift and turn against the machine's coordinates.
 
-The paper solves Eq. 4 by a dense SVD with a threshold, which hides the six among other small
+The paper solves Eq. 4 by a dense SVD with a threshold, which hides the seven among other small
 singular values; here they are known in closed form, and the rank is counted beside them.
-Every length touches one station and one target; the side with more unknowns is eliminated.
+Every length touches one station and one target; one side is eliminated: with a prior the one
+with more unknowns, in a free network always the targets.
 """
 
 from __future__ import annotations
@@ -73,7 +79,7 @@ class Network:
 def adjust_network(grid: Grid, start: Floats) -> Adjustment:
     """Return the network that fits the lengths of ``grid`` best, from stations ``start`` (m, 4).
 
-    Raises ObservabilityError when more than the six rigid motions stays open, DataError when the
+    Raises ObservabilityError when more stays open than is known in advance, DataError when the
     network does not settle.
     """
     begin = adjust_stations(grid, start)
@@ -147,17 +153,12 @@ def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
         target_gradient = target_gradient + correction / grid.target_std
         blocks[:, [0, 1, 2], [0, 1, 2]] += grid.target_std**-2
     cross = -(weighted.swapaxes(1, 2)[:, :, :, None] * unit[:, None]).reshape(4 * m, 3 * n)
-    stations_kept = 4 * m <= 3 * n
-    null = None
-    if grid.free:
-        centre = targets.mean(axis=0)
-        on_stations, on_targets = _rigid(state[:, :3] - centre), _rigid(targets - centre)
-        null = _with_distances(on_stations) if stations_kept else on_targets
-    reduced = (
-        eliminate(stations, blocks, cross, null)
-        if stations_kept
-        else eliminate(blocks, stations, np.ascontiguousarray(cross.T), null)
-    )
+    stations_kept = grid.free or 4 * m <= 3 * n
+    if stations_kept:
+        constraints = _constraints(state[:, :3]) if grid.free else None
+        reduced = eliminate(stations, blocks, cross, constraints)
+    else:
+        reduced = eliminate(blocks, stations, np.ascontiguousarray(cross.T))
     return Network(
         state, targets, f, rows, chi2, station_gradient, target_gradient, reduced, stations_kept
     )
@@ -174,7 +175,7 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
         mixed = -(kept @ reduced.transfer).T
         stations = reduced.other_times(kept, np.eye(fit.state.size))
     if grid.free:
-        stations = _move_datum(network, stations, mixed, kept)
+        stations = _move_datum(network, mixed, kept)
     prior = np.zeros_like(stations)
     if not grid.free:
         felt = mixed / grid.target_std.ravel()
@@ -184,22 +185,17 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     return StationCovariance((stations - prior)[places], prior[places], float(fit.dof))
 
 
-def _move_datum(network: Network, stations: Floats, mixed: Floats, kept: Floats) -> Floats:
-    """Return the stations' covariance with the inner constraints laid on the targets.
+def _move_datum(network: Network, mixed: Floats, kept: Floats) -> Floats:
+    """Return the covariance ``kept`` of the stations with the inner constraints on the targets.
 
     S-transformation: from every error its rigid part, as the targets feel it, is taken away.
     """
     centre = network.targets.mean(axis=0)
     on_stations = _with_distances(_rigid(network.state[:, :3] - centre))
-    on_targets = _rigid(network.targets - centre)
-    rigid_part = np.linalg.pinv(on_targets)
-    of_mixed = mixed @ rigid_part.T
-    if network.stations_kept:
-        own = rigid_part @ network.reduced.other_times(kept, rigid_part.T)
-    else:
-        own = rigid_part @ kept @ rigid_part.T
-    shift = of_mixed @ on_stations.T
-    return np.asarray(stations - shift - shift.T + on_stations @ own @ on_stations.T)
+    rigid_part = np.linalg.pinv(_rigid(network.targets - centre))
+    own = rigid_part @ network.reduced.other_times(kept, rigid_part.T)
+    shift = mixed @ rigid_part.T @ on_stations.T
+    return np.asarray(kept - shift - shift.T + on_stations @ own @ on_stations.T)
 
 
 def _leverage(network: Network) -> Floats:
@@ -239,11 +235,11 @@ def _rank(network: Network, grid: Grid) -> int:
         k = index // size
         direction = (reduced.scale * vectors[:, 0])[size * k : size * k + 3]
         raise ObservabilityError(
-            f"the lengths leave {missing} more directions open than the rigid motions; the weakest "
+            f"the lengths leave {missing} more directions open than expected; the weakest "
             f"is {name} {ids[k]} along {name_direction(direction)}: {CURE}, or use the datum "
             "'prior'"
         )
-    return network.state.size + network.targets.size - reduced.null.shape[1]
+    return network.state.size + network.targets.size - reduced.constraints.shape[1]
 
 
 def _align(state: Floats, targets: Floats, machine: Floats) -> tuple[Floats, Floats]:
@@ -262,8 +258,19 @@ def _rigid(points: Floats) -> Floats:
     return motions.reshape(-1, RIGID_MOTIONS)
 
 
+def _constraints(stations: Floats) -> Floats:
+    """Return what the ``stations`` (m, 3) must not do in a free network: (4 m, 7).
+
+    Six rigid motions, and growing away from their centroid, which is the station part of the
+    seventh up to a shift.
+    """
+    spread = stations - stations.mean(axis=0)
+    return _with_distances(np.column_stack([_rigid(spread), spread.ravel()]))
+
+
 def _with_distances(motions: Floats) -> Floats:
-    """Insert the distances d, which no rigid motion changes: (3 m, 6) to (4 m, 6)."""
-    full = np.zeros((len(motions) // 3, 4, RIGID_MOTIONS))
-    full[:, :3] = motions.reshape(-1, 3, RIGID_MOTIONS)
-    return full.reshape(-1, RIGID_MOTIONS)
+    """Insert the distances d, which these motions do not change: (3 m, c) to (4 m, c)."""
+    m, c = len(motions) // 3, motions.shape[1]
+    full = np.zeros((m, 4, c))
+    full[:, :3] = motions.reshape(m, 3, c)
+    return full.reshape(4 * m, c)

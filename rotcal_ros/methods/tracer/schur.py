@@ -26,24 +26,24 @@ class Reduced:
 
     ``matrix`` (p s, p s) = A - C B^-1 C'; ``inverse`` (q, t, t) = B^-1;
     ``transfer`` (p s, q t) = C B^-1; ``scale`` (p s,) brings the diagonal of ``matrix`` to one;
-    ``null`` (p s, c): orthonormal null vectors of the scaled matrix, c = 0 when it has none.
+    ``constraints`` (p s, c): orthonormal columns that the scaled x has to be orthogonal to.
     """
 
     matrix: Floats
     inverse: Floats
     transfer: Floats
     scale: Floats
-    null: Floats
+    constraints: Floats
 
     def regular(self) -> Floats:
-        """Return the scaled matrix with its known null vectors filled up: positive definite."""
-        filled = self.matrix * self.scale * self.scale[:, None] + self.null @ self.null.T
-        return np.asarray(filled, dtype=np.float64)
+        """Return the scaled matrix plus the squared constraints: positive definite."""
+        scaled = self.matrix * self.scale * self.scale[:, None]
+        return np.asarray(scaled + self.constraints @ self.constraints.T, dtype=np.float64)
 
     def solve(self, kept: Floats, other: Floats) -> tuple[Floats, Floats]:
         """Return x (p s,) and y (q t,) for right-hand sides of those shapes.
 
-        Raises ObservabilityError when the matrix is singular beyond its known null vectors.
+        Raises ObservabilityError when the matrix is singular in spite of its constraints.
         """
         try:
             factor = cho_factor(self.regular(), lower=True, check_finite=False)
@@ -53,17 +53,30 @@ class Reduced:
                 "singular; measure more targets from more stations, or use the datum 'prior'"
             ) from None
         reduced = self.scale * (kept - self.transfer @ other)
-        x = self.scale * cho_solve(factor, reduced, check_finite=False)
+        both = cho_solve(
+            factor, np.column_stack([reduced, self.constraints]), check_finite=False
+        )
+        x = self.scale * (both[:, 0] - self._violation(both[:, 1:], both[:, :1])[:, 0])
         q, t, _ = self.inverse.shape
         y = (self.inverse @ other.reshape(q, t, 1)).ravel() - self.transfer.T @ x
         return x, y
 
     def covariance(self) -> Floats:
-        """Return the covariance (p s, p s) of the kept side, orthogonal to the null vectors."""
+        """Return the covariance (p s, p s) of the kept side, under the constraints."""
         inverse = np.linalg.inv(self.regular())
-        inverse -= self.null @ self.null.T
+        inverse -= self._violation(inverse @ self.constraints, inverse)
         inverse *= self.scale * self.scale[:, None]
         return np.asarray(0.5 * (inverse + inverse.T), dtype=np.float64)
+
+    def _violation(self, response: Floats, columns: Floats) -> Floats:
+        """Return what to subtract from ``columns`` to bring them on the constraints.
+
+        ``response`` is the inverse of :meth:`regular` times the constraints (Lagrange).
+        """
+        multipliers = np.linalg.solve(
+            self.constraints.T @ response, self.constraints.T @ columns
+        )
+        return np.asarray(response @ multipliers, dtype=np.float64)
 
     def other_blocks(self, covariance: Floats) -> Floats:
         """Return the covariance blocks (q, t, t) of the eliminated side."""
@@ -80,10 +93,13 @@ class Reduced:
         return np.asarray(product, dtype=np.float64)
 
 
-def eliminate(kept: Floats, other: Floats, cross: Floats, null: Floats | None) -> Reduced:
+def eliminate(
+    kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
+) -> Reduced:
     """Eliminate the side ``other`` (q, t, t) from ``kept`` (p, s, s), ``cross`` (p s, q t).
 
-    ``null`` (p s, c): directions of the kept side that the data leave open (rigid motions).
+    ``constraints`` (p s, c): x has to be orthogonal to these columns, which stand in for what the
+    data leave open.
     """
     p, s, _ = kept.shape
     q, t, _ = other.shape
@@ -95,7 +111,8 @@ def eliminate(kept: Floats, other: Floats, cross: Floats, null: Floats | None) -
     matrix = 0.5 * (matrix + matrix.T)
     matrix.reshape(p, s, p, s)[np.arange(p), :, np.arange(p)] += kept
     scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
-    open_directions = np.empty((p * s, 0))
-    if null is not None:
-        open_directions = np.linalg.qr(null / scale[:, None])[0]
-    return Reduced(matrix, inverse, transfer, scale, open_directions)
+    if constraints is None:
+        columns = np.empty((p * s, 0))
+    else:
+        columns = np.linalg.qr(constraints * scale[:, None])[0]
+    return Reduced(matrix, inverse, transfer, scale, columns)
