@@ -87,7 +87,7 @@ def adjust_network(grid: Grid, start: Floats) -> Adjustment:
     rank = _rank(network, grid)
     state, targets = network.state, network.targets
     if grid.free:
-        state, targets = _align(state, targets, grid.targets)
+        state, targets = align(state, targets, grid.targets)
     unknowns = network.state.size + network.targets.size
     n_lengths = int(grid.used.sum())
     return Adjustment(
@@ -242,7 +242,7 @@ def _rank(network: Network, grid: Grid) -> int:
     return network.state.size + network.targets.size - reduced.constraints.shape[1]
 
 
-def _align(state: Floats, targets: Floats, machine: Floats) -> tuple[Floats, Floats]:
+def align(state: Floats, targets: Floats, machine: Floats) -> tuple[Floats, Floats]:
     """Move the whole network rigidly so that its targets lie best on the ``machine``'s."""
     centre, aim = targets.mean(axis=0), machine.mean(axis=0)
     rotation = fit_rotation(targets - centre, machine - aim)

@@ -23,13 +23,11 @@ Floats = NDArray[np.float64]
 BETA: Final = 0.55
 SIGMA: Final = 0.4
 """Line search constants of the paper, section 4.2.1."""
-EPSILON: Final = 1e-7
-"""Last step of the damped search, metres: the paper's 1e-4 mm."""
+EPSILON: Final = 1e-5
+"""Step (m) at which undamped steps, which converge quadratically, take over."""
 POLISHED: Final = 1e-11
-"""Last step of the undamped iteration that follows, metres."""
+"""Step (m) that no longer needs to be done; the paper stops at 1e-4 mm."""
 MAX_ITERATIONS: Final = 100
-ROUNDING: Final = 1e-14
-"""Relative change of the objective that is rounding, not information."""
 
 
 def locate_stations(
@@ -42,96 +40,113 @@ def locate_stations(
     and first damping mu = |f(x_0)| keep the paper's dimension, a length.
 
     Slip of Eq. 11-14: the line search is printed once per coordinate; it is one search along h,
-    and it is the objective F of Eq. 6 that has to fall. The paper stops when the step is below
-    1e-4 mm; undamped steps follow here until 1e-11 m, so that damping leaves no trace.
+    and it is the objective F of Eq. 6 that has to fall - by more than its rounding error. The last
+    steps are undamped, so that damping leaves no trace.
     """
-    root = np.sqrt(weights / weights.max())
+    misfit = _Misfit(targets, length, np.sqrt(weights / weights.max()))
     state, active = start.copy(), np.ones(len(start), dtype=np.bool_)
-    f, jacobian = _errors(state, targets, length, root)
-    objective = _half_square(f)
-    damping = np.sqrt(2.0 * objective)
+    products = misfit(state)
+    damping = np.sqrt(products[:, 4, 4])
+    # a range r carries a rounding error of r times eps into f, and twice sum(f df) into f'f
+    reach = np.abs(start[:, 3:] + length).max()
+    grain = 4.0 * np.finfo(np.float64).eps * reach * np.sqrt(length.shape[1])
     for _ in range(MAX_ITERATIONS):
-        normal, gradient = _normal_equations(jacobian, f)
-        h = -np.linalg.solve(normal + damping[:, None, None] * np.eye(4), gradient)[:, :, 0]
-        slope = (h * gradient[:, :, 0]).sum(axis=1)
+        h, slope = _step(products, damping)
+        squared = np.einsum("ja,ja->j", h, h)
+        before, products = products, misfit(state + h)
         # Eq. 15, with (N + mu) h = -g put in: h'g + h'N h / 2 = (h'g - mu h'h) / 2
-        predicted = 0.5 * (slope - damping * (h * h).sum(axis=1))
-        h *= active[:, None]
-        state, f, jacobian, fallen, gain = _search(
-            state, h, objective, slope, predicted, (targets, length, root)
-        )
-        objective = fallen
-        active &= np.abs(h).max(axis=1) > EPSILON
+        predicted = 0.5 * (slope - damping * squared)
+        change = 0.5 * (products[:, 4, 4] - before[:, 4, 4])
+        slack = grain * np.sqrt(before[:, 4, 4])
+        short = active & (change > SIGMA * slope + slack)
+        if short.any():
+            h, products = _search(state, h, slope, slack, before[:, 4, 4], short, misfit)
+        state += h
+        active &= squared > EPSILON**2
         if not active.any():
             break
-        damping *= np.where(gain > 0.75, 0.1, np.where(gain < 0.25, 10.0, 1.0))
-    return _polish(state, f, jacobian, (targets, length, root)), ~active
+        # Eq. 16-17; a predicted change that is all rounding says nothing against the step
+        good, poor = change < 0.75 * predicted + slack, change > 0.25 * predicted + slack
+        damping[good] *= 0.1
+        damping[poor] *= 10.0
+    return _polish(state, h, products, misfit), ~active
+
+
+class _Misfit:
+    """Eq. 5 and its derivative at a state (m, 4): called, it returns [J f]'[J f], (m, 5, 5).
+
+    That one product holds the normal matrix J'J, the gradient J'f (last column) and twice the
+    objective f'f (last corner); f is computed - observed, every row multiplied by ``root``.
+    """
+
+    def __init__(self, targets: Floats, length: Floats, root: Floats) -> None:
+        m, n = length.shape
+        self._targets, self._length, self._root = np.ascontiguousarray(targets.T), length, root
+        self._rows = np.empty((m, 5, n))
+        self._rows[:, 3] = -root
+        self._slopes, self._errors = self._rows[:, :3], self._rows[:, 4]
+        self._transposed = self._rows.swapaxes(1, 2)
+
+    def __call__(self, state: Floats) -> Floats:
+        slopes = self._slopes
+        np.subtract(state[:, :3, None], self._targets, out=slopes)
+        distance = np.sqrt(np.einsum("jai,jai->ji", slopes, slopes))
+        slopes *= (self._root / distance)[:, None]
+        distance -= state[:, 3:]
+        distance -= self._length
+        np.multiply(distance, self._root, out=self._errors)
+        return np.asarray(self._rows @ self._transposed)
+
+
+def _step(products: Floats, damping: Floats | float) -> tuple[Floats, Floats]:
+    """Return h (m, 4) of Eq. 10 and the slope h'g (m,) of the objective along it."""
+    normal = products[:, :4, :4].reshape(-1, 16)
+    normal[:, ::5] += np.asarray(damping)[..., None]
+    gradient = products[:, :4, 4:]
+    h: Floats = np.linalg.solve(normal.reshape(-1, 4, 4), -gradient)[:, :, 0]
+    return h, np.einsum("ja,ja->j", h, gradient[:, :, 0])
 
 
 def _search(
     state: Floats,
     h: Floats,
-    objective: Floats,
     slope: Floats,
-    predicted: Floats,
-    data: tuple[Floats, Floats, Floats],
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Go along ``h`` by the largest power of beta that lets F fall enough (Eq. 11-14).
+    slack: Floats,
+    objective: Floats,
+    short: NDArray[np.bool_],
+    misfit: _Misfit,
+) -> tuple[Floats, Floats]:
+    """Shorten ``h`` where F does not fall enough by powers of beta until it does (Eq. 11-14).
 
-    Returns the new state with its errors, Jacobian and objective, and the gain ratio of the full
-    step (Eq. 16).
+    ``objective`` is twice F. Returns the shortened steps and the products at their ends.
     """
-    slack = ROUNDING * objective
-    trial = state + h
-    f, jacobian = _errors(trial, *data)
-    fallen = _half_square(f)
-    certain = -predicted > slack
-    gain = np.where(certain, (fallen - objective) / np.where(certain, predicted, 1.0), 1.0)
     step = np.ones(len(h))
     for _ in range(60):
-        short = fallen > objective + SIGMA * step * slope + slack
+        step[short] *= BETA
+        products = misfit(state + step[:, None] * h)
+        fallen = 0.5 * (products[:, 4, 4] - objective)
+        short = short & (fallen > SIGMA * step * slope + slack)
         if not short.any():
             break
-        step[short] *= BETA
-        trial = state + step[:, None] * h
-        f, jacobian = _errors(trial, *data)
-        fallen = _half_square(f)
-    return trial, f, jacobian, fallen, gain
+    return step[:, None] * h, products
 
 
-def _polish(
-    state: Floats, f: Floats, jacobian: Floats, data: tuple[Floats, Floats, Floats]
-) -> Floats:
-    """Finish with undamped Gauss-Newton steps, where the targets determine the station."""
+def _polish(state: Floats, last: Floats, products: Floats, misfit: _Misfit) -> Floats:
+    """Finish with undamped steps, after the damped step ``last`` (m, 4).
+
+    A step that is not small tells a station that the targets do not determine; it stays.
+    Convergence is at least linear: the step to come is foreseen from the last two.
+    """
+    before = np.abs(last).max(axis=1)
     for _ in range(8):
-        normal, gradient = _normal_equations(jacobian, f)
-        h: Floats = np.linalg.solve(normal + np.finfo(float).eps * np.eye(4), gradient)[:, :, 0]
-        largest = np.abs(h).max(axis=1)
-        # a step beyond the damped search's last one means a station that is not determined
-        state = state - np.where(largest > 1e3 * EPSILON, 0.0, 1.0)[:, None] * h
-        if not ((largest > POLISHED) & (largest <= 1e3 * EPSILON)).any():
+        h, _ = _step(products, np.finfo(np.float64).eps)
+        size = np.abs(h).max(axis=1)
+        small = size < 100.0 * EPSILON
+        state = state + small[:, None] * h
+        if not (small & (size * size > POLISHED * before)).any():
             break
-        f, jacobian = _errors(state, *data)
+        before, products = size, misfit(state)
     return state
-
-
-def _errors(state: Floats, targets: Floats, length: Floats, root: Floats) -> tuple[Floats, Floats]:
-    """Return f (m, n) of Eq. 5, computed - observed, and its Jacobian (m, n, 4), weighted."""
-    difference = state[:, None, :3] - targets
-    distance = np.sqrt(np.einsum("jia,jia->ji", difference, difference))
-    jacobian = np.empty((*length.shape, 4))
-    np.multiply(difference, (root / distance)[:, :, None], out=jacobian[:, :, :3])
-    np.negative(root, out=jacobian[:, :, 3])
-    return (distance - state[:, 3:] - length) * root, jacobian
-
-
-def _half_square(f: Floats) -> Floats:
-    return np.asarray(0.5 * np.einsum("ji,ji->j", f, f), dtype=np.float64)
-
-
-def _normal_equations(jacobian: Floats, f: Floats) -> tuple[Floats, Floats]:
-    transposed = jacobian.swapaxes(1, 2)
-    return transposed @ jacobian, transposed @ f[:, :, None]
 
 
 def adjust_stations(grid: Grid, start: Floats) -> Adjustment:
