@@ -6,6 +6,8 @@ is the reference that the spectral and the general solution are tested and timed
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from rotcal_ros.errors import ObservabilityError
@@ -53,7 +55,7 @@ def solve_dense(problem: BallPlateProblem) -> Solution:
         unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(inverse), 0.0))),
         unit_covariance=model.table_covariance(problem, inverse),
         residuals=residuals,
-        cofactor=model.residual_cofactor(problem, inverse),
+        cofactor=partial(model.residual_cofactor, problem, inverse),
         weighted_square_sum=model.weighted_square_sum(problem, residuals),
         dof=model.degrees_of_freedom(problem),
         way="dense",

@@ -57,14 +57,14 @@ class Solution:
     ``unit_std`` and ``unit_covariance(first, second)`` (N, N), the covariance of two of the
     table's components, belong to sigma = 1 m (or to sigma0 = 1 when the rows have their own
     ``std``): multiply by sigma and sigma^2. ``residuals`` (n, 3), metres, are observed -
-    computed; ``cofactor`` (n, 3, 3) is their unit covariance. ``weighted_square_sum`` is w'w.
+    computed; ``cofactor()`` (n, 3, 3) is their unit covariance. ``weighted_square_sum`` is w'w.
     """
 
     estimate: Parameters
     unit_std: Parameters
     unit_covariance: Callable[[str, str], Floats]
     residuals: Floats
-    cofactor: Floats
+    cofactor: Callable[[], Floats]
     weighted_square_sum: float
     dof: int
     way: str
