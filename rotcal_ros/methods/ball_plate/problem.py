@@ -29,6 +29,8 @@ class BallPlateProblem:
     taken from the residuals. ``std`` (n, 3), in metres, gives every coordinate its own standard
     deviation instead. ``row`` (n,) numbers the rows in the order of measurement: the numbers
     appear in every message, and a plate that moved is looked for along them.
+    ``separate_groups`` accepts a plate whose ball steps share a factor with the grid: the groups
+    of table positions are then solved separately, each with its own zero.
 
     Rows are kept in a canonical order (ball step, table position, row number), so that the
     order of the table cannot change a bit of the result. Raises DataError for wrong shapes and
@@ -43,6 +45,7 @@ class BallPlateProblem:
     sigma: float | None = None
     std: Floats | None = None
     row: Ints | None = None
+    separate_groups: bool = False
 
     def __post_init__(self) -> None:
         table = np.asarray(self.table_index, dtype=np.int64)
