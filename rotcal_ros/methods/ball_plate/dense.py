@@ -12,8 +12,8 @@ import numpy as np
 
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.model import Floats, Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
 
 
 def design_matrix(problem: BallPlateProblem) -> Floats:

@@ -8,6 +8,7 @@ the constraints of Eq. 15 to 19. Result and covariances equal the dense form (Eq
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -15,8 +16,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.model import Floats, Ints, Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
 
 MIN_BALLS = 3
 """Balls that a table position needs: two leave the rotation about their line open."""
@@ -51,13 +52,26 @@ def solve_general(problem: BallPlateProblem) -> Solution:
     )
 
 
+def residual_operator(problem: BallPlateProblem) -> Callable[[Floats], Floats]:
+    """Return the function that takes deviations (n, 3) to their residuals (n, 3)."""
+    _check(problem)
+    system = _Eliminated(problem)
+
+    def residuals(observed: Floats) -> Floats:
+        fitted = system.solve(observed)[system.columns]
+        left: Floats = observed - np.einsum("nij,nj->ni", system.local, fitted)
+        return left
+
+    return residuals
+
+
 class _Eliminated:
     """Normal equations after the table's unknowns are gone, ready for right-hand sides."""
 
     def __init__(self, problem: BallPlateProblem) -> None:
         self.problem = problem
         self.at = model.offsets(problem)
-        self.local, columns = model.local_design(problem)
+        self.local, self.columns = model.local_design(problem)
         self.weight = np.ones_like(problem.centres)
         if problem.std is not None:
             self.weight = (np.median(problem.std) / problem.std) ** 2
@@ -65,7 +79,7 @@ class _Eliminated:
         # Local columns: a, b, c, d, u, v of three each; the rest is a, b, u, v.
         self.table = self.local[:, :, 6:12]
         self.rest = np.concatenate([self.local[:, :, :6], self.local[:, :, 12:]], axis=2)
-        self.rest_columns, self.rest_index = _rest_columns(self.at, columns)
+        self.rest_columns, self.rest_index = _rest_columns(self.at, self.columns)
         self._eliminate()
 
     def _eliminate(self) -> None:

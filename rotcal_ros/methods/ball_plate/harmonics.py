@@ -83,8 +83,9 @@ def centre(matrix: Complexes) -> tuple[Complexes, Complexes, Complexes]:
 def factor(grid: int, balls: Ints) -> Harmonics:
     """Invert the systems of all harmonics; raise ObservabilityError when one is singular."""
     centred, mean, normal = centre(design(phases(grid, balls)))
+    inverse: Complexes
     try:
-        inverse = np.linalg.inv(normal)
+        inverse = np.asarray(np.linalg.inv(normal), dtype=np.complex128)
     except np.linalg.LinAlgError:
         inverse = np.full_like(normal, np.inf)
     if not np.abs(inverse).max() * RANK_TOLERANCE * len(balls) < 1.0:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import f
 
 from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.estimate import least_squares
-from rotcal_ros.methods.ball_plate.model import Floats, Ints, Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.estimate import residual_operator
+from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
 from rotcal_ros.units import ARCSEC, MICROMETRE
 
 FALSE_ALARM = 0.001
@@ -58,9 +59,10 @@ def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
     weight = np.ones_like(problem.centres) if problem.std is None else problem.std**-2
     weighted = (weight * solution.residuals)[order]
     later = np.cumsum(np.einsum("nij,ni->nj", motion, weighted)[::-1], axis=0)[::-1]
+    residuals = residual_operator(problem)
     best: tuple[float, int, Floats] | None = None
     for start in _candidates(later, motion, weight[order]):
-        gain, amount = _fit_motion(problem, order[start:], later[start])
+        gain, amount = _fit_motion(problem, residuals, order[start:], later[start])
         if best is None or gain > best[0]:
             best = (gain, start, amount)
     if best is None or solution.dof <= 12:
@@ -117,18 +119,18 @@ def _solve(matrices: Floats, vectors: Floats) -> Floats:
     return solved
 
 
-def _fit_motion(problem: BallPlateProblem, rows: Ints, right: Floats) -> tuple[float, Floats]:
+def _fit_motion(
+    problem: BallPlateProblem,
+    residuals: Callable[[Floats], Floats],
+    rows: Ints,
+    right: Floats,
+) -> tuple[float, Floats]:
     """Return gain of w'w and the motion (6,) when the rows from a moment on have moved."""
     moved = np.zeros((len(problem.centres), 3, 6))
     moved[rows] = _motion_design(problem)[rows]
-    remains = np.empty_like(moved)
-    nominal = problem.centres - problem.deviations
-    for column in range(6):
-        shifted = replace(problem, centres=nominal + moved[:, :, column])
-        remains[:, :, column] = least_squares(shifted).residuals
+    remains = np.stack([residuals(moved[:, :, c]) for c in range(6)], axis=2)
     weight = np.ones_like(problem.centres) if problem.std is None else problem.std**-2
     information = np.einsum("nij,ni,nik->jk", moved, weight, remains)
     information = 0.5 * (information + information.T)
-    inverse = np.linalg.pinv(information, rcond=1e-6, hermitian=True)
-    amount: Floats = inverse @ right
+    amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
     return float(right @ amount), amount

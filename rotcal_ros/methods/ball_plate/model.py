@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Complexes, Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
 
 N_CONSTRAINTS = 19
 FIELDS = ("plate", "cmm", "rotation", "translation", "axis_rotation", "axis_shift")
@@ -245,6 +245,3 @@ def residual_cofactor(problem: BallPlateProblem, covariance: Floats) -> Floats:
     own = np.ones_like(problem.centres) if problem.std is None else problem.std**2
     cofactor: Floats = own[:, :, None] * np.eye(3) - fitted
     return cofactor
-
-
-__all__ = ["Complexes", "Floats", "Ints", "Offsets", "Parameters", "Solution"]

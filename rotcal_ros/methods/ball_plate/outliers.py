@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2, f
 
-from rotcal_ros.methods.ball_plate.model import Floats, Ints, Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
 
 FALSE_ALARM = 0.01
 """Probability that good data lose any centre at all."""
@@ -37,7 +37,9 @@ class CentreTest:
         return rows[np.argsort(-ratio[rows], kind="stable")]
 
 
-def judge_centres(problem: BallPlateProblem, solution: Solution, sigma: float | None) -> CentreTest:
+def judge_centres(
+    problem: BallPlateProblem, solution: Solution, sigma: float | None
+) -> CentreTest:
     """Test each centre against all the others.
 
     ``sigma`` is the stated standard deviation (of unit weight); without it that of the other

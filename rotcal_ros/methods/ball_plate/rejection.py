@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import DataError, ObservabilityError
 from rotcal_ros.methods.ball_plate.estimate import least_squares
 from rotcal_ros.methods.ball_plate.knock import Knock, find_knock
-from rotcal_ros.methods.ball_plate.model import Floats, Solution
+from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.outliers import CentreTest, choose, judge_centres
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
 from rotcal_ros.methods.ball_plate.separability import require_separable
 from rotcal_ros.results import Rejection
 
@@ -38,9 +38,8 @@ def fit_and_reject(problem: BallPlateProblem) -> Fitted:
     when more than a tenth of the centres would have to go.
     """
     whole, rejected = problem, list[Rejection]()
-    require_separable(problem)
     while True:
-        solution = least_squares(problem)
+        solution = _solve(problem)
         if solution.dof < 1:
             raise DataError(
                 f"{len(problem.centres)} centres leave no redundancy: nothing can be checked; "
@@ -60,7 +59,15 @@ def fit_and_reject(problem: BallPlateProblem) -> Fitted:
         ]
         _check_share(len(rejected), whole, rejected[0])
         problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), bad))
-        require_separable(problem)
+
+
+def _solve(problem: BallPlateProblem) -> Solution:
+    """Solve, or say in words which harmonics of which component cannot be separated."""
+    try:
+        return least_squares(problem)
+    except ObservabilityError:
+        require_separable(problem)  # names the harmonics, where it is the harmonics
+        raise
 
 
 def _reason(problem: BallPlateProblem, residual: Floats, test: CentreTest, r: int) -> str:

@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
 from rotcal_ros.results import Rejection
 from rotcal_ros.units import DEGREE, MILLIMETRE
 
-RADIUS_TOLERANCE = 0.01
+RADIUS_TOLERANCE = 0.002
 """Largest accepted relative difference between measured and stated ball circle."""
 CENTRE_TOLERANCE = 0.02
 """Largest accepted offset of the circle's centre from the origin, as part of the radius."""
@@ -43,7 +44,7 @@ def screen(problem: BallPlateProblem) -> Screened:
     clockwise, one ball measured in place of another. Flagged: centres that are not finite,
     single centres far from their place, doubled centres while others are missing.
     """
-    finite = np.isfinite(problem.centres).all(axis=1)
+    finite: NDArray[np.bool_] = np.all(np.isfinite(problem.centres), axis=1)
     rejected = [
         Rejection(int(problem.rows[r]), f"{_where(problem, r)}: the centre is not finite")
         for r in np.flatnonzero(~finite)

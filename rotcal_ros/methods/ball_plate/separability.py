@@ -1,4 +1,4 @@
-"""Can these balls and positions separate table, plate and CMM at all, and if not, what is lost?"""
+"""Whether balls and positions separate table, plate and CMM; if not, what is lost, in words."""
 
 from __future__ import annotations
 
@@ -112,9 +112,7 @@ def _deficit(grid: int, zero: np.ndarray) -> int:
     return count - int(zero[:, -1].sum()) if grid % 2 == 0 else count
 
 
-def _by_component(
-    grid: int, chosen: np.ndarray, vectors: Complexes
-) -> dict[str, tuple[int, ...]]:
+def _by_component(grid: int, chosen: np.ndarray, vectors: Complexes) -> dict[str, tuple[int, ...]]:
     """Name the unknowns that take part in the chosen eigenvectors (2, Q, 3 columns)."""
     found: dict[str, set[int]] = {}
     for block, q, column in np.argwhere(chosen):

@@ -9,11 +9,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.model import Floats
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
 from rotcal_ros.methods.ball_plate.rejection import Fitted, fit_and_reject
 from rotcal_ros.methods.ball_plate.screening import screen
-from rotcal_ros.methods.ball_plate.separability import separability_of
+from rotcal_ros.methods.ball_plate.separability import separability
 from rotcal_ros.methods.ball_plate.two_groups import (
     Group,
     offset_warning,
@@ -21,8 +20,8 @@ from rotcal_ros.methods.ball_plate.two_groups import (
     turned_back,
     turned_covariance,
 )
-from rotcal_ros.results import COMPONENTS, Rejection, Residuals, Result, Verdict
-from rotcal_ros.units import MICROMETRE
+from rotcal_ros.results import COMPONENTS, Residuals, Result, Verdict
+from rotcal_ros.units import MICROMETRE, MICRORADIAN
 
 METHOD = "ball_plate"
 SIGNIFICANCE = 0.01
@@ -134,9 +133,7 @@ def _std(groups: tuple[Group, ...], fits: tuple[Fitted, ...], scale: float) -> d
     if len(groups) == 1:
         unit = fits[0].solution.unit_std
         return {name: scale * unit.component(name) for name in COMPONENTS}
-    return {
-        name: scale * np.sqrt(np.diag(_covariance(groups, fits, name))) for name in COMPONENTS
-    }
+    return {name: scale * np.sqrt(np.diag(_covariance(groups, fits, name))) for name in COMPONENTS}
 
 
 def _warnings(
@@ -148,7 +145,8 @@ def _warnings(
     for fit in fits:
         if fit.knock is not None:
             warnings.append(fit.knock.sentence())
-        warnings += [s for s in separability_of(fit.problem).sentences() if s not in warnings]
+        weak = separability(fit.problem.grid, fit.problem.balls).sentences()
+        warnings += [sentence for sentence in weak if sentence not in warnings]
         warnings += _linearisation(fit, noise)
     if noise.contradicts:
         follow = "larger: uncertainties follow the residuals" if noise.sigma0 > 1 else "smaller"
@@ -173,16 +171,16 @@ def _linearisation(fit: Fitted, noise: Noise) -> list[str]:
     if neglected < limit:
         return []
     return [
-        f"terms up to {neglected / MICROMETRE:.2g} um are neglected by the linear model (plate off "
-        f"by {plate / MICROMETRE:.3g} um, frame turned by {pose / 1e-6:.3g} urad): align the CMM's "
-        "frame with the axis and centre the plate better"
+        f"terms up to {neglected / MICROMETRE:.2g} um are neglected by the linear model (plate "
+        f"off by {plate / MICROMETRE:.3g} um, frame turned by {pose / MICRORADIAN:.3g} urad): "
+        "align the CMM's frame with the axis and centre the plate better"
     ]
 
 
 def _verdict(fits: tuple[Fitted, ...], noise: Noise, share: float) -> Verdict:
     if any(fit.knock is not None for fit in fits):
         return "failed"
-    if noise.contradicts and noise.sigma0 > 1.0 or share > MANY_REJECTED:
+    if (noise.contradicts and noise.sigma0 > 1.0) or share > MANY_REJECTED:
         return "suspect"
     return "ok"
 
@@ -240,7 +238,11 @@ def _details(
         "radius": whole.radius,
         "sigma_centre": noise.estimated,
         "sigma_used": noise.used,
-        "chi_square": {"dof": noise.dof, "p_value": noise.p_value, "passed": not noise.contradicts},
+        "chi_square": {
+            "dof": noise.dof,
+            "p_value": noise.p_value,
+            "passed": not noise.contradicts,
+        },
         "groups": [
             _group_details(g, fit, noise.used) for g, fit in zip(groups, fits, strict=True)
         ],
@@ -278,6 +280,3 @@ def _group_details(group: Group, fit: Fitted, scale: float) -> dict[str, Any]:
             "rotation": fit.knock.rotation,
         }
     return details
-
-
-__all__ = ["METHOD", "Rejection", "solve"]

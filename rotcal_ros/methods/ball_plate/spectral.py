@@ -117,7 +117,7 @@ def _residuals(problem: BallPlateProblem, rest: Complexes, shift: Ints) -> Float
 
 
 def _unit_std(problem: BallPlateProblem, system: Harmonics) -> Parameters:
-    """Standard deviations of all parameters for unit noise."""
+    """Return the standard deviations of all parameters for unit noise."""
     grid, radius, n_balls = problem.grid, problem.radius, len(problem.balls)
     cmm_spectrum = harmonics.cmm_covariance(system)
     shift = cmm_spectrum[PLANE, 0, 1, 1].real / grid
@@ -143,7 +143,7 @@ def _unit_std(problem: BallPlateProblem, system: Harmonics) -> Parameters:
 
 
 def _turned_std(pairs: Floats, along: Floats, angles: Floats) -> Floats:
-    """Standard deviations (f, n, 3) of f vectors at n angles.
+    """Return the standard deviations (f, n, 3) of f vectors at n angles.
 
     ``pairs`` (f, 2, 2) are their plane covariances in the turning frame, ``along`` (f,) the
     variances of their z.
