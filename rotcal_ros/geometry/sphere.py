@@ -177,8 +177,8 @@ def _solve(design: Floats, residual: Floats) -> Floats:
     normal = adjoint @ design
     size = np.einsum("bii->b", normal) + 1e-30
     normal += (1e-14 * size)[:, None, None] * np.eye(p)
-    solved: Floats = np.linalg.solve(normal, adjoint @ residual[:, :, None])[:, :, 0]
-    return solved
+    solved = np.linalg.solve(normal, adjoint @ residual[:, :, None])[:, :, 0]
+    return np.asarray(solved, dtype=np.float64)
 
 
 def _algebraic(points: Floats, weight: Floats) -> tuple[Floats, Floats]:

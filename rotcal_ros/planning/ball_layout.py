@@ -97,9 +97,10 @@ def best_layout(
     ``min_gap`` keeps neighbours at least so many steps apart; ``subset_of`` restricts the steps
     to those of an existing plate; ``weights`` belong to ECC, translations in the plane, tilts
     and EZC (rotations times radius). Layouts that differ by a rotation or a reflection are
-    equal, so only one of them is looked at; up to ``EXHAUSTIVE_LIMIT`` all are, beyond it an
-    exchange search runs from ``starts`` random layouts (``seed``), as it does
-    at once without ``exact``. ``progress(done, total)`` is called now and then. Raises PlanError when no such layout exists or none separates.
+    equal, so only one of them is looked at; up to ``EXHAUSTIVE_LIMIT`` all are. Beyond it, or
+    without ``exact``, an exchange search runs from ``starts`` random layouts (``seed``).
+    ``progress(done, total)`` is called now and then. Raises PlanError when no such layout
+    exists or none separates.
     """
     weight = _checked(grid, n_balls, min_gap, subset_of, weights)
     places = np.arange(grid) if subset_of is None else np.unique(np.array(subset_of) % grid)

@@ -85,7 +85,7 @@ def plan_measurement(
     else:
         raise PlanError(f"unknown order {order!r}: table_once or probe_rests")
     step = 2.0 * np.pi / grid
-    angle = turns * step
+    angle = np.asarray(turns * step, dtype=np.float64)
     lead_in = float(angle[0]) - (step if backlash else 0.0)
     moves = np.diff(angle, prepend=lead_in)
     directions = np.sign(moves[moves != 0.0])

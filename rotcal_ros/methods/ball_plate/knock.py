@@ -115,8 +115,8 @@ def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
 
 
 def _solve(matrices: Floats, vectors: Floats) -> Floats:
-    solved: Floats = np.linalg.solve(matrices, vectors[:, :, None])[:, :, 0]
-    return solved
+    solved = np.linalg.solve(matrices, vectors[:, :, None])[:, :, 0]
+    return np.asarray(solved, dtype=np.float64)
 
 
 def _fit_motion(
