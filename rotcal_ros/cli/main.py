@@ -1,0 +1,100 @@
+"""The command ``rotcal``: one verb per file, loaded only when it is called."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Final
+
+import click
+
+from rotcal_ros import __version__
+from rotcal_ros.errors import RotcalError
+
+INTERRUPTED: Final = 130
+UNREADABLE: Final = 2
+
+VERBS: Final[Mapping[str, str]] = {
+    "run": "Run the nodes of one cell and calibrate.",
+    "solve": "Solve a recorded bag or a plain table, without ROS.",
+    "report": "Write the self-contained HTML report of a calibration.",
+    "bag": "Check, repair and describe recorded bags.",
+    "doctor": "Check this machine and say what to do.",
+}
+"""Verb -> one line of help. The verb lives in ``rotcal_ros/cli/<verb>.py`` as ``command``."""
+
+
+class LazyGroup(click.Group):
+    """A group that lists :data:`VERBS` and imports a verb's module only when it is called."""
+
+    def list_commands(self, _context: click.Context) -> list[str]:
+        """Return the verbs in the order in which they are used."""
+        return list(VERBS)
+
+    def get_command(self, _context: click.Context, name: str) -> click.Command | None:
+        """Import ``rotcal_ros.cli.<name>`` and return its ``command``; None if unknown."""
+        if name not in VERBS:
+            return None
+        command: click.Command = import_module(f"rotcal_ros.cli.{name}").command
+        return command
+
+    def format_commands(self, _context: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of verbs from :data:`VERBS`, without importing any of them."""
+        with formatter.section("Verbs"):
+            formatter.write_dl(list(VERBS.items()))
+
+    def invoke(self, context: click.Context) -> None:
+        """Run a verb; an error becomes one red line and an exit code, not a traceback.
+
+        A verb may return its exit code. A broken pipe and wrong usage are click's own matter.
+        """
+        try:
+            code = super().invoke(context)
+        except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
+            raise
+        except (KeyboardInterrupt, click.Abort):
+            _say("interrupted")
+            code = INTERRUPTED
+        except Exception as error:
+            if context.params["debug"]:
+                raise
+            code = _explain(error)
+        context.exit(code if isinstance(code, int) else 0)
+
+
+@click.group(
+    cls=LazyGroup,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    subcommand_metavar="VERB ...",
+    epilog="Exit codes: 0 good, 1 the verdict is bad, 2 wrong usage or unreadable input, "
+    "3 not enough or contradictory data, 130 interrupted.",
+)
+@click.version_option(__version__, prog_name="rotcal")
+@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
+def rotcal(debug: bool) -> None:
+    """Find and remove the six small errors of a rotary table at every angle."""
+
+
+def main() -> None:
+    """Run ``rotcal`` and leave with its exit code."""
+    rotcal(prog_name="rotcal")
+
+
+def _explain(error: Exception) -> int:
+    """Print one red line for ``error`` and return its exit code."""
+    if isinstance(error, RotcalError):
+        _say(str(error))
+        return error.exit_code
+    if isinstance(error, OSError) and error.strerror:
+        _say(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)
+    else:
+        _say(f"unexpected {type(error).__name__}: {error} ('rotcal --debug ...' shows where)")
+    return UNREADABLE
+
+
+def _say(text: str) -> None:
+    click.secho(f"rotcal: {text}", fg="red", err=True)
+
+
+if __name__ == "__main__":
+    main()
