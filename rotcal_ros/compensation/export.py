@@ -1,0 +1,157 @@
+"""From a table to the texts of a controller's files, proven by the controller's own rule."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from typing import Any
+
+from rotcal_ros.compensation.controller import Controller
+from rotcal_ros.compensation.controllers import controller, make_settings
+from rotcal_ros.compensation.quality import ResidualBudget, residual_budget
+from rotcal_ros.compensation.resample import resample
+from rotcal_ros.compensation.table import SIGN_CONVENTION, CompensationTable, check_axis
+from rotcal_ros.compensation.writing import check_stem
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.units import ARCSEC, DEGREE
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class ExportFiles:
+    """Names and texts of all files of one export, the provenance included, and what they leave."""
+
+    files: Mapping[str, str]
+    residual: ResidualBudget
+    warnings: tuple[str, ...]
+    table: CompensationTable
+    unverified: tuple[str, ...] = field(default=())
+
+
+def prepare_export(
+    table: CompensationTable,
+    controller_name: str,
+    *,
+    now: datetime,
+    axis: str | None = None,
+    spacing: float | None = None,
+    reference_angle: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+    stem: str | None = None,
+    accept_unverified: bool = False,
+    sources: Mapping[str, str] | None = None,
+) -> ExportFiles:
+    """Return the files for ``controller_name``, after they were read back and simulated.
+
+    ``axis`` is the axis they are meant for (refused when the table is another's), ``spacing``
+    and ``reference_angle`` are radians, ``settings`` go to the controller, ``stem`` is the file
+    name without extension, ``sources`` maps what the numbers come from (a bag, a result) to its
+    SHA-256. What nobody has verified about a controller is refused unless ``accept_unverified``.
+
+    Raises DataError for a verdict other than "ok" or a file that would make things worse, and
+    ConfigurationError for limits, names and settings. Writes nothing.
+    """
+    kind = controller(controller_name)
+    made = make_settings(controller_name, settings or {})
+    _refuse_verdict(table)
+    if axis is not None and check_axis(axis) != table.axis:
+        raise ConfigurationError(
+            f"the table is for axis {table.axis} and the export for axis {axis}: nothing written"
+        )
+    unverified = kind.unverified(made)
+    if unverified and not accept_unverified:
+        raise ConfigurationError(
+            f"{kind.title}: not verified is {'; '.join(unverified)}. Give --accept-unverified to "
+            "write the file all the same, and test it with one small value first"
+        )
+    name = check_stem(stem or f"{table.axis}_{controller_name}".lower())
+    shifted = resample(table, reference_angle=reference_angle)
+    rows = resample(shifted, spacing)
+    files = kind.write(rows, made, name)
+    said = kind.read(files, made)
+    residual = residual_budget(shifted, rows, kind, made, said)
+    _refuse_harm(residual, kind.title)
+    warnings = (*table.warnings, *(f"not verified: {text}" for text in unverified))
+    side = {
+        "written": now.isoformat(timespec="seconds"),
+        **_origin(table, sources),
+        **_controller_facts(kind, made),
+        "files_sha256": {file: _sha256(text) for file, text in files.items()},
+        "rows": len(rows.angles),
+        "spacing_deg": None if spacing is None else spacing / DEGREE,
+        "reference_angle_deg": shifted.reference_angle / DEGREE,
+        **_left(residual),
+        "warnings": list(warnings),
+    }
+    text = json.dumps({"schema": SCHEMA, **side}, indent=1, allow_nan=False) + "\n"
+    return ExportFiles(
+        files={**files, f"{name}.provenance.json": text},
+        residual=residual,
+        warnings=warnings,
+        table=rows,
+        unverified=unverified,
+    )
+
+
+def _refuse_verdict(table: CompensationTable) -> None:
+    if table.verdict != "ok":
+        said = f" ({'; '.join(table.warnings)})" if table.warnings else ""
+        raise DataError(
+            f"the verdict of the {table.method} result is '{table.verdict}'{said}: only 'ok' may "
+            "be fed to a controller; nothing was written"
+        )
+
+
+def _refuse_harm(residual: ResidualBudget, title: str) -> None:
+    """Refuse a file that leaves more than it promised, or more than there was."""
+    if residual.simulated > residual.stated * (1.0 + 1e-9) + 1e-14:
+        raise DataError(
+            f"{title}: read back and applied by the control's rule, the file leaves "
+            f"{residual.simulated / ARCSEC:.4g} arcsec, expected at most "
+            f"{residual.stated / ARCSEC:.4g}: nothing was written"
+        )
+    if residual.simulated > residual.before + 1e-14:
+        raise DataError(
+            f"{title}: the table would leave {residual.simulated / ARCSEC:.4g} arcsec of a "
+            f"deviation of {residual.before / ARCSEC:.4g}: the control's resolution or the "
+            "spacing is too coarse for it; nothing was written"
+        )
+
+
+def _origin(table: CompensationTable, sources: Mapping[str, str] | None) -> dict[str, Any]:
+    return {
+        "axis": table.axis,
+        "method": table.method,
+        "verdict": table.verdict,
+        "table_sha256": table.table_hash,
+        "sources_sha256": dict(sources or {}),
+        "sign_of_the_table": SIGN_CONVENTION,
+    }
+
+
+def _controller_facts(kind: Controller, made: Any) -> dict[str, Any]:
+    return {
+        "controller": kind.name,
+        "controller_title": kind.title,
+        "settings": asdict(made),
+        "sign": kind.sign,
+        "wrap": kind.wrap,
+        "unit": kind.unit,
+        "source": kind.source,
+    }
+
+
+def _left(residual: ResidualBudget) -> dict[str, Any]:
+    figures = {**asdict(residual), "stated": residual.stated}
+    return {
+        "residual": residual.in_words(),
+        "residual_arcsec": {part: value / ARCSEC for part, value in figures.items()},
+    }
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,157 @@
+"""What a controller's table can remove and what it cannot: figures, and the proof by its rule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.compensation.controller import Controller
+from rotcal_ros.compensation.curve import SAME_ANGLE, TURN
+from rotcal_ros.compensation.lookup import Correction
+from rotcal_ros.compensation.resample import averaged
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.observations import Approach
+from rotcal_ros.units import ARCSEC
+
+Floats = NDArray[np.float64]
+
+DIRECTIONS = (Approach.POSITIVE, Approach.NEGATIVE)
+POINTS_PER_ROW = 24
+SAMPLING = 1.02
+"""A maximum over so fine a grid can miss the true one by less than this factor."""
+
+
+@dataclass(frozen=True)
+class ResidualBudget:
+    """Largest deviations in radians, over all angles and both directions.
+
+    ``before`` is what there is without compensation. ``interpolation`` is the distance of the
+    control's line (or staircase) between the rows from the smooth curve through the measured
+    points, ``rounding`` comes from the digits or whole numbers of the file, ``direction``
+    from a control that has one column for both directions, ``second_order`` from looking the
+    correction up at the commanded instead of the true angle. ``simulated`` is what the control's
+    own rule leaves when it reads the written file; ``std`` the largest standard uncertainty
+    (k = 1) of the correction, which no table removes.
+    """
+
+    before: float
+    interpolation: float
+    rounding: float
+    direction: float
+    second_order: float
+    simulated: float
+    std: float
+
+    @property
+    def stated(self) -> float:
+        """The bound on what is left: the sum of all four parts."""
+        return self.interpolation + self.rounding + self.direction + self.second_order
+
+    def in_words(self) -> str:
+        """Return the figures in one line, in arcseconds."""
+        parts = {
+            "interpolation": self.interpolation,
+            "rounding": self.rounding,
+            "one column for both directions": self.direction,
+            "second order": self.second_order,
+        }
+        listed = ", ".join(
+            f"{name} {value / ARCSEC:.2g}" for name, value in parts.items() if value
+        )
+        return (
+            f"largest deviation {self.before / ARCSEC:.4g} arcsec, after compensation at most "
+            f"{self.stated / ARCSEC:.3g} arcsec ({listed}), {self.simulated / ARCSEC:.3g} arcsec "
+            f"by the control's own rule; standard uncertainty {self.std / ARCSEC:.2g} arcsec"
+        )
+
+
+def residual_budget(
+    table: CompensationTable,
+    rows: CompensationTable,
+    controller: Controller,
+    settings: Any,
+    said: Any,
+) -> ResidualBudget:
+    """Return what is left of the deviations in ``table`` when the control works with ``said``.
+
+    ``table`` holds the measured rows (their smooth curve is taken for true), ``rows`` those that
+    were written with ``settings``, ``said`` is what the reader found in the files.
+    """
+    grid = _fine_grid(table, rows)
+    needed = [Correction(table)(grid, approach) for approach in DIRECTIONS]
+    goal, written, direction = needed, rows, 0.0
+    if controller.one_direction(settings):
+        goal = [Correction(averaged(table))(grid, approach) for approach in DIRECTIONS]
+        written = averaged(rows)
+        direction = SAMPLING * _largest(np.subtract(needed, goal))
+    steepest = SAMPLING * _largest(np.gradient(np.array(needed), grid, axis=1))
+    lines = np.array(
+        [
+            _neighbours(written, column, grid, controller.staircase)
+            for column in (written.correction_forward, written.correction_reverse)
+        ]
+    )
+    interpolation = SAMPLING * _largest(lines - np.array(goal)[:, None, :])
+    rounding = controller.resolution(rows, settings) / 2.0
+    rounding += steepest * controller.position_resolution
+    before = _largest(needed)
+    return ResidualBudget(
+        before=before,
+        interpolation=interpolation,
+        rounding=rounding,
+        direction=direction,
+        second_order=steepest * (before + interpolation + rounding + direction),
+        simulated=simulate(table, controller, settings, said, grid),
+        std=float(np.max(table.std)),
+    )
+
+
+def simulate(
+    table: CompensationTable, controller: Controller, settings: Any, said: Any, grid: Floats
+) -> float:
+    """Return the largest deviation (rad) left on ``grid`` (rad, one turn or the arc).
+
+    The axis has the deviations of ``table``; it is commanded to every angle from both sides in
+    every turn that the file is made for, and moves by what the control makes of the file.
+    """
+    first, last = controller.travel(settings) if table.closed else (0.0, TURN)
+    turns = range(round(first / TURN), round(last / TURN)) if table.closed else range(1)
+    truth = Correction(table)
+    worst = 0.0
+    for turn in turns:
+        for approach in DIRECTIONS:
+            command = grid + turn * TURN
+            correction = controller.correction(said, command, approach)
+            moved = command + correction
+            if not table.closed:
+                moved = np.clip(moved, table.angles[0], table.angles[-1])
+            worst = max(worst, _largest(correction - truth(moved, approach)))
+    return worst
+
+
+def _fine_grid(table: CompensationTable, rows: CompensationTable) -> Floats:
+    """Return angles that hold all rows and many points between any two of them."""
+    ends = np.append(rows.angles, TURN) if table.closed else rows.angles
+    knots = np.unique(np.concatenate([ends, table.angles]))
+    knots = knots[np.append(True, np.diff(knots) > SAME_ANGLE)]
+    share = np.arange(POINTS_PER_ROW) / POINTS_PER_ROW
+    between = knots[:-1, None] + np.diff(knots)[:, None] * share
+    return np.append(between.ravel(), knots[-1])
+
+
+def _neighbours(rows: CompensationTable, column: Floats, grid: Floats, staircase: bool) -> Floats:
+    """Return what the control may give between the rows: one line, or either neighbour (2, n)."""
+    knots, values = rows.angles, column
+    if rows.closed:
+        knots, values = np.append(knots, knots[0] + TURN), np.append(values, values[0])
+    if not staircase:
+        return np.interp(grid, knots, values)[None, :]
+    left = np.clip(np.searchsorted(knots, grid, side="right") - 1, 0, len(knots) - 2)
+    return np.vstack([values[left], values[left + 1]])
+
+
+def _largest(values: Any) -> float:
+    return float(np.max(np.abs(np.asarray(values))))

@@ -1,0 +1,80 @@
+"""Writing files all or nothing, complete on disk before they get their names, over no old file."""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from rotcal_ros.errors import BagError, ConfigurationError
+
+
+def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
+    """Write all of ``files`` into ``folder`` or none, and return their paths.
+
+    Every file is complete on disk before it gets its name, and no existing file is touched:
+    BagError when a name is taken, leaves the folder, or the disk refuses.
+    """
+    for name in files:
+        check_file_name(name)
+    done: list[Path] = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _staged(files, folder) as staged:
+            for name, temporary in staged.items():
+                os.link(temporary, folder / name)
+                done.append(folder / name)
+        _sync_folder(folder)
+    except OSError as error:
+        for path in done:
+            path.unlink(missing_ok=True)
+        if isinstance(error, FileExistsError):
+            raise BagError(
+                f"{error.filename2 or error.filename} exists already and nothing is ever "
+                "overwritten: choose another folder or name; nothing was written"
+            ) from error
+        raise BagError(f"cannot write into {folder}: {error.strerror}; nothing is left") from error
+    return tuple(done)
+
+
+def check_stem(stem: str) -> str:
+    """Return ``stem`` when it is a plain file name, else raise ConfigurationError."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", stem):
+        raise ConfigurationError(
+            f"file name {stem!r}: expected letters, digits, '_' and '-' only, without folder or "
+            "extension; files do not leave the output folder"
+        )
+    return stem
+
+
+def check_file_name(name: str) -> str:
+    """Return ``name`` when it stays in its folder, else raise ConfigurationError."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", name):
+        raise ConfigurationError(f"file name {name!r} leaves the output folder or is no file name")
+    return name
+
+
+@contextmanager
+def _staged(files: Mapping[str, str], folder: Path) -> Iterator[dict[str, Path]]:
+    """Give the texts as complete, synced files below ``folder``, gone afterwards."""
+    with tempfile.TemporaryDirectory(prefix=".rotcal-", dir=folder) as scratch:
+        staged = {}
+        for number, (name, text) in enumerate(files.items()):
+            staged[name] = Path(scratch) / str(number)
+            with staged[name].open("w", encoding="ascii", newline="\n") as stream:
+                stream.write(text)
+                stream.flush()
+                os.fsync(stream.fileno())
+            staged[name].chmod(0o644)
+        yield staged
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
