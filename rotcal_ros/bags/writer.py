@@ -304,7 +304,7 @@ class BagWriter:
             raise BagError(
                 f"only {free / 1e6:.1f} MB are free below {self.folder}, less than the "
                 f"{self.settings.min_free_bytes / 1e6:.1f} MB that recording keeps free; "
-                "recording stopped, everything up to here is on disk; make room and continue the session"
+                "recording stopped with everything so far on disk; make room and continue the session"
             )
 
     @property

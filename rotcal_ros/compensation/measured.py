@@ -1,4 +1,4 @@
-"""The measured angular positioning deviation, one value per table position."""
+"""A measured deviation curve, one value per table position."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rotcal_ros.compensation.curve import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.errors import DataError
 from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ CLOSURE_LIMIT: Final = 4.0
 
 @dataclass(frozen=True, eq=False)
 class MeasuredCurve:
-    """Deviation (n,) rad at ascending angles (n,) rad with covariance (n, n) rad^2.
+    """Deviation (n,) at ascending angles (n,) rad with covariance (n, n), in rad or metres.
 
     ``period`` is 2 pi when the angles go round, with no angle twice, and 0 for an arc.
     """
@@ -32,13 +32,13 @@ class MeasuredCurve:
     period: float
 
 
-def measured_curve(result: Result) -> MeasuredCurve:
-    """Return the ECC of ``result``, positions that coincide after a turn averaged.
+def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
+    """Return one component of ``result``, positions that coincide after a turn averaged.
 
-    Raises DataError when ECC is absent, not finite, of the wrong size, or when two measurements
+    Raises DataError when it is absent, not finite, of the wrong size, or when two measurements
     of one table position contradict each other (the deviations do not close).
     """
-    angles, deviation, covariance = _checked(result)
+    angles, deviation, covariance = _checked(result, component)
     period = TURN if covers_circle(angles) else 0.0
     position = np.array([wrapped(a) for a in angles]) if period else angles
     order = np.argsort(position, kind="stable")
@@ -47,7 +47,7 @@ def measured_curve(result: Result) -> MeasuredCurve:
     merge = np.zeros((group[-1] + 1, len(angles)))
     merge[group, order] = 1.0
     for row in merge[merge.sum(axis=1) > 1]:
-        _check_closure(angles, deviation, covariance, np.flatnonzero(row))
+        _check_closure(component, angles, deviation, covariance, np.flatnonzero(row))
     merge /= merge.sum(axis=1, keepdims=True)
     return MeasuredCurve(
         angles=position[order][new],
@@ -66,45 +66,51 @@ def covers_circle(angles: Floats) -> bool:
     return len(ascending) > 2 and TURN - span <= 1.5 * float(np.max(np.diff(ascending)))
 
 
-def _checked(result: Result) -> tuple[Floats, Floats, Floats]:
-    """Return angles, ECC and its covariance when they are complete, else raise DataError."""
+def _checked(result: Result, component: str) -> tuple[Floats, Floats, Floats]:
+    """Return angles, deviation and covariance when they are complete, else raise DataError."""
     where = f"the {result.method} result"
-    if "ECC" not in result.deviations:
+    if component not in result.deviations:
         raise DataError(
-            f"{where} holds no ECC, only {', '.join(result.deviations) or 'nothing'}: a "
-            "positioning table needs the angular positioning deviation"
+            f"{where} holds no {component}, only {', '.join(result.deviations) or 'nothing'}: "
+            "choose another result or component (a positioning table needs ECC)"
         )
     angles = np.asarray(result.angles, dtype=np.float64)
-    deviation = np.asarray(result.deviations["ECC"], dtype=np.float64)
+    deviation = np.asarray(result.deviations[component], dtype=np.float64)
     n = len(angles)
     if deviation.shape != (n,) or n < 2:
         raise DataError(
-            f"{where} holds {deviation.shape} ECC values for {n} angles: expected one for each "
+            f"{where} holds {deviation.shape} {component} values for {n} angles: expected one for each "
             "of at least two angles"
         )
     bad = ~(np.isfinite(angles) & np.isfinite(deviation))
     if np.any(bad):
         row = int(np.argmax(bad))
         raise DataError(
-            f"{where}, row {row}: ECC is {deviation[row]} at {angles[row] / DEGREE:.6g} deg, "
+            f"{where}, row {row}: {component} is {deviation[row]} at {angles[row] / DEGREE:.6g} deg, "
             "expected finite numbers"
         )
-    covariance = result.covariance.get("ECC")
+    covariance = result.covariance.get(component)
     if covariance is None:
-        std = result.std.get("ECC")
+        std = result.std.get(component)
         covariance = np.zeros((n, n)) if std is None else np.diag(np.asarray(std) ** 2)
     if np.shape(covariance) != (n, n) or not np.all(np.isfinite(covariance)):
         raise DataError(
-            f"{where}: the covariance of ECC has shape {np.shape(covariance)} or is not finite, "
+            f"{where}: the covariance of {component} has shape {np.shape(covariance)} or is not finite, "
             f"expected ({n}, {n}) finite numbers"
         )
     return angles, deviation, np.asarray(covariance, dtype=np.float64)
 
 
 def _check_closure(
-    angles: Floats, deviation: Floats, covariance: Floats, members: NDArray[np.intp]
+    component: str,
+    angles: Floats,
+    deviation: Floats,
+    covariance: Floats,
+    members: NDArray[np.intp],
 ) -> None:
     """Raise DataError when measurements ``members`` of one position contradict each other."""
+    rotation = component in ("EAC", "EBC", "ECC")
+    unit, scale = ("arcsec", ARCSEC) if rotation else ("um", MICROMETRE)
     first = members[0]
     for other in members[1:]:
         gap = float(deviation[other] - deviation[first])
@@ -112,9 +118,9 @@ def _check_closure(
         std = float(np.sqrt(max(variance - 2.0 * covariance[first, other], 0.0)))
         if abs(gap) > CLOSURE_LIMIT * std + SAME_ANGLE:
             raise DataError(
-                f"the deviations do not close: at {angles[first] / DEGREE:.6g} and "
+                f"the deviations {component} do not close: at {angles[first] / DEGREE:.6g} and "
                 f"{angles[other] / DEGREE:.6g} deg, the same table position, they differ by "
-                f"{gap / ARCSEC:.4g} arcsec with a standard uncertainty of {std / ARCSEC:.3g} "
-                f"arcsec (limit {CLOSURE_LIMIT:g} times): something moved during the run, "
+                f"{gap / scale:.4g} {unit} with a standard uncertainty of {std / scale:.3g} "
+                f"{unit} (limit {CLOSURE_LIMIT:g} times): something moved during the run, "
                 "measure again"
             )

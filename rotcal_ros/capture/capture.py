@@ -1,0 +1,295 @@
+"""The capture: records of all streams in, observations out."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict
+from math import dist, isfinite
+from typing import Any
+
+import numpy as np
+
+from rotcal_ros.capture.attempt import (
+    Attempt,
+    Streams,
+    Wait,
+    finite,
+    missing_temperature,
+    nanoseconds,
+    seconds,
+)
+from rotcal_ros.capture.length import decide_length
+from rotcal_ros.capture.plausibility import LengthCheck
+from rotcal_ros.capture.points import decide_points
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts, Values
+from rotcal_ros.capture.window import TracerStream
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.observations import (
+    Command,
+    Observation,
+    PointKind,
+    ProbeSample,
+    TableSample,
+    TemperatureSample,
+    TracerSample,
+)
+from rotcal_ros.planning.plan import Plan
+
+Record = Command | TracerSample | TableSample | ProbeSample | TemperatureSample
+Observations = tuple[Observation, ...]
+
+_MAX_PENDING = 64
+
+
+class Capture:
+    """Turns the streams of one calibration into observations, one per attempt at a step.
+
+    An attempt begins with the probe sample that echoes (step, attempt): the machine says that
+    the probe stands at its target. It is decided as soon as the streams have passed everything
+    that the decision needs, whichever of them arrives first; attempts come out in the order of
+    their probe samples. As long as no stream arrives more than ``clock_tolerance_s`` (machine
+    time) behind another, equal streams give equal observations to the last bit. A stream that
+    falls further behind rejects the attempt: it is silent, or stamped by another clock.
+
+    Commands are only compared with the plan: what counts is what the machine did.
+    """
+
+    def __init__(self, plan: Plan, settings: CaptureSettings) -> None:
+        if settings.settle_time_s >= settings.step_timeout_s:
+            raise ConfigurationError(
+                f"capture: settle_time_s = {settings.settle_time_s:g} leaves no time for a window;"
+                f" expected less than step_timeout_s = {settings.step_timeout_s:g}"
+            )
+        tolerance = nanoseconds(settings.clock_tolerance_s)
+        self._plan, self._settings = plan, settings
+        self._streams = Streams(
+            tracer=TracerStream(tolerance, settings.max_length_m),
+            table=Stream(2, tolerance),
+            temperature=Stream(1, tolerance),
+        )
+        self._tolerance_ns = tolerance
+        self._commands, self._probe = StreamCounts(), StreamCounts()
+        self._probe_stamp: int | None = None
+        self._next_attempt = [0] * len(plan.steps)
+        self._pending: deque[Attempt] = deque()
+        self._waiting: Wait | None = None
+        self._check = LengthCheck(plan)
+        self._remarks: deque[str] = deque(maxlen=100)
+        self._takers: dict[type[Any], Callable[[Any], Observations]] = {
+            TracerSample: self._take_tracer,
+            TableSample: self._take_table,
+            ProbeSample: self._take_probe,
+            TemperatureSample: self._take_temperature,
+            Command: self._take_command,
+        }
+
+    def feed(self, record: Record) -> Observations:
+        """Take one record; return the observations that it completes, usually none."""
+        return self._takers[type(record)](record)
+
+    def feed_tracer(
+        self, stamp_ns: Stamps, sequence: Values, length: Values, status: Values
+    ) -> Observations:
+        """Take many tracer readings at once, all arrays (n,); same answer as one by one."""
+        self._streams.tracer.flush()
+        self._streams.tracer.admit(
+            np.asarray(stamp_ns, dtype=np.int64),
+            np.column_stack([sequence, length, status]).astype(np.float64),
+        )
+        return self._decide()
+
+    @property
+    def counts(self) -> dict[str, dict[str, int]]:
+        """What each stream delivered and what was wrong with it, by stream; zeros left out."""
+        streams = {
+            "tracer": self._streams.tracer,
+            "table": self._streams.table,
+            "temperature": self._streams.temperature,
+        }
+        for stream in streams.values():
+            stream.flush()
+        all_counts = {name: stream.counts for name, stream in streams.items()}
+        all_counts |= {"probe": self._probe, "command": self._commands}
+        return {
+            name: {key: n for key, n in asdict(counts).items() if n or key == "received"}
+            for name, counts in all_counts.items()
+        }
+
+    @property
+    def waiting_for(self) -> str:
+        """What the oldest undecided attempt waits for, in words; empty: none is undecided."""
+        if not self._pending or self._waiting is None:
+            return ""
+        attempt = self._pending[0]
+        lag = seconds(self._newest_ns(attempt) - self._reached(self._waiting.stream, attempt))
+        return (
+            f"step {attempt.step.index}, attempt {attempt.number}: waiting for "
+            f"{self._name(self._waiting.stream)}, now {lag:.3g} s behind the other streams"
+        )
+
+    def remarks(self) -> tuple[str, ...]:
+        """Return and clear what was wrong with records that belong to no observation."""
+        texts = tuple(self._remarks)
+        self._remarks.clear()
+        return texts
+
+    def _take_tracer(self, sample: TracerSample) -> Observations:
+        values = (sample.sequence, sample.length, sample.status)
+        if self._streams.tracer.stage(sample.stamp_ns, values):
+            return self._decide()
+        return ()
+
+    def _take_table(self, sample: TableSample) -> Observations:
+        if self._streams.table.stage(sample.stamp_ns, (sample.angle, sample.velocity)):
+            return self._decide()
+        return ()
+
+    def _take_temperature(self, sample: TemperatureSample) -> Observations:
+        stream = self._streams.temperature
+        if not isfinite(sample.temperature_c):
+            stream.counts.received += 1
+            stream.counts.non_finite += 1
+        elif stream.stage(sample.stamp_ns, (sample.temperature_c,)):
+            return self._decide()
+        return ()
+
+    def _take_command(self, command: Command) -> Observations:
+        self._commands.received += 1
+        if not 0 <= command.step < len(self._plan.steps):
+            self._commands.unknown_step += 1
+            self._remarks.append(f"a command for {self._not_in_plan(command.step)}")
+        elif command != self._plan.steps[command.step].command(command.attempt):
+            self._commands.off_plan += 1
+            self._remarks.append(
+                f"the command for step {command.step} is not the plan's: found {command}, "
+                f"expected {self._plan.steps[command.step].command(command.attempt)}"
+            )
+        return ()
+
+    def _take_probe(self, sample: ProbeSample) -> Observations:
+        """Start an attempt, or add a point to the newest one."""
+        self._probe.received += 1
+        newest = self._pending[-1] if self._pending else None
+        if not 0 <= sample.step < len(self._plan.steps):
+            self._probe.unknown_step += 1
+            self._remarks.append(f"a probe sample for {self._not_in_plan(sample.step)}")
+        elif newest is not None and (sample.step, sample.attempt) == (
+            newest.step.index,
+            newest.number,
+        ):
+            self._add_point(newest, sample)
+        elif sample.attempt < self._next_attempt[sample.step]:
+            self._probe.duplicates += 1
+        else:
+            self._begin(sample, newest)
+        self._probe_stamp = sample.stamp_ns
+        return self._decide()
+
+    def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
+        step = self._plan.steps[sample.step]
+        self._next_attempt[sample.step] = sample.attempt + 1
+        if newest is not None and newest.superseded_ns is None:
+            newest.superseded_ns = sample.stamp_ns
+        attempt = Attempt(step, sample.attempt, [sample], search_ns=sample.stamp_ns)
+        attempt.points_seen.add(sample.point)
+        attempt.refusal = self._refusal(attempt, sample)
+        self._pending.append(attempt)
+
+    def _add_point(self, attempt: Attempt, sample: ProbeSample) -> None:
+        if sample.point in attempt.points_seen or len(attempt.samples) >= attempt.step.n_points:
+            self._probe.duplicates += 1
+            return
+        attempt.points_seen.add(sample.point)
+        attempt.refusal = attempt.refusal or self._refusal(attempt, sample)
+        attempt.samples.append(sample)
+
+    def _refusal(self, attempt: Attempt, sample: ProbeSample) -> str:
+        """Say what is wrong with a probe sample itself; empty: nothing."""
+        step = attempt.step
+        if self._probe_stamp is not None and sample.stamp_ns <= self._probe_stamp:
+            self._probe.backwards += 1
+            back = seconds(self._probe_stamp - sample.stamp_ns)
+            return f"probe stamps go backwards: {back:.3g} s before the sample before it"
+        if not finite(sample.position):
+            self._probe.non_finite += 1
+            return f"probe position is not finite: {sample.position}"
+        if sample.kind != step.kind or sample.target != step.target:
+            self._probe.off_plan += 1
+            return (
+                f"probe reports {sample.kind.name} at target {sample.target}, "
+                f"the plan says {step.kind.name} at target {step.target}"
+            )
+        away = dist(sample.position, step.position)
+        if step.kind == PointKind.REFLECTOR and away > self._settings.probe_tolerance_m:
+            self._probe.implausible += 1
+            return (
+                f"probe is {away:.6g} m from target {step.target}: reported {sample.position}, "
+                f"planned {step.position}, allowed {self._settings.probe_tolerance_m:g} m"
+            )
+        return ""
+
+    def _decide(self) -> Observations:
+        """Admit what is staged and decide as many attempts as possible, the oldest first."""
+        for stream in self._streams.all():
+            stream.flush()
+            stream.wait(NEVER)
+        decided: list[Observation] = []
+        while self._pending:
+            outcome = self._outcome(self._pending[0])
+            if isinstance(outcome, Wait):
+                self._sleep(self._pending[0], outcome)
+                break
+            self._pending.popleft()
+            decided.append(self._check(outcome))
+        return tuple(decided)
+
+    def _outcome(self, attempt: Attempt) -> Observation | Wait:
+        """Return the observation of an attempt, or what it waits for."""
+        if attempt.refusal:
+            return attempt.rejection(attempt.refusal)
+        wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
+        if wait is not None and not self._too_far_behind(attempt, wait):
+            return wait
+        decide = decide_length if attempt.step.kind == PointKind.REFLECTOR else decide_points
+        outcome = decide(attempt, self._streams, self._settings)
+        if isinstance(outcome, Wait) and self._too_far_behind(attempt, outcome):
+            lag = seconds(self._newest_ns(attempt) - self._reached(outcome.stream, attempt))
+            return attempt.rejection(
+                f"{self._name(outcome.stream)} are {lag:.3g} s behind the other streams, allowed "
+                f"{self._settings.clock_tolerance_s:g} s: silent, or stamped by another clock"
+            )
+        if isinstance(outcome, Wait) and len(self._pending) > _MAX_PENDING:
+            return attempt.rejection(f"undecided while {_MAX_PENDING} later attempts were begun")
+        return outcome
+
+    def _sleep(self, attempt: Attempt, wait: Wait) -> None:
+        """Let every stream report when it brings what is needed, or gets too far ahead."""
+        self._waiting = wait
+        too_late = self._reached(wait.stream, attempt) + self._tolerance_ns + 1
+        for stream in self._streams.all():
+            stream.wait(too_late)
+        wait.stream.wait(wait.stamp_ns, wait.samples, wait.latest_ns)
+
+    def _too_far_behind(self, attempt: Attempt, wait: Wait) -> bool:
+        behind = self._newest_ns(attempt) - self._reached(wait.stream, attempt)
+        return behind > self._tolerance_ns
+
+    def _newest_ns(self, attempt: Attempt) -> int:
+        """Return the newest stamp of probe, tracer and table."""
+        tracer, table = self._streams.tracer, self._streams.table
+        return max(attempt.begin_ns, self._reached(tracer, attempt), self._reached(table, attempt))
+
+    def _reached(self, stream: Stream, attempt: Attempt) -> int:
+        """Return how far a stream has come; a stream without samples is at the attempt's begin."""
+        return attempt.begin_ns if stream.latest is None else stream.latest
+
+    def _name(self, stream: Stream) -> str:
+        names = ("tracer readings", "table feedbacks", "temperature readings")
+        return next(n for n, s in zip(names, self._streams.all(), strict=True) if s is stream)
+
+    def _not_in_plan(self, step: int) -> str:
+        return f"step {step}, which is not in the plan: it has the steps 0 to " + str(
+            len(self._plan.steps) - 1
+        )

@@ -1,0 +1,107 @@
+"""The tracer path: the window of readings after table and probe have come to rest."""
+
+from __future__ import annotations
+
+from rotcal_ros.capture.attempt import (
+    Attempt,
+    Streams,
+    Wait,
+    forgotten,
+    nanoseconds,
+    seconds,
+    temperature_at,
+)
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.table import arrival, departure, mean_angle, why_not_at_rest
+from rotcal_ros.capture.window import reduce_window
+from rotcal_ros.observations import Observation
+
+_MEMORY = "samples of that time are no longer in memory: one stream is far behind the others"
+
+
+def decide_length(
+    attempt: Attempt, streams: Streams, settings: CaptureSettings
+) -> Observation | Wait:
+    """Return the observation of a tracer step, or what is needed to decide.
+
+    The window is the first ``window_samples`` readings stamped at least ``settle_time_s`` after
+    the table came to rest in position (not before the probe reached its target). When the table
+    leaves its position before the window ends, the next rest counts. The window must end before
+    the deadline of the attempt.
+    """
+    deadline = attempt.deadline_ns(settings)
+    while True:
+        start = _start(attempt, streams, settings, deadline)
+        if not isinstance(start, int):
+            return start
+        window = _window(attempt, streams, settings, deadline, start)
+        if not isinstance(window, tuple):
+            return window
+        first, last = window
+        end_ns = int(streams.tracer.stamps[last])
+        if not streams.table.knows(end_ns):
+            return Wait(streams.table, end_ns)
+        again = departure(streams.table, start, end_ns, attempt.step.table_angle, settings)
+        if again is None:
+            return _observe(attempt, streams, settings, first, last)
+        attempt.search_ns = again
+
+
+def _start(
+    attempt: Attempt, streams: Streams, settings: CaptureSettings, deadline: int
+) -> int | Observation | Wait:
+    """Return the stamp of the table's arrival."""
+    table, angle = streams.table, attempt.step.table_angle
+    if forgotten(table, attempt.search_ns):
+        return attempt.rejection(f"table feedback: {_MEMORY}")
+    start = arrival(table, attempt.search_ns, angle, settings)
+    if start is not None and start <= deadline:
+        return start
+    if table.knows(deadline):
+        return attempt.rejection(
+            why_not_at_rest(table, attempt.begin_ns, deadline, angle, settings)
+        )
+    if table.latest is not None:
+        attempt.search_ns = max(attempt.search_ns, table.latest + 1)
+    return Wait(table, attempt.search_ns)
+
+
+def _window(
+    attempt: Attempt, streams: Streams, settings: CaptureSettings, deadline: int, start: int
+) -> tuple[int, int] | Observation | Wait:
+    """Return the indices of the first and the last reading of the window."""
+    tracer = streams.tracer
+    begin = start + nanoseconds(settings.settle_time_s)
+    if forgotten(tracer, begin):
+        return attempt.rejection(f"tracer readings: {_MEMORY}")
+    first = tracer.index(begin)
+    last = first + settings.window_samples - 1
+    if last < len(tracer.stamps) and tracer.stamps[last] <= deadline:
+        return first, last
+    if last >= len(tracer.stamps) and not tracer.knows(deadline):
+        return Wait(tracer, begin, last + 1 - len(tracer.stamps), deadline)
+    found = max(0, tracer.index(deadline + 1) - first)
+    reason = (
+        f"only {found} of {settings.window_samples} tracer readings in the "
+        f"{max(0.0, seconds(deadline - begin)):.3g} s that were left after settling"
+    )
+    if not found and first < len(tracer.stamps):
+        ahead = seconds(int(tracer.stamps[first]) - begin)
+        reason += f"; the next is stamped {ahead:.3g} s after settling (another clock?)"
+    return attempt.rejection(reason)
+
+
+def _observe(
+    attempt: Attempt, streams: Streams, settings: CaptureSettings, first: int, last: int
+) -> Observation:
+    """Reduce the readings ``first`` to ``last``, the latter included."""
+    tracer = streams.tracer
+    stamps, readings = tracer.stamps[first : last + 1], tracer.values[first : last + 1]
+    begin_ns, end_ns = int(stamps[0]), int(stamps[-1])
+    return attempt.observation(
+        reduce_window(stamps, readings, settings),
+        n_samples=len(stamps),
+        window_ns=(begin_ns, end_ns),
+        table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
+        temperature_c=temperature_at(streams, attempt.begin_ns, settings),
+    )

@@ -1,0 +1,92 @@
+"""The probe-only path: one or several probe points while the table is at rest in position."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import sqrt
+
+import numpy as np
+
+from rotcal_ros.capture.attempt import (
+    Attempt,
+    Streams,
+    Wait,
+    forgotten,
+    nanoseconds,
+    seconds,
+    temperature_at,
+)
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.table import departure, mean_angle
+from rotcal_ros.capture.window import Reduced, mean_and_scatter
+from rotcal_ros.observations import Observation, PointKind, ProbeSample
+
+PointReducer = Callable[[Sequence[ProbeSample]], Reduced]
+
+
+def decide_points(
+    attempt: Attempt, streams: Streams, settings: CaptureSettings
+) -> Observation | Wait:
+    """Return the observation of a step that only the probe measures, or what is needed.
+
+    All ``n_points`` points must come before the deadline, with the table at rest in position
+    from the first point to the last.
+    """
+    wanted, samples, table = attempt.step.n_points, attempt.samples, streams.table
+    deadline = attempt.deadline_ns(settings)
+    patience = deadline + nanoseconds(settings.clock_tolerance_s)  # points may arrive late
+    if len(samples) < wanted and attempt.superseded_ns is None and not table.knows(patience):
+        return Wait(table, patience)
+    if len(samples) < wanted or samples[-1].stamp_ns > deadline:
+        return attempt.rejection(
+            f"only {len(samples)} of {wanted} probe points within "
+            f"{seconds(deadline - attempt.begin_ns):.3g} s"
+        )
+    begin_ns, end_ns = samples[0].stamp_ns, samples[-1].stamp_ns
+    if not table.knows(end_ns):
+        return Wait(table, end_ns)
+    if forgotten(table, begin_ns):
+        return attempt.rejection("table feedback at the time of the points is not in memory")
+    angle = attempt.step.table_angle
+    reduced = REDUCERS[attempt.step.kind](samples)
+    if departure(table, begin_ns, end_ns, angle, settings) is not None:
+        off = abs(mean_angle(table, begin_ns, end_ns, angle) - angle)
+        reduced = Reduced(reason=f"table not at rest in position at a probe point: {off:.3g} rad")
+    return attempt.observation(
+        reduced,
+        n_samples=len(samples),
+        window_ns=(begin_ns, end_ns),
+        table_angle_measured=mean_angle(table, begin_ns, end_ns, angle),
+        temperature_c=temperature_at(streams, begin_ns, settings),
+    )
+
+
+def mean_point(samples: Sequence[ProbeSample]) -> Reduced:
+    """Return the mean of repeated points (m), or the one point with its own deviation."""
+    if len(samples) == 1:
+        std = samples[0].position_std
+        return Reduced(mean=samples[0].position, std=std, scatter=std, n_used=1)
+    positions = np.array([sample.position for sample in samples])
+    columns = [mean_and_scatter(column) for column in positions.T]
+    scatter = tuple(s for _, s in columns)
+    return Reduced(
+        mean=tuple(mean for mean, _ in columns),
+        std=tuple(s / sqrt(len(samples)) for s in scatter),
+        scatter=scatter,
+        n_used=len(samples),
+    )
+
+
+def no_centre(samples: Sequence[ProbeSample]) -> Reduced:
+    """Refuse surface points: their mean is not the centre of the ball."""
+    return Reduced(reason=f"{len(samples)} surface points, but no sphere fit to reduce them")
+
+
+REDUCERS: dict[PointKind, PointReducer] = {
+    PointKind.CENTRE: mean_point,
+    PointKind.DIRECT: mean_point,
+    PointKind.MIRRORED: mean_point,
+    PointKind.NEST: mean_point,
+    PointKind.SURFACE: no_centre,
+}
+"""How the points of a step become one; a method that probes surfaces adds its fit here."""

@@ -1,0 +1,83 @@
+"""The settings of the capture: group ``capture`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rotcal_ros.settings import setting
+
+MAX_WINDOW_SAMPLES = 50_000
+
+
+@dataclass(frozen=True)
+class CaptureSettings:
+    """When a stream of samples becomes an observation, and when it is rejected.
+
+    All times are machine time, that is: differences of stamps.
+    """
+
+    position_tolerance_arcsec: float = setting(
+        20.0,
+        doc="arcsec, largest distance of the table feedback from the commanded angle",
+        minimum=0.01,
+        maximum=36_000.0,
+    )
+    velocity_tolerance_deg_s: float = setting(
+        0.02, doc="deg/s, largest speed of a table at rest", minimum=1e-6, maximum=10.0
+    )
+    table_silence_s: float = setting(
+        1.0, doc="s, longest pause of the table feedback at rest", minimum=1e-3, maximum=3600.0
+    )
+    settle_time_s: float = setting(
+        0.5, doc="s, from table in position and probe at its target to the window", minimum=0.0
+    )
+    window_samples: int = setting(
+        200, doc="number of tracer readings in a window", minimum=2, maximum=MAX_WINDOW_SAMPLES
+    )
+    max_std_m: float = setting(
+        2e-6, doc="m, largest standard deviation of the readings of a window", minimum=0.0
+    )
+    max_drift_m: float = setting(
+        2e-6, doc="m, largest change of the fitted line over a window", minimum=0.0
+    )
+    min_used_share: float = setting(
+        0.8, doc="smallest share of usable readings in a window", minimum=0.01, maximum=1.0
+    )
+    spike_limit: float = setting(
+        6.0,
+        doc="a reading is a spike beyond this many robust standard deviations from the median",
+        minimum=2.0,
+        maximum=1000.0,
+    )
+    spike_floor_m: float = setting(
+        0.1e-6, doc="m, a reading this close to the median is never a spike", minimum=0.0
+    )
+    max_length_m: float = setting(
+        20.0, doc="m, largest plausible magnitude of a reading", minimum=1e-3, maximum=1000.0
+    )
+    probe_tolerance_m: float = setting(
+        1e-3, doc="m, largest distance of the probe from its target", minimum=1e-9, maximum=10.0
+    )
+    step_timeout_s: float = setting(
+        30.0,
+        doc="s, from the probe at its target to the end of the window; a planner that gives up "
+        "on a step must wait longer than this",
+        minimum=0.01,
+        maximum=86_400.0,
+    )
+    clock_tolerance_s: float = setting(
+        10.0,
+        doc="s, largest distance between the stamps of two streams, delays on arrival included",
+        minimum=0.01,
+        maximum=86_400.0,
+    )
+    temperature_expected: bool = setting(
+        True, doc="an observation carries a temperature and waits for it"
+    )
+    temperature_lag_s: float = setting(
+        3.0,
+        doc="s, the temperature is read this long before the probe reached its target, so that "
+        "no observation waits for a slow sensor",
+        minimum=0.0,
+        maximum=3600.0,
+    )

@@ -1,0 +1,182 @@
+"""One stream of samples in the order of its own stamps: checked, counted, bounded in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Stamps = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+CAPACITY = 1 << 17
+"""Samples that a stream remembers at least: two minutes of a 1 kHz stream."""
+
+_NEW_CLOCK_AFTER = 10  # consecutive samples beyond the tolerance: the stream had paused
+_STAGE = 4096
+NEVER = 1 << 63
+
+
+@dataclass
+class StreamCounts:
+    """What a stream delivered and what was wrong with it.
+
+    ``lost`` counts the samples missing according to the sequence numbers, ``out_of_order``
+    sequence numbers going backwards (two publishers?). Samples that are ``duplicates``, stamped
+    ``backwards`` or by a ``foreign_clock`` are dropped.
+    """
+
+    received: int = 0
+    duplicates: int = 0
+    backwards: int = 0
+    foreign_clock: int = 0
+    lost: int = 0
+    out_of_order: int = 0
+    beam_broken: int = 0
+    unstable: int = 0
+    non_finite: int = 0
+    implausible: int = 0
+    unknown_step: int = 0
+    off_plan: int = 0
+
+
+class Stream:
+    """Stamps (n,) in strictly ascending order with their values (n, width).
+
+    Single samples are staged and admitted many at a time by :meth:`flush`; :meth:`admit`
+    takes arrays. Both ways end in the same state. A stamp that does not ascend is dropped; so
+    is one that jumps ahead by more than the clock tolerance, unless ten in a row do (then the
+    stream had paused).
+    """
+
+    def __init__(self, width: int, clock_tolerance_ns: int) -> None:
+        self.counts = StreamCounts()
+        self.latest: int | None = None
+        self.forgotten: int | None = None  # stamp of the newest sample that memory let go
+        self.wake_ns = NEVER  # a staged stamp from here on is worth a new decision
+        self.wake_samples = 1  # once so many are staged,
+        self.wake_latest_ns = NEVER  # and from this stamp on in any case
+        self._tolerance_ns = clock_tolerance_ns
+        self._ahead = 0
+        self._newest: Values | None = None
+        self._size = 0
+        self._stamps = np.empty(1024, dtype=np.int64)
+        self._values = np.empty((1024, width), dtype=np.float64)
+        self._staged_stamps: list[int] = []
+        self._staged_values: list[tuple[float, ...]] = []
+
+    @property
+    def stamps(self) -> Stamps:
+        """Stamps of the remembered samples, ascending."""
+        return self._stamps[: self._size]
+
+    @property
+    def values(self) -> Values:
+        """Values of the remembered samples, one row each."""
+        return self._values[: self._size]
+
+    def stage(self, stamp_ns: int, values: tuple[float, ...]) -> bool:
+        """Take one sample for later admission; return whether a decision may be due."""
+        staged = self._staged_stamps
+        staged.append(stamp_ns)
+        self._staged_values.append(values)
+        if len(staged) >= _STAGE:
+            return True
+        if stamp_ns < self.wake_ns:
+            return False
+        return len(staged) >= self.wake_samples or stamp_ns >= self.wake_latest_ns
+
+    def flush(self) -> None:
+        """Admit the staged samples."""
+        if self._staged_stamps:
+            stamps = np.array(self._staged_stamps, dtype=np.int64)
+            values = np.array(self._staged_values, dtype=np.float64)
+            self._staged_stamps.clear()
+            self._staged_values.clear()
+            self.admit(stamps, values)
+
+    def admit(self, stamps: Stamps, values: Values) -> None:
+        """Check the order of samples (n,), (n, width) and remember the good ones."""
+        for begin in range(0, len(stamps), CAPACITY):
+            self._admit(stamps[begin : begin + CAPACITY], values[begin : begin + CAPACITY])
+
+    def wait(self, stamp_ns: int, samples: int = 1, latest_ns: int = NEVER) -> None:
+        """Ask :meth:`stage` to report the stamp ``stamp_ns``, once ``samples`` are staged."""
+        self.wake_ns, self.wake_samples, self.wake_latest_ns = stamp_ns, samples, latest_ns
+
+    def index(self, stamp_ns: int) -> int:
+        """Return the index of the first remembered sample at or after ``stamp_ns``."""
+        return int(np.searchsorted(self.stamps, stamp_ns, side="left"))
+
+    def knows(self, stamp_ns: int) -> bool:
+        """Return whether every sample up to ``stamp_ns`` has been admitted."""
+        return self.latest is not None and self.latest >= stamp_ns
+
+    def _admit(self, stamps: Stamps, values: Values) -> None:
+        self.counts.received += len(stamps)
+        good = self._in_order(stamps, values)
+        if good is not None:
+            stamps, values = stamps[good], values[good]
+        if len(stamps):
+            self._append(stamps, self._inspect(values))
+            self.latest, self._newest = int(stamps[-1]), values[-1]
+
+    def _inspect(self, values: Values) -> Values:
+        """Count what is wrong with samples in good order; return what to remember of them."""
+        self.counts.non_finite += int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
+        return values
+
+    def _in_order(self, stamps: Stamps, values: Values) -> NDArray[np.intp] | None:
+        """Return the indices of the samples to keep; None: all."""
+        first = int(stamps[0]) - 1 if self.latest is None else self.latest
+        steps = np.diff(stamps, prepend=first)
+        if steps.min() > 0 and steps.max() <= self._tolerance_ns:
+            self._ahead = 0
+            return None
+        keep = []
+        latest, newest = self.latest, self._newest
+        for i, stamp in enumerate(stamps.tolist()):
+            step = 1 if latest is None else stamp - latest
+            if step <= 0:
+                again = step == 0 and newest is not None and _same(newest, values[i])
+                self.counts.duplicates += again
+                self.counts.backwards += not again
+            elif self._jumps_ahead(step):
+                self.counts.foreign_clock += 1
+            else:
+                keep.append(i)
+                latest, newest = stamp, values[i]
+        return np.array(keep, dtype=np.intp)
+
+    def _jumps_ahead(self, step_ns: int) -> bool:
+        """Return whether a sample is stamped by a foreign clock, not merely after a pause."""
+        self._ahead = self._ahead + 1 if step_ns > self._tolerance_ns else 0
+        if self._ahead >= _NEW_CLOCK_AFTER:
+            self._ahead = 0
+        return self._ahead > 0
+
+    def _append(self, stamps: Stamps, values: Values) -> None:
+        """Remember samples; what exceeds the memory is forgotten, the oldest first."""
+        size = self._size + len(stamps)
+        if size > 2 * CAPACITY:
+            self._forget(size - CAPACITY)
+            size = CAPACITY
+        if size > len(self._stamps):
+            room = min(2 * CAPACITY, max(size, 2 * len(self._stamps)))
+            self._stamps = np.resize(self._stamps, room)
+            self._values = np.resize(self._values, (room, self._values.shape[1]))
+        self._stamps[self._size : size] = stamps
+        self._values[self._size : size] = values
+        self._size = size
+
+    def _forget(self, count: int) -> None:
+        """Let the ``count`` oldest samples go."""
+        self.forgotten = int(self._stamps[count - 1])
+        self._size -= count
+        self._stamps[: self._size] = self._stamps[count : count + self._size]
+        self._values[: self._size] = self._values[count : count + self._size]
+
+
+def _same(a: Values, b: Values) -> bool:
+    return bool(np.array_equal(a, b, equal_nan=True))

@@ -1,0 +1,95 @@
+"""When the table is at rest at its commanded angle, and how far it is off."""
+
+from __future__ import annotations
+
+from math import fsum, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.streams import Stream, Values
+from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+
+ANGLE, VELOCITY = range(2)
+"""Columns of the table stream, rad and rad/s."""
+
+_CHUNK = 512  # arrivals are found soon or not at all
+
+
+def offset(angles: Values, commanded: float) -> Values:
+    """Return measured - commanded angle, in [-pi, pi]: full turns do not count."""
+    difference = angles - commanded
+    centred: Values = difference - 2 * pi * np.round(difference / (2 * pi))
+    return centred
+
+
+def at_rest(feedback: Values, commanded: float, settings: CaptureSettings) -> NDArray[np.bool_]:
+    """Return for each row (angle, velocity) whether the table stands at ``commanded`` (rad)."""
+    near = np.abs(offset(feedback[:, ANGLE], commanded)) <= (
+        settings.position_tolerance_arcsec * ARCSEC
+    )
+    slow = np.abs(feedback[:, VELOCITY]) <= settings.velocity_tolerance_deg_s * DEGREE
+    return near & slow
+
+
+def arrival(
+    table: Stream, since_ns: int, commanded: float, settings: CaptureSettings
+) -> int | None:
+    """Return the stamp of the first feedback from ``since_ns`` on that is at rest, if any."""
+    for begin in range(table.index(since_ns), len(table.stamps), _CHUNK):
+        resting = at_rest(table.values[begin : begin + _CHUNK], commanded, settings)
+        if resting.any():
+            return int(table.stamps[begin + int(np.argmax(resting))])
+    return None
+
+
+def departure(
+    table: Stream, begin_ns: int, end_ns: int, commanded: float, settings: CaptureSettings
+) -> int | None:
+    """Return from when to look for a new arrival when the table did not rest all the time.
+
+    All feedback from ``begin_ns`` to the first one at or after ``end_ns`` must be at rest and
+    without longer pauses than ``table_silence_s``. None: it was.
+    """
+    first, last = table.index(begin_ns), table.index(end_ns)
+    stamps = table.stamps[first : last + 1]
+    moved = ~at_rest(table.values[first : last + 1], commanded, settings)
+    silent = np.diff(stamps, prepend=begin_ns) > settings.table_silence_s / NANOSECOND
+    wrong = moved | silent
+    if not wrong.any():
+        return None
+    at = int(np.argmax(wrong))
+    return int(stamps[at]) + int(moved[at])
+
+
+def mean_angle(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> float:
+    """Return the mean measured angle (rad) from ``begin_ns`` to the first feedback past the end.
+
+    Full turns are counted from the commanded angle.
+    """
+    rows = table.values[table.index(begin_ns) : table.index(end_ns) + 1]
+    offsets = offset(rows[:, ANGLE], commanded)
+    return commanded + fsum(offsets) / len(offsets)
+
+
+def why_not_at_rest(
+    table: Stream, begin_ns: int, end_ns: int, commanded: float, settings: CaptureSettings
+) -> str:
+    """Say in words and numbers how far the table was off between two stamps."""
+    first, last = table.index(begin_ns), table.index(end_ns + 1)
+    limit = (end_ns - begin_ns) * NANOSECOND
+    if first == last:
+        text = f"no table feedback in the {limit:.3g} s after the probe reached its target"
+        if last < len(table.stamps):
+            ahead = (int(table.stamps[last]) - begin_ns) * NANOSECOND
+            text += f"; the next is stamped {ahead:.3g} s later (another clock?)"
+        return text
+    angle, velocity = table.values[last - 1].tolist()
+    off = float(offset(np.array([angle]), commanded)[0])
+    return (
+        f"table not at rest in position for a whole window within {limit:.3g} s: the last feedback"
+        f" is {off / ARCSEC:.4g} arcsec off the commanded {commanded / DEGREE:.4f} deg"
+        f" (allowed {settings.position_tolerance_arcsec:g}) at {velocity / DEGREE:.3g} deg/s"
+        f" (allowed {settings.velocity_tolerance_deg_s:g})"
+    )

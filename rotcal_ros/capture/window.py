@@ -1,0 +1,199 @@
+"""A window of tracer readings becomes a mean with its standard deviation, or a reason why not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import IntEnum
+from math import fsum, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.streams import Stamps, Stream, Values
+from rotcal_ros.observations import LengthStatus
+from rotcal_ros.units import MICROMETRE
+
+SEQUENCE, LENGTH, STATUS = range(3)
+"""Columns of the tracer stream; the last one holds the :class:`Fault` once admitted."""
+
+_WRAP = 1 << 32  # sequence numbers are 32 bits wide
+_MAD_TO_STD = 1.4826  # of a normal distribution
+
+
+class Fault(IntEnum):
+    """Why a reading cannot be used."""
+
+    NONE = 0
+    BEAM_BROKEN = 1
+    UNSTABLE = 2
+    UNKNOWN = 3
+    NON_FINITE = 4
+    IMPLAUSIBLE = 5
+    SPIKE = 6
+
+
+_WORDS = {
+    Fault.BEAM_BROKEN: "beam broken",
+    Fault.UNSTABLE: "unstable by its own status",
+    Fault.UNKNOWN: "of unknown status",
+    Fault.NON_FINITE: "not a finite number",
+    Fault.IMPLAUSIBLE: "implausibly long",
+    Fault.SPIKE: "spikes",
+}
+_STATUS_FAULT = {
+    LengthStatus.OK: Fault.NONE,
+    LengthStatus.BEAM_BROKEN: Fault.BEAM_BROKEN,
+    LengthStatus.UNSTABLE: Fault.UNSTABLE,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reduced:
+    """Numbers of a window, empty where there are none, and the ``reason`` for a rejection."""
+
+    mean: tuple[float, ...] = ()
+    std: tuple[float, ...] = ()
+    scatter: tuple[float, ...] = ()
+    n_used: int = 0
+    reason: str = ""
+
+
+class TracerStream(Stream):
+    """Tracer readings: columns sequence, length (m), status; the status becomes a fault."""
+
+    def __init__(self, clock_tolerance_ns: int, max_length: float) -> None:
+        super().__init__(3, clock_tolerance_ns)
+        self._max_length = max_length
+
+    def _inspect(self, values: Values) -> Values:
+        """Turn the status into a fault and count faults and lost readings."""
+        faults = classify(values[:, STATUS], values[:, LENGTH], self._max_length)
+        numbers = np.bincount(faults, minlength=len(Fault))
+        self.counts.beam_broken += int(numbers[Fault.BEAM_BROKEN])
+        self.counts.unstable += int(numbers[Fault.UNSTABLE] + numbers[Fault.UNKNOWN])
+        self.counts.non_finite += int(numbers[Fault.NON_FINITE])
+        self.counts.implausible += int(numbers[Fault.IMPLAUSIBLE])
+        sequence = values[:, SEQUENCE]
+        before = sequence[0] - 1 if self._newest is None else self._newest[SEQUENCE]
+        steps = sequence_steps(sequence, before)
+        forward = steps < _WRAP // 2
+        self.counts.lost += int((steps[forward & (steps > 1)] - 1).sum())
+        self.counts.out_of_order += int(np.count_nonzero(~forward | (steps == 0)))
+        return np.column_stack([sequence, values[:, LENGTH], faults])
+
+
+def classify(status: Values, length: Values, max_length: float) -> NDArray[np.int64]:
+    """Return the :class:`Fault` of each reading; all arrays have shape (n,)."""
+    faults = np.full(len(status), int(Fault.UNKNOWN), dtype=np.int64)
+    for value, fault in _STATUS_FAULT.items():
+        faults[status == value] = fault
+    usable = faults == Fault.NONE
+    faults[usable & ~np.isfinite(length)] = Fault.NON_FINITE
+    faults[usable & (np.abs(length) > max_length)] = Fault.IMPLAUSIBLE
+    faults[usable & np.isinf(length)] = Fault.NON_FINITE
+    return faults
+
+
+def sequence_steps(sequence: Values, before: float) -> NDArray[np.int64]:
+    """Return the steps (n,) of a sequence that follows ``before``, modulo 32 bits."""
+    steps: NDArray[np.int64] = np.diff(sequence, prepend=before).astype(np.int64) % _WRAP
+    return steps
+
+
+def reduce_window(stamps: Stamps, readings: Values, settings: CaptureSettings) -> Reduced:
+    """Reduce the window ``stamps`` (n,), ``readings`` (n, 3) of an admitted tracer stream.
+
+    The mean is that of the usable readings, spikes beyond ``spike_limit`` robust standard
+    deviations (from the median absolute deviation) left out; ``scatter`` is the standard
+    deviation of one reading, ``std`` = scatter / sqrt(n_used) that of the mean (type A; the
+    floor set by the instrument belongs to the solver). Sums are rounded once, at the end, so
+    that the same readings give the same bits on every machine.
+    """
+    length = readings[:, LENGTH]
+    faults = readings[:, STATUS].astype(np.int64)
+    _mark_spikes(length, faults, settings)
+    used = faults == Fault.NONE
+    n_used = int(np.count_nonzero(used))
+    gap = _gap(readings[:, SEQUENCE])
+    if n_used < 2 or n_used < settings.min_used_share * len(length):
+        return Reduced(n_used=n_used, reason=gap or _too_few(faults, length, settings))
+    mean, scatter = mean_and_scatter(length[used])
+    drift = _drift(stamps[used], length[used], mean)
+    return Reduced(
+        mean=(mean,),
+        std=(scatter / sqrt(n_used),),
+        scatter=(scatter,),
+        n_used=n_used,
+        reason=gap or _unrest(scatter, drift, settings),
+    )
+
+
+def mean_and_scatter(values: Values) -> tuple[float, float]:
+    """Return mean and standard deviation of one of the ``values`` (n,), n >= 2."""
+    mean = fsum(values) / len(values)
+    return mean, sqrt(fsum((values - mean) ** 2) / (len(values) - 1))
+
+
+def _mark_spikes(length: Values, faults: NDArray[np.int64], settings: CaptureSettings) -> None:
+    good = faults == Fault.NONE
+    if not good.any():
+        return
+    distance = np.abs(length[good] - np.median(length[good]))
+    limit = settings.spike_limit * _MAD_TO_STD * float(np.median(distance))
+    faults[np.flatnonzero(good)[distance > max(limit, settings.spike_floor_m)]] = Fault.SPIKE
+
+
+def _drift(stamps: Stamps, length: Values, mean: float) -> float:
+    """Return the change of the fitted line from the first to the last reading (m)."""
+    time = (stamps - stamps[0]).astype(np.float64)
+    time -= fsum(time) / len(time)
+    return float(fsum(time * (length - mean)) / fsum(time * time) * (time[-1] - time[0]))
+
+
+def _gap(sequence: Values) -> str:
+    """Say which readings are missing inside a window; empty: none."""
+    steps = sequence_steps(sequence[1:], sequence[0])
+    at = np.flatnonzero(steps != 1)
+    if not len(at):
+        return ""
+    before, after = int(sequence[at[0]]), int(sequence[at[0] + 1])
+    if (steps[at] >= _WRAP // 2).any() or (steps[at] == 0).any():
+        return (
+            f"tracer sequence goes from {before} to {after} in the window; expected {before + 1}"
+            " (two publishers on the topic?)"
+        )
+    lost = int((steps[at] - 1).sum())
+    return f"{lost} tracer readings lost in the window (sequence {before} to {after})"
+
+
+def _too_few(faults: NDArray[np.int64], length: Values, settings: CaptureSettings) -> str:
+    counts = Counter(Fault(f) for f in faults.tolist() if f != Fault.NONE)
+    parts = ", ".join(f"{counts[fault]} {_WORDS[fault]}" for fault in sorted(counts))
+    needed = f"expected at least {settings.min_used_share:.0%}"
+    text = (
+        f"only {len(faults) - counts.total()} of {len(faults)} readings usable: {parts}; {needed}"
+    )
+    if counts[Fault.IMPLAUSIBLE]:
+        largest = float(np.abs(length[faults == Fault.IMPLAUSIBLE]).max())
+        text += (
+            f"; found {largest:.6g} m, plausible are {settings.max_length_m:g} m"
+            " (millimetres instead of metres?)"
+        )
+    return text
+
+
+def _unrest(scatter: float, drift: float, settings: CaptureSettings) -> str:
+    """Say why a window is not stable; empty: it is."""
+    if scatter > settings.max_std_m:
+        return (
+            f"unstable: standard deviation {scatter / MICROMETRE:.3g} um of the readings, "
+            f"allowed {settings.max_std_m / MICROMETRE:g} um"
+        )
+    if abs(drift) > settings.max_drift_m:
+        return (
+            f"drifting: {drift / MICROMETRE:+.3g} um over the window, "
+            f"allowed {settings.max_drift_m / MICROMETRE:g} um"
+        )
+    return ""

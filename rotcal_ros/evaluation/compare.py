@@ -1,0 +1,218 @@
+"""Do two deviation curves of the same table agree within their stated uncertainties?
+
+Differences are aligned by the offset that no method can know, estimated by weighted least
+squares; its uncertainty and its correlation with the values are part of what the normalised
+error E_n is divided by (ISO/IEC 17043, k = 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from rotcal_ros.compensation.curve import (
+    SAME_ANGLE,
+    TURN,
+    harmonic_basis,
+    interpolation_matrix,
+    regular_root,
+)
+from rotcal_ros.compensation.measured import MeasuredCurve
+from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.suspicion import suspicion
+from rotcal_ros.units import ARCSEC, DEGREE
+
+Floats = NDArray[np.float64]
+
+COVERAGE: Final = 2.0
+SURE: Final = 0.01
+"""Two curves are said to disagree when so much disagreement comes by chance this rarely."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """First minus second at ``angles`` (n,) rad, in the unit of the curves (rad or m).
+
+    ``difference`` is aligned, ``std`` its standard uncertainty (k = 1) after the alignment,
+    ``normalised_error`` = difference / (2 std). ``interpolated`` marks angles at which the
+    second curve was not measured. ``offset`` was taken off. ``chi2`` has ``dof`` degrees of
+    freedom and uses all correlations; ``p_value`` is how often chance alone gives more.
+    """
+
+    angles: Floats
+    difference: Floats
+    std: Floats
+    normalised_error: Floats
+    interpolated: NDArray[np.bool_]
+    offset: float
+    rms: float
+    chi2: float
+    dof: int
+    p_value: float
+    agree: bool
+    notes: tuple[str, ...]
+
+    def in_words(self, unit: float = ARCSEC, unit_name: str = "arcsec") -> str:
+        """Return the verdict in one line."""
+        worst = int(np.argmax(np.abs(self.normalised_error)))
+        above = int(np.sum(np.abs(self.normalised_error) > 1.0))
+        return (
+            f"{'agree' if self.agree else 'DISAGREE'}: rms {self.rms / unit:.3g} {unit_name}, "
+            f"largest |E_n| {abs(self.normalised_error[worst]):.2f} at "
+            f"{self.angles[worst] / DEGREE:.6g} deg, {above} of {len(self.angles)} above 1, "
+            f"chi2/dof {self.chi2 / self.dof:.2f}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain types for JSON."""
+        arrays = ("angles", "difference", "std", "normalised_error", "interpolated")
+        plain = {name: getattr(self, name).tolist() for name in arrays}
+        scalars = ("offset", "rms", "chi2", "dof", "p_value", "agree")
+        return {
+            **plain,
+            **{name: getattr(self, name) for name in scalars},
+            "notes": list(self.notes),
+        }
+
+
+def compare(first: MeasuredCurve, second: MeasuredCurve, align_order: int = 0) -> Comparison:
+    """Compare two independent curves at the angles of the one that has fewer.
+
+    Where the other was not measured it is interpolated by its spline, marked and said.
+    ``align_order`` takes off, beside the offset, so many harmonics that the two methods define
+    differently (1 for radial deviations with another origin). Raises DataError with fewer
+    common angles than the alignment needs.
+    """
+    if len(second.angles) < len(first.angles):
+        return _turned(compare(second, first, align_order))
+    angles, rows = _common(first, second)
+    weights = interpolation_matrix(second.angles, angles, second.period)
+    measured = _coincide(angles, second)
+    raw = first.deviation[rows] - weights @ second.deviation
+    covariance = first.covariance[np.ix_(rows, rows)] + weights @ second.covariance @ weights.T
+    exact = not np.any(covariance)
+    offset, difference, std, chi2, dof = _align(angles, raw, covariance, align_order)
+    normalised = _normalised(difference, std)
+    p_value = 0.0 if exact and np.any(normalised) else float(stats.chi2.sf(chi2, dof))
+    agree = _agree(normalised, p_value)
+    why = _why(first.deviation[rows], weights @ second.deviation, second, angles, agree)
+    return Comparison(
+        angles=angles,
+        difference=difference,
+        std=std,
+        normalised_error=normalised,
+        interpolated=~measured,
+        offset=offset,
+        rms=float(np.sqrt(np.mean(difference**2))),
+        chi2=chi2,
+        dof=dof,
+        p_value=p_value,
+        agree=agree,
+        notes=tuple(_notes(measured, len(first.angles), why, exact)),
+    )
+
+
+def _align(
+    angles: Floats, raw: Floats, covariance: Floats, order: int
+) -> tuple[float, Floats, Floats, float, int]:
+    """Return offset, aligned difference, its std, chi-square and degrees of freedom."""
+    basis = harmonic_basis(angles, order)
+    n, unknowns = basis.shape
+    if n <= unknowns:
+        raise DataError(f"{n} common angles: more than {unknowns} are needed to compare")
+    root = regular_root(covariance)
+    q, r = np.linalg.qr(np.linalg.solve(root, basis))
+    white = np.linalg.solve(root, raw)
+    fitted = np.linalg.solve(r, q.T @ white)
+    keep = root @ (np.eye(n) - q @ q.T) @ np.linalg.inv(root)
+    std = np.sqrt(np.maximum(np.diag(keep @ covariance @ keep.T), 0.0))
+    chi2 = float(np.sum((white - q @ (q.T @ white)) ** 2)) if np.any(covariance) else 0.0
+    return float(fitted[0]), raw - basis @ fitted, std, chi2, n - unknowns
+
+
+def compare_all(
+    curves: Mapping[str, MeasuredCurve], align_order: int = 0
+) -> dict[tuple[str, str], Comparison]:
+    """Compare every pair of ``curves``; the keys are pairs of their names."""
+    return {(a, b): compare(curves[a], curves[b], align_order) for a, b in combinations(curves, 2)}
+
+
+def _agree(normalised: Floats, p_value: float) -> bool:
+    """All |E_n| <= 1, or no more above 1 than chance gives, singly and together."""
+    above = int(np.sum(np.abs(normalised) > 1.0))
+    expected = float(2.0 * stats.norm.sf(COVERAGE))
+    usual = above <= int(stats.binom.ppf(1.0 - SURE, len(normalised), expected))
+    return above == 0 or (usual and p_value >= SURE)
+
+
+def _normalised(difference: Floats, std: Floats) -> Floats:
+    """Return E_n; without any uncertainty a difference is infinitely many times too large."""
+    tiny = np.finfo(np.float64).tiny
+    zero = np.abs(difference) <= 1e-15
+    scaled = difference / np.maximum(COVERAGE * std, tiny)
+    return np.asarray(np.where(zero, 0.0, np.clip(scaled, -1e6, 1e6)), dtype=np.float64)
+
+
+def _coincide(angles: Floats, curve: MeasuredCurve) -> NDArray[np.bool_]:
+    gap = angles[:, None] - curve.angles[None, :]
+    if curve.period:
+        gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
+    return np.asarray(np.min(np.abs(gap), axis=1) <= 1e3 * SAME_ANGLE, dtype=np.bool_)
+
+
+def _common(first: MeasuredCurve, second: MeasuredCurve) -> tuple[Floats, NDArray[np.intp]]:
+    """Return the angles of ``first`` that ``second`` covers, and their rows in ``first``."""
+    angles = first.angles
+    if second.period:
+        return angles, np.arange(len(angles))
+    low, high = second.angles[0] - SAME_ANGLE, second.angles[-1] + SAME_ANGLE
+    if first.period:
+        angles = low + np.mod(angles - low, TURN)
+    rows = np.flatnonzero((angles >= low) & (angles <= high))
+    if len(rows) < 2:
+        raise DataError(
+            f"the curves share {len(rows)} angles: the second covers only {low / DEGREE:.6g} .. "
+            f"{high / DEGREE:.6g} deg"
+        )
+    return np.clip(angles[rows], second.angles[0], second.angles[-1]), rows
+
+
+def _turned(comparison: Comparison) -> Comparison:
+    return replace(
+        comparison,
+        difference=-comparison.difference,
+        normalised_error=-comparison.normalised_error,
+        offset=-comparison.offset,
+    )
+
+
+def _notes(measured: NDArray[np.bool_], n_first: int, why: str, exact: bool) -> list[str]:
+    notes = []
+    if not np.all(measured):
+        notes.append(
+            f"{int(np.sum(~measured))} of {len(measured)} angles were not measured by both: "
+            "interpolated there"
+        )
+    if n_first > len(measured):
+        notes.append(f"{n_first - len(measured)} angles lie outside of the other's arc: left out")
+    if exact:
+        notes.append("neither curve states an uncertainty: E_n says nothing")
+    if why:
+        notes.append(why)
+    return notes
+
+
+def _why(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floats, agree: bool) -> str:
+    """Return what may be wrong with one of two curves that disagree."""
+    if agree:
+        return ""
+    mirrored = None
+    if curve.period:
+        mirrored = -interpolation_matrix(curve.angles, -angles, TURN) @ curve.deviation
+    return suspicion(first, second, mirrored)

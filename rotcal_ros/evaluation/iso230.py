@@ -1,0 +1,135 @@
+"""ISO 230-2 evaluation of a rotary axis: accuracy and repeatability of positioning.
+
+Deviations x_ij = actual - target at target i in run j, approached from below (forward) and
+from above (reverse). s is estimated with n - 1, repeatability is 4 s wide, accuracy +- 2 s. E
+and R of both directions are taken over both directions, not as the larger of the two
+one-directional figures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.units import DEGREE
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BidirectionalRuns:
+    """Deviations (m, n) rad of m target angles (m,) rad in n runs for each direction.
+
+    Raises DataError for shapes that do not fit, values that are not finite, or fewer than two
+    runs or targets.
+    """
+
+    targets: Floats
+    forward: Floats
+    reverse: Floats
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.forward)
+        if len(shape) != 2 or shape != np.shape(self.reverse) or shape[0] != len(self.targets):
+            raise DataError(
+                f"runs forward {shape}, reverse {np.shape(self.reverse)}, {len(self.targets)} "
+                "targets: expected one row per target and the same runs in both directions"
+            )
+        if shape[0] < 2 or shape[1] < 2:
+            raise DataError(
+                f"{shape[0]} targets and {shape[1]} runs: at least 2 of both are needed for a "
+                "spread, and the standard wants 5 runs"
+            )
+        for name, values in (("forward", self.forward), ("reverse", self.reverse)):
+            if not np.all(np.isfinite(values)):
+                target, run = np.argwhere(~np.isfinite(values))[0]
+                raise DataError(
+                    f"{name} run {run + 1} has no deviation at target {target + 1} "
+                    f"({self.targets[target] / DEGREE:.6g} deg): measure it again or leave out "
+                    "the run"
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class Iso230:
+    """The figures of ISO 230-2; everything in radians, arrays (m,) per target.
+
+    ``mean_*`` and ``s_*`` per direction, ``reversal_i`` = B_i = mean forward - mean reverse,
+    ``repeatability_i`` = R_i. Scalars: reversal B and its mean, repeatability R, systematic
+    deviation E, range of the mean bidirectional deviation M, accuracy A.
+    """
+
+    targets: Floats
+    mean_forward: Floats
+    mean_reverse: Floats
+    mean: Floats
+    s_forward: Floats
+    s_reverse: Floats
+    reversal_i: Floats
+    repeatability_i: Floats
+    reversal: float
+    mean_reversal: float
+    repeatability_forward: float
+    repeatability_reverse: float
+    repeatability: float
+    systematic_forward: float
+    systematic_reverse: float
+    systematic: float
+    mean_range: float
+    accuracy_forward: float
+    accuracy_reverse: float
+    accuracy: float
+    warnings: tuple[str, ...]
+
+
+def iso230(runs: BidirectionalRuns) -> Iso230:
+    """Evaluate ``runs`` after ISO 230-2:2014."""
+    up, down = runs.forward.mean(axis=1), runs.reverse.mean(axis=1)
+    s_up, s_down = runs.forward.std(axis=1, ddof=1), runs.reverse.std(axis=1, ddof=1)
+    mean, reversal = (up + down) / 2.0, up - down
+    repeat = np.max([2.0 * (s_up + s_down) + np.abs(reversal), 4.0 * s_up, 4.0 * s_down], axis=0)
+    means = np.vstack([up, down])
+    spread = 2.0 * np.vstack([s_up, s_down])
+    return Iso230(
+        targets=runs.targets,
+        mean_forward=up,
+        mean_reverse=down,
+        mean=mean,
+        s_forward=s_up,
+        s_reverse=s_down,
+        reversal_i=reversal,
+        repeatability_i=repeat,
+        reversal=float(np.max(np.abs(reversal))),
+        mean_reversal=float(np.mean(reversal)),
+        repeatability_forward=float(4.0 * np.max(s_up)),
+        repeatability_reverse=float(4.0 * np.max(s_down)),
+        repeatability=float(np.max(repeat)),
+        systematic_forward=float(np.ptp(up)),
+        systematic_reverse=float(np.ptp(down)),
+        systematic=float(np.ptp(means)),
+        mean_range=float(np.ptp(mean)),
+        accuracy_forward=_range(means[:1], spread[:1]),
+        accuracy_reverse=_range(means[1:], spread[1:]),
+        accuracy=_range(means, spread),
+        warnings=tuple(_short_of_the_standard(runs)),
+    )
+
+
+def _range(means: Floats, spread: Floats) -> float:
+    return float(np.max(means + spread) - np.min(means - spread))
+
+
+def _short_of_the_standard(runs: BidirectionalRuns) -> list[str]:
+    """Return in words where the runs are fewer than the standard asks for."""
+    travel = float(np.ptp(runs.targets)) / DEGREE
+    wanted = 3 if travel <= 90.0 else 5 if travel <= 180.0 else 8
+    targets, n = runs.forward.shape
+    notes = []
+    if n < 5:
+        notes.append(f"{n} runs in each direction, the standard asks for 5")
+    if targets < wanted:
+        notes.append(f"{targets} targets over {travel:.4g} deg, the standard asks for {wanted}")
+    return notes

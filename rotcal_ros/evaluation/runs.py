@@ -1,0 +1,73 @@
+"""Repeated bidirectional runs as a plain table: ``angle_deg,run,direction,deviation_arcsec``."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+from rotcal_ros.units import ARCSEC, DEGREE
+
+HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
+DIRECTIONS: Final = ("up", "down")
+"""up: approached with increasing angle, down: with decreasing angle."""
+
+
+def read_runs(text: str, name: str) -> BidirectionalRuns:
+    """Return the runs in ``text``, the file ``name``.
+
+    Every target must be there once in every run and direction; DataError names what is missing,
+    double or no number.
+    """
+    found: dict[tuple[float, str, str], float] = {}
+    reader = csv.reader(io.StringIO(text))
+    head = tuple(cell.strip() for cell in next(reader, []))
+    if head != HEADER:
+        raise DataError(f"{name}: the columns are {', '.join(head)}, expected {', '.join(HEADER)}")
+    for row, cells in enumerate(reader, start=2):
+        if cells:
+            key, deviation = _row(cells, f"{name}, line {row}")
+            if key in found:
+                raise DataError(
+                    f"{name}, line {row}: {key[0]:g} deg, run {key[1]} {key[2]} is there twice"
+                )
+            found[key] = deviation
+    targets = sorted({key[0] for key in found})
+    runs = sorted({key[1] for key in found})
+    missing = [
+        f"{target:g} deg in run {run} {direction}"
+        for target in targets
+        for run in runs
+        for direction in DIRECTIONS
+        if (target, run, direction) not in found
+    ]
+    if missing:
+        more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        raise DataError(
+            f"{name}: missing {', '.join(missing[:3])}{more}: measure them, or leave out the run"
+        )
+    up, down = (
+        np.array([[found[target, run, d] for run in runs] for target in targets]) * ARCSEC
+        for d in DIRECTIONS
+    )
+    return BidirectionalRuns(np.array(targets) * DEGREE, up, down)
+
+
+def _row(cells: list[str], where: str) -> tuple[tuple[float, str, str], float]:
+    if len(cells) != len(HEADER):
+        raise DataError(f"{where}: {len(cells)} columns, expected {len(HEADER)}")
+    angle, run, direction, deviation = (cell.strip() for cell in cells)
+    if direction not in DIRECTIONS:
+        raise DataError(f"{where}: direction {direction!r}, expected up or down")
+    try:
+        numbers = float(angle), float(deviation)
+    except ValueError as error:
+        raise DataError(f"{where}: {angle!r} or {deviation!r} is not a number") from error
+    if not all(map(math.isfinite, numbers)):
+        raise DataError(f"{where}: {angle!r} or {deviation!r} is not a finite number")
+    return (numbers[0], run, direction), numbers[1]
