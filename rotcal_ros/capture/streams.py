@@ -88,13 +88,14 @@ class Stream:
         return len(staged) >= self.wake_samples or stamp_ns >= self.wake_latest_ns
 
     def flush(self) -> None:
-        """Admit the staged samples."""
+        """Admit the staged samples; until told otherwise, the next one is worth a decision."""
         if self._staged_stamps:
             stamps = np.array(self._staged_stamps, dtype=np.int64)
             values = np.array(self._staged_values, dtype=np.float64)
             self._staged_stamps.clear()
             self._staged_values.clear()
             self.admit(stamps, values)
+        self.wait(-NEVER)
 
     def admit(self, stamps: Stamps, values: Values) -> None:
         """Check the order of samples (n,), (n, width) and remember the good ones."""

@@ -1,1 +1,6 @@
 """The simulated cell: table, probe, tracer and temperature as plain physics."""
+
+from rotcal_ros.simulation.cell import CellOutput, SimulatedCell
+from rotcal_ros.simulation.settings import SimulationSettings
+
+__all__ = ["CellOutput", "SimulatedCell", "SimulationSettings"]

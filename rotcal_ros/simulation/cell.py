@@ -1,0 +1,136 @@
+"""The simulated cell: orders in, samples of all instruments out, in machine time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.observations import (
+    Command,
+    ProbeSample,
+    TableSample,
+    TemperatureSample,
+    TracerSample,
+)
+from rotcal_ros.simulation.probe import SimulatedProbe
+from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.simulation.table import SimulatedTable, truth
+from rotcal_ros.simulation.temperature import SimulatedTemperature
+from rotcal_ros.simulation.tracer import SimulatedTracer
+from rotcal_ros.units import DEGREE, NANOSECOND
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class CellOutput:
+    """What the instruments said, each stream in the order of its stamps."""
+
+    tracer: tuple[TracerSample, ...]
+    table: tuple[TableSample, ...]
+    probe: tuple[ProbeSample, ...]
+    temperature: tuple[TemperatureSample, ...]
+
+
+class Ticks:
+    """The stamps of a stream at a fixed rate, counted from the start."""
+
+    def __init__(self, start_ns: int, rate_hz: float) -> None:
+        self._start_ns, self._period_ns = start_ns, max(1, round(1.0 / (rate_hz * NANOSECOND)))
+        self._next = 0
+
+    def until(self, now_ns: int) -> tuple[int, Stamps]:
+        """Return the number of the next tick and the stamps of all ticks up to ``now_ns``."""
+        first = self._next
+        self._next = max(first, (now_ns - self._start_ns) // self._period_ns + 1)
+        numbers = np.arange(first, self._next, dtype=np.int64)
+        return first, self._start_ns + numbers * self._period_ns
+
+
+class SimulatedCell:
+    """Table, probe, tracer and temperature on one machine clock (ns), started at ``start_ns``.
+
+    The cell only moves on in :meth:`advance`. The samples depend on the settings and on the
+    machine times of the orders, not on how the time between them is cut into pieces.
+    """
+
+    def __init__(self, settings: SimulationSettings, start_ns: int = 0) -> None:
+        self.settings, self.now_ns = settings, start_ns
+        seed = settings.seed
+        self._table = SimulatedTable(settings.table, seed, start_ns)
+        self._probe = SimulatedProbe(settings.probe, seed, start_ns)
+        self._tracer = SimulatedTracer(settings.tracer, settings.faults, seed)
+        self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)
+        self._tracer_ticks = Ticks(start_ns, settings.tracer.rate_hz)
+        self._table_ticks = Ticks(start_ns, settings.table.feedback_rate_hz)
+        self._temperature_ticks = Ticks(start_ns, settings.temperature.rate_hz)
+        self._table_order: tuple[int, int] | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether something moves, settles, waits to be reported, or did a short while ago."""
+        rest = max(self._table.rest_ns, self._probe.rest_ns)
+        hold = round(self.settings.hold_s / NANOSECOND)
+        return self._probe.pending is not None or self.now_ns < rest + hold
+
+    def order_table(self, command: Command) -> None:
+        """Turn the table to ``command.table_angle``."""
+        self._table.order(self.now_ns, command.table_angle, command.approach)
+        self._table_order = (command.step, command.attempt)
+
+    def order_probe(self, command: Command) -> None:
+        """Carry the reflector to ``command.position`` and report the point."""
+        self._probe.order(self.now_ns, command)
+
+    def advance(self, duration_s: float) -> CellOutput:
+        """Let ``duration_s`` of machine time pass and return the samples of it."""
+        before, self.now_ns = self.now_ns, self.now_ns + round(duration_s / NANOSECOND)
+        first, stamps = self._table_ticks.until(self.now_ns)
+        number, seconds = self._temperature_ticks.until(self.now_ns)
+        return CellOutput(
+            tracer=self._read_tracer(),
+            table=self._table.feedback(first, stamps),
+            probe=self._probe.report(before, self.now_ns, self._table_rest_ns()),
+            temperature=self._temperature.readings(number, seconds),
+        )
+
+    def truth(self, angles: Sequence[float] | Floats) -> dict[str, Floats]:
+        """Return the injected deviations at ``angles`` (rad); ECC relative to the first one."""
+        return dict(truth(self.settings.table, np.asarray(angles, dtype=np.float64)))
+
+    def truth_dict(self, angles: Sequence[float] | Floats) -> dict[str, Any]:
+        """Return the truth in the form of ``result.json`` (SI)."""
+        return {
+            "schema": 1,
+            "angles_rad": [float(angle) for angle in angles],
+            "deviations": {name: v.tolist() for name, v in self.truth(angles).items()},
+        }
+
+    def distances(self, stamps: Stamps) -> Floats:
+        """Return the true distances (n,) from the tracer to the reflector, m."""
+        rotation, translation = self._table.poses(stamps)
+        station = rotation @ np.array(self.settings.tracer.mount_m) + translation
+        distances: Floats = np.linalg.norm(self._probe.positions(stamps) - station, axis=1)
+        return distances
+
+    def _read_tracer(self) -> tuple[TracerSample, ...]:
+        first, stamps = self._tracer_ticks.until(self.now_ns)
+        if not len(stamps):
+            return ()
+        distances = self.distances(stamps)
+        drifts = self._temperature.length_change(stamps, distances)
+        angles_deg = self._table.angles(stamps) / DEGREE
+        broken = self._tracer.blocked(angles_deg, self._probe.target)
+        return self._tracer.readings(first, stamps, distances, drifts, broken.astype(float))
+
+    def _table_rest_ns(self) -> int:
+        """Return when the table is at rest for the probe's order; far away: not ordered yet."""
+        order = self._probe.pending
+        if order is not None and self._table_order == (order.step, order.attempt):
+            return self._table.rest_ns
+        return 1 << 62

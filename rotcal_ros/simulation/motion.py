@@ -1,0 +1,101 @@
+"""Motion along one coordinate: speed-limited legs, then a lag that decays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.units import NANOSECOND
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Largest ``speed`` (per s), ``acceleration`` (per s^2), ``lag`` and its time constant (s)."""
+
+    speed: float
+    acceleration: float
+    lag: float
+    settling_time: float
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """From rest at ``start`` to rest at ``stop``, as fast as the limits allow."""
+
+    begin_ns: int
+    start: float
+    stop: float
+    ramp: float  # s, duration of acceleration and of braking
+    duration: float  # s
+    acceleration: float
+
+    @property
+    def end_ns(self) -> int:
+        """Stamp at which the leg ends."""
+        return self.begin_ns + round(self.duration / NANOSECOND)
+
+    def state(self, stamps: Stamps) -> tuple[Floats, Floats]:
+        """Return position and velocity at ``stamps`` (n,)."""
+        time = np.clip((stamps - self.begin_ns) * NANOSECOND, 0.0, self.duration)
+        left = self.duration - time
+        rising = np.minimum(time, self.ramp)
+        falling = np.minimum(left, self.ramp)
+        speed = self.acceleration * np.minimum(rising, falling)
+        cruise = np.clip(time - self.ramp, 0.0, self.duration - 2 * self.ramp)
+        ramps = rising**2 + self.ramp**2 - falling**2
+        way = self.acceleration * (ramps / 2 + self.ramp * cruise)
+        sign = 1.0 if self.stop >= self.start else -1.0
+        position = np.where(left > 0, self.start + sign * way, self.stop)
+        return position, sign * speed
+
+
+class Motion:
+    """Legs one after the other, from ``begin_ns``; before it at rest at the first place.
+
+    When the last leg ends the coordinate lags behind by ``limits.lag``, which then decays
+    exponentially.
+    """
+
+    def __init__(self, begin_ns: int, places: Sequence[float], limits: Limits) -> None:
+        self._limits = limits
+        self._legs: list[Leg] = []
+        self.end_ns = begin_ns
+        self.place = places[-1]
+        for start, stop in pairwise(places):
+            self._legs.append(_leg(self.end_ns, start, stop, limits))
+            self.end_ns = self._legs[-1].end_ns
+
+    def state(self, stamps: Stamps) -> tuple[Floats, Floats]:
+        """Return position and velocity at ``stamps`` (n,), the lag included."""
+        if not self._legs:
+            return np.full(len(stamps), self.place), np.zeros(len(stamps))
+        position, velocity = self._legs[0].state(stamps)
+        for leg in self._legs[1:]:
+            later = stamps >= leg.begin_ns
+            there, speed = leg.state(stamps)
+            position, velocity = np.where(later, there, position), np.where(later, speed, velocity)
+        lag = self._lag(stamps)
+        return position + lag, velocity - lag / self._limits.settling_time * (lag != 0)
+
+    def _lag(self, stamps: Stamps) -> Floats:
+        """Return the lag at ``stamps`` (n,); none before the motion ends."""
+        last = self._legs[-1]
+        since = (stamps - self.end_ns) * NANOSECOND
+        decay = np.exp(-np.maximum(since, 0.0) / self._limits.settling_time)
+        lag: Floats = np.where(since >= 0, -np.sign(last.stop - last.start) * decay, 0.0)
+        return self._limits.lag * lag
+
+
+def _leg(begin_ns: int, start: float, stop: float, limits: Limits) -> Leg:
+    way = abs(stop - start)
+    ramp = min(limits.speed / limits.acceleration, sqrt(way / limits.acceleration))
+    cruise = way / (limits.acceleration * ramp) - ramp if ramp > 0 else 0.0
+    return Leg(begin_ns, start, stop, ramp, max(2 * ramp + cruise, 0.0), limits.acceleration)

@@ -1,0 +1,148 @@
+"""The simulated rotary table: where it is, what its feedback says, and the truth about it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.observations import Approach, TableSample
+from rotcal_ros.results import COMPONENTS
+from rotcal_ros.simulation.motion import Limits, Motion
+from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.settings import AngularHarmonics, LinearHarmonics, TableSettings
+from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+def harmonics(series: LinearHarmonics | AngularHarmonics, angles: Floats) -> Floats:
+    """Return the sum of amplitude_k cos(k angle + phase_k) at ``angles`` (n,), in m or rad."""
+    if isinstance(series, LinearHarmonics):
+        amplitudes = np.array(series.amplitudes_um) * MICROMETRE
+    else:
+        amplitudes = np.array(series.amplitudes_arcsec) * ARCSEC
+    phases = np.zeros(len(amplitudes))
+    given = np.array(series.phases_deg[: len(amplitudes)]) * DEGREE
+    phases[: len(given)] = given
+    orders = np.arange(1, len(amplitudes) + 1)
+    total: Floats = np.cos(np.multiply.outer(angles, orders) + phases) @ amplitudes
+    return total
+
+
+def deviations(settings: TableSettings, angles: Floats) -> dict[str, Floats]:
+    """Return the six deviations, actual - commanded (m, rad), at ``angles`` (n,).
+
+    They refer to the fixed axes at the foot of the table axis: EAC, EBC are rotations about the
+    fixed x and y. Valid for an approach with increasing angle.
+    """
+    return {name: harmonics(getattr(settings, name.lower()), angles) for name in COMPONENTS}
+
+
+def rotations(rx: Floats, ry: Floats, rz: Floats) -> Floats:
+    """Return the matrices Rz Ry Rx (n, 3, 3) for rotations (n,) about the fixed axes, rad."""
+    cx, cy, cz = np.cos(rx), np.cos(ry), np.cos(rz)
+    sx, sy, sz = np.sin(rx), np.sin(ry), np.sin(rz)
+    rows = [
+        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+        [-sy, cy * sx, cy * cx],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def table_poses(
+    settings: TableSettings, angles: Floats, extra_angle: Floats | float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return rotation (n, 3, 3) and translation (n, 3) from the table to the machine frame.
+
+    A point q of the table stands at A (E Rz(angle) q + d) + o: E and d hold the deviations at
+    ``angles`` (n,), A and o the tilt and the offset of the axis. ``extra_angle`` (rad) adds to
+    the angular deviation (backlash, repeatability).
+    """
+    error = deviations(settings, angles)
+    zero = np.zeros_like(angles)
+    turn = rotations(zero, zero, angles)
+    small = rotations(error["EAC"], error["EBC"], error["ECC"] + extra_angle)
+    tilt = np.array(settings.axis_tilt_arcsec) * ARCSEC
+    axis = rotations(tilt[:1], tilt[1:], np.zeros(1))[0]
+    shift = np.column_stack([error["EXC"], error["EYC"], error["EZC"]])
+    return axis @ small @ turn, shift @ axis.T + np.array(settings.axis_offset_m)
+
+
+def truth(settings: TableSettings, angles: Floats) -> Mapping[str, Floats]:
+    """Return the true deviations at ``angles`` (n,) as a result states them.
+
+    ECC is relative to the first angle.
+    """
+    true = deviations(settings, angles)
+    true["ECC"] = true["ECC"] - true["ECC"][0]
+    return true
+
+
+class SimulatedTable:
+    """A rotary table with trapezoidal speed, a lag that decays, and a direction of approach."""
+
+    def __init__(self, settings: TableSettings, seed: int, start_ns: int) -> None:
+        self.settings = settings
+        self._limits = Limits(
+            speed=settings.speed_deg_s * DEGREE,
+            acceleration=settings.acceleration_deg_s2 * DEGREE,
+            lag=settings.settling_arcsec * ARCSEC,
+            settling_time=settings.settling_time_s,
+        )
+        self._motion = Motion(start_ns, [settings.initial_angle_deg * DEGREE], self._limits)
+        self._approach = Approach.POSITIVE
+        self._arrivals = 0
+        self._arrival_noise = IndexedNoise(seed, Source.ARRIVAL)
+        self._feedback_noise = IndexedNoise(seed, Source.FEEDBACK)
+        self.rest_ns = start_ns
+
+    def order(self, now_ns: int, angle: float, approach: Approach) -> None:
+        """Go to ``angle`` (rad), reached from the side ``approach``."""
+        here = float(self._motion.state(np.array([now_ns]))[0][0])
+        resting = now_ns >= self._motion.end_ns
+        if (
+            resting
+            and self._motion.place == angle
+            and approach
+            in (
+                self._approach,
+                Approach.UNKNOWN,
+            )
+        ):
+            self.rest_ns = max(self.rest_ns, now_ns)
+            return
+        start = self._motion.place if resting else here
+        places = [start, angle]
+        overshoot = self.settings.overshoot_deg * DEGREE
+        if approach == Approach.POSITIVE and angle <= start:
+            places = [start, angle - overshoot, angle]
+        elif approach == Approach.NEGATIVE and angle >= start:
+            places = [start, angle + overshoot, angle]
+        self._motion = Motion(now_ns, places, self._limits)
+        self._approach = Approach.POSITIVE if places[-1] >= places[-2] else Approach.NEGATIVE
+        self._arrivals += 1
+        self.rest_ns = self._motion.end_ns
+
+    def angles(self, stamps: Stamps) -> Floats:
+        """Return the angle that the table believes to stand at, (n,) rad."""
+        return self._motion.state(stamps)[0]
+
+    def poses(self, stamps: Stamps) -> tuple[Floats, Floats]:
+        """Return the actual poses at ``stamps``; see :func:`table_poses`."""
+        extra = self.settings.repeatability_arcsec * ARCSEC
+        extra *= float(self._arrival_noise.normal(self._arrivals, 1)[0])
+        if self._approach == Approach.NEGATIVE:
+            extra += self.settings.backlash_arcsec * ARCSEC
+        return table_poses(self.settings, self.angles(stamps), extra)
+
+    def feedback(self, first: int, stamps: Stamps) -> tuple[TableSample, ...]:
+        """Return the feedback number ``first`` and following at ``stamps``."""
+        angles, velocities = self._motion.state(stamps)
+        noise = self.settings.feedback_noise_arcsec * ARCSEC
+        angles = angles + noise * self._feedback_noise.normal(first, len(stamps))
+        rows = zip(stamps.tolist(), angles.tolist(), velocities.tolist(), strict=True)
+        return tuple(TableSample(*row) for row in rows)

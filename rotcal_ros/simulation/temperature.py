@@ -1,0 +1,44 @@
+"""The simulated temperature: a drift, a swing, and what they do to the readings."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.observations import TemperatureSample
+from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.settings import TemperatureSettings
+from rotcal_ros.units import MICROMETRE, NANOSECOND
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+SENSOR = "air"
+
+
+class SimulatedTemperature:
+    """The air of the cell as a function of machine time."""
+
+    def __init__(self, settings: TemperatureSettings, seed: int, start_ns: int) -> None:
+        self.settings, self._start_ns = settings, start_ns
+        self._noise = IndexedNoise(seed, Source.TEMPERATURE)
+
+    def change(self, stamps: Stamps) -> Floats:
+        """Return the true change of temperature since the start, K, (n,)."""
+        time = (stamps - self._start_ns) * NANOSECOND
+        swing = self.settings.swing_k * np.sin(2 * np.pi * time / self.settings.swing_period_s)
+        change: Floats = self.settings.drift_k_per_h * time / 3600.0 + swing
+        return change
+
+    def length_change(self, stamps: Stamps, distances: Floats) -> Floats:
+        """Return by how much readings over ``distances`` (n,) grow, m."""
+        growth = self.settings.length_um_per_m_k * distances
+        change: Floats = self.change(stamps) * (growth + self.settings.dead_distance_um_per_k)
+        return change * MICROMETRE
+
+    def readings(self, first: int, stamps: Stamps) -> tuple[TemperatureSample, ...]:
+        """Return the readings number ``first`` and following at ``stamps``."""
+        noise = self.settings.noise_k * self._noise.normal(first, len(stamps))
+        values = self.settings.mean_c + self.change(stamps) + noise
+        rows = zip(stamps.tolist(), values.tolist(), strict=True)
+        return tuple(TemperatureSample(stamp, SENSOR, value) for stamp, value in rows)
