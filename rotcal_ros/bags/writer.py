@@ -92,7 +92,7 @@ class BagWriter:
         self._notes: dict[str, dict[str, str]] = {}
         self._sequences: dict[int, int] = {}
         self._unsynced = 0
-        self._definitions_pending = False
+        self._undescribed: dict[int, _Channel] = {}
         self._last_sync_ns: int | None = None
         self._file: DurableFile | None = None
         self._guarded(lambda: self._prepare_folder(resume=bool(earlier)))
@@ -144,7 +144,7 @@ class BagWriter:
             )
         channel = _Channel(TopicInfo(topic, type_name, type_hash, offered_qos), definition)
         number = self._guarded(lambda: self._register(channel))
-        self._channels[number] = channel
+        self._channels[number] = self._undescribed[number] = channel
         self._sequences[number] = 0
         return number
 
@@ -153,6 +153,8 @@ class BagWriter:
         if self.closed:
             raise BagError(f"the bag {self.folder} is closed: a message came too late")
         sequence = self._sequences[channel]
+        if self._undescribed:
+            self._guarded(self._describe)
         try:
             self._writer.add_message(channel, log_time_ns, data, publish_time_ns, sequence)
         except OSError as error:
@@ -233,8 +235,9 @@ class BagWriter:
             self._attach(*attachment)
         for name, values in self._notes.items():
             self._writer.add_metadata(name, values)
-        for channel in self._channels.values():
+        for number, channel in self._channels.items():
             self._register(channel)
+            self._undescribed[number] = channel
         self._sync()
 
     def _attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
@@ -247,7 +250,6 @@ class BagWriter:
             self._schemas[key] = self._writer.register_schema(
                 info.type_name, "ros2msg", channel.definition.encode()
             )
-        self._definitions_pending = True
         self._unsynced += 1
         return self._writer.register_channel(
             info.topic,
@@ -256,15 +258,19 @@ class BagWriter:
             {"offered_qos_profiles": info.offered_qos, "topic_type_hash": info.type_hash},
         )
 
+    def _describe(self) -> None:
+        """Put new definitions beside the chunks, before the first message that needs them."""
+        definitions = (
+            ChannelDefinition(number, c.info.topic, c.info.type_name, "ros2msg", c.definition)
+            for number, c in self._undescribed.items()
+        )
+        data = dump_definitions(definitions)
+        self._attach(names.DEFINITIONS, "application/json", data, time.time_ns())
+        self._undescribed.clear()
+
     def _sync(self) -> None:
-        if self._definitions_pending and self._channels:
-            definitions = (
-                ChannelDefinition(number, c.info.topic, c.info.type_name, "ros2msg", c.definition)
-                for number, c in self._channels.items()
-            )
-            data = dump_definitions(definitions)
-            self._attach(names.DEFINITIONS, "application/json", data, time.time_ns())
-            self._definitions_pending = False
+        if self._undescribed:
+            self._describe()
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._open.sync()
 
@@ -304,7 +310,7 @@ class BagWriter:
             raise BagError(
                 f"only {free / 1e6:.1f} MB are free below {self.folder}, less than the "
                 f"{self.settings.min_free_bytes / 1e6:.1f} MB that recording keeps free; "
-                "recording stopped with everything so far on disk; make room and continue the session"
+                "recording stopped, all so far is on disk; make room and continue the session"
             )
 
     @property

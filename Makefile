@@ -1,0 +1,36 @@
+# `make demo` and `make test` first make .venv with all they need; see README.md.
+PYTHON ?= python3
+BIN := .venv/bin
+DEMO := out/demo
+
+# A sourced ROS installation must not leak into .venv, which brings its own ROS.
+unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
+unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: demo test bench lint setup clean help
+
+demo: setup  ## calibrate the simulated cell over ROS 2; results in out/demo
+	@rm -rf $(DEMO)
+	@$(BIN)/rotcal run config/demo.yaml --output $(DEMO)
+
+test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
+	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+bench: setup  ## compare speed with well-known alternatives, side by side
+	@$(BIN)/python -m benchmarks
+
+lint: setup  ## style, types, and which room may import which
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+setup:  ## make or refresh .venv (PYTHON=python3.12 chooses another Python)
+	@PYTHON="$(PYTHON)" scripts/setup.sh
+
+clean:  ## remove everything that make has made
+	rm -rf .venv build install log out *.egg-info .coverage .hypothesis .*_cache
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+help:  ## show this list
+	@sed -n 's/^\([a-z]*\):[^#]*## /  make \1\t/p' Makefile | expand -t 16

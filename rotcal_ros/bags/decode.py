@@ -1,0 +1,131 @@
+"""Serialised messages of one channel into Python, by the definition that is in the bag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
+
+from rotcal_ros.bags.blocks import Block, Indices
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.layout import Layout, Rows, work_out_layout
+from rotcal_ros.bags.mcap_records import DamagedRecord
+from rotcal_ros.errors import BagError
+
+_MAX_LAYOUTS: Final = 64
+_ALWAYS_KNOWN: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Fields of messages of one shape.
+
+    ``rows`` says which messages of the block they are; ``values`` holds one element per row
+    with the wanted fields by their dotted names, and ``layout`` the texts all have in common.
+    """
+
+    rows: Indices
+    values: NDArray[np.void]
+    layout: Layout
+
+    def stamp_ns(self) -> Indices:
+        """Return the header's stamps in integer nanoseconds."""
+        seconds = self.values["header.stamp.sec"].astype(np.int64)
+        stamps: Indices = seconds * 1_000_000_000 + self.values["header.stamp.nanosec"]
+        return stamps
+
+
+class Decoder:
+    """Decodes the messages of one channel; ``broken`` counts those that could not be."""
+
+    def __init__(self, channel: ChannelDefinition) -> None:
+        self.channel = channel
+        self.broken = 0
+        self._definitions = _definitions(channel)
+        self._store = get_typestore(Stores.EMPTY)
+        self._store.register(self._definitions)
+        self._layouts: dict[int, list[tuple[Layout, Rows]]] = {}
+
+    def message(self, data: bytes) -> Any | None:
+        """Return one message as an object whose attributes are its fields, as in rclpy.
+
+        None, and counted as broken, when the bytes are not such a message.
+        """
+        try:
+            return self._store.deserialize_cdr(data, self.channel.type_name)
+        except Exception:
+            self.broken += 1
+            return None
+
+    def columns(self, block: Block, wanted: Sequence[str]) -> Iterator[Columns]:
+        """Yield the ``wanted`` fields of all messages of ``block``, shape by shape.
+
+        Lists that are shorter than wanted and missing fields raise BagError.
+        """
+        for rows, raw in block.equally_long():
+            rest = np.arange(len(rows))
+            while len(rest):
+                found = self._layout(raw[rest[0]])
+                if found is None:
+                    self.broken += 1
+                    rest = rest[1:]
+                    continue
+                layout, template = found
+                same = layout.fits(raw[rest], template)
+                chosen = rest[same]
+                values = raw[chosen].view(self._dtype(layout, wanted))[:, 0]
+                yield Columns(rows[chosen], values, layout)
+                rest = rest[~same]
+
+    def _layout(self, message: Rows) -> tuple[Layout, Rows] | None:
+        """Return a layout that fits ``message``, known or new; None when it is broken."""
+        known = self._layouts.setdefault(len(message), [])
+        for layout, template in known:
+            if layout.fits(message[np.newaxis], template)[0]:
+                return layout, template
+        try:
+            layout = work_out_layout(message.tobytes(), self.channel.type_name, self._definitions)
+        except DamagedRecord:
+            return None
+        if len(known) >= _MAX_LAYOUTS:
+            known.clear()
+        known.append((layout, message.copy()))
+        return known[-1]
+
+    def _dtype(self, layout: Layout, wanted: Sequence[str]) -> np.dtype[np.void]:
+        missing = [name for name in wanted if name not in layout.fields]
+        if missing:
+            raise BagError(
+                f"topic {self.channel.topic}: {self.channel.type_name} has no field "
+                f"{', '.join(missing)}; it has {', '.join(layout.fields)}"
+            )
+        return layout.dtype(wanted)
+
+
+def _definitions(channel: ChannelDefinition) -> dict[str, Any]:
+    """Return the parsed definitions of a channel's type and all that it contains."""
+    try:
+        if channel.encoding == "ros2msg":
+            types = get_types_from_msg(channel.definition, channel.type_name)
+        elif channel.encoding == "ros2idl":
+            types = get_types_from_idl(channel.definition)
+        else:
+            raise BagError(
+                f"topic {channel.topic}: the bag holds no definition of {channel.type_name}"
+            )
+    except (TypesysError, SyntaxError, ValueError) as error:
+        raise BagError(
+            f"topic {channel.topic}: the definition of {channel.type_name} cannot be read: {error}"
+        ) from error
+    known = get_typestore(Stores.LATEST).fielddefs
+    return {name: known[name] for name in _ALWAYS_KNOWN} | dict(types)

@@ -1,0 +1,95 @@
+"""Reading a bag, whoever wrote it: a folder or a file, whole, cut off or damaged."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, Protocol
+
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.mcap_records import Attachment
+from rotcal_ros.bags.mcap_scan import McapScan
+from rotcal_ros.bags.sqlite_scan import SqliteScan
+from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.errors import BagError
+
+Progress = Callable[[int, int], None]
+"""Called with the bytes done and the bytes in all."""
+
+_NUMBER: Final = re.compile(r"(.*?)_?(\d+)$")
+_HASH_BYTES: Final = 1 << 20
+
+
+class Scan(Protocol):
+    """One pass over one storage file; ``position`` is how far it has come, in bytes."""
+
+    path: Path
+    channels: dict[int, ChannelDefinition]
+    attachments: dict[str, Attachment]
+    metadata: dict[str, dict[str, str]]
+    position: int
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the readable messages in file order."""
+
+    def verdict(self) -> FileVerdict:
+        """Return what is to be said about the file, after the iteration."""
+
+
+def bag_files(path: Path) -> tuple[Path, ...]:
+    """Return the storage files of a bag, oldest first; ``metadata.yaml`` is not needed.
+
+    Raises BagError when there is no bag at ``path``.
+    """
+    if not path.exists():
+        raise BagError(f"{path} does not exist; expected a bag folder or an .mcap or .db3 file")
+    if path.is_file():
+        _scan_type(path)
+        return (path,)
+    for suffix in (".mcap", ".db3"):
+        files = sorted((f for f in path.iterdir() if f.suffix == suffix), key=_order)
+        if files:
+            return tuple(files)
+    if any(f.name.endswith((".mcap.zstd", ".db3.zstd")) for f in path.iterdir()):
+        raise BagError(f"the files in {path} are compressed as a whole; unpack them: zstd -d FILE")
+    raise BagError(f"{path} is no bag: there is no .mcap or .db3 file in the folder")
+
+
+def scan_file(path: Path) -> Scan:
+    """Return a pass over the storage file ``path``."""
+    return _scan_type(path)(path)
+
+
+def check_file(path: Path, progress: Progress | None = None) -> FileVerdict:
+    """Read one file to its end and return its verdict."""
+    scan = scan_file(path)
+    size = path.stat().st_size
+    for _ in scan.blocks():
+        if progress is not None:
+            progress(scan.position, size)
+    return scan.verdict()
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while part := file.read(_HASH_BYTES):
+            digest.update(part)
+    return digest.hexdigest()
+
+
+def _scan_type(path: Path) -> type[McapScan] | type[SqliteScan]:
+    kinds: dict[str, type[McapScan] | type[SqliteScan]] = {".mcap": McapScan, ".db3": SqliteScan}
+    if path.suffix not in kinds:
+        raise BagError(f"{path} is no bag: expected a folder or a file ending in .mcap or .db3")
+    return kinds[path.suffix]
+
+
+def _order(path: Path) -> tuple[str, int]:
+    """Sort key: name_2 comes before name_10."""
+    match = _NUMBER.match(path.stem)
+    return (match[1], int(match[2])) if match else (path.stem, -1)

@@ -1,0 +1,162 @@
+"""Solving a bag offline: the same capture and the same solver as live, hence the same result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rotcal_ros import catalogue
+from rotcal_ros.bags import names, records
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.reader import Progress, Scan, bag_files, scan_file, sha256_of
+from rotcal_ros.bags.streams import StreamFeeder
+from rotcal_ros.bags.topics import Topics
+from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.capture import Capture, CaptureSettings
+from rotcal_ros.configuration import Configuration, parse_configuration
+from rotcal_ros.errors import BagError
+from rotcal_ros.observations import Observation
+from rotcal_ros.results import Result
+
+Source = Literal["streams", "observations"]
+Decoders = dict[ChannelDefinition, Decoder]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Everything that was read from a bag.
+
+    ``observations`` are those of the chosen source, ``recorded`` those that the live capture
+    had published; ``counts`` is what the capture counted per stream (empty when the
+    observations were taken from the bag), ``broken`` the messages per topic that could not be
+    decoded, and ``sha256`` maps file names to hashes.
+    """
+
+    calibration: catalogue.Calibration
+    source: Source
+    observations: tuple[Observation, ...]
+    recorded: tuple[Observation, ...]
+    verdicts: tuple[FileVerdict, ...]
+    counts: Mapping[str, Mapping[str, int]]
+    broken: Mapping[str, int]
+    sha256: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+
+    def solve(self) -> Result:
+        """Return the result; equal observations give equal results to the last bit."""
+        return self.calibration.solve(self.observations)
+
+    @property
+    def same_as_recorded(self) -> bool:
+        """Tell whether the final observations equal those of the live capture."""
+        final = catalogue.final_observations
+        return final(self.observations) == final(self.recorded)
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return what the reader of a result must know about the bag."""
+        texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
+        texts += [f"{v.path.name}: {n} lost live ({name})" for v in self.verdicts
+                  for name, n in v.losses_recorded.items() if n]  # fmt: skip
+        texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
+        if self.recorded and not self.same_as_recorded:
+            texts.append("the observations captured again differ from those captured live")
+        return tuple(texts)
+
+
+def read_recording(
+    path: Path,
+    source: Source = "streams",
+    *,
+    configuration: Configuration | None = None,
+    topics: Topics | None = None,
+    progress: Progress | None = None,
+) -> Recording:
+    """Read a bag and capture its observations again, or take the recorded ones.
+
+    Without ``configuration`` the one in the bag is used: the attachment, else the text on the
+    ``plan`` topic. Raises BagError when the bag cannot be read or holds no configuration.
+    Memory does not grow with the size of the bag.
+    """
+    files = bag_files(path)
+    topics = topics or Topics()
+    if configuration is None:
+        configuration = find_configuration(files, topics)
+    calibration = catalogue.prepare(configuration)
+    capture = Capture(calibration.plan, configuration.group("capture", CaptureSettings))
+    feeder = StreamFeeder(capture, joint_name(configuration))
+    recorded: list[Observation] = []
+    scans: list[Scan] = []
+    decoders: Decoders = {}
+    for scan, block in _read(files, progress):
+        if block is None:
+            scans.append(scan)
+            continue
+        parts = topics.split(block, scan.channels, decoders)
+        for part in parts:
+            if part.role == names.OBSERVATION:
+                recorded += (records.observation(m) for _, m in part.messages(block))
+        if source == "streams":
+            feeder.feed(block, parts)
+    verdicts = tuple(scan.verdict() for scan in scans)
+    if not any(verdict.messages for verdict in verdicts):
+        raise BagError(f"the bag {path} holds no messages")
+    return Recording(
+        calibration=calibration,
+        source=source,
+        observations=tuple(feeder.observations if source == "streams" else recorded),
+        recorded=tuple(recorded),
+        verdicts=verdicts,
+        counts=capture.counts if source == "streams" else {},
+        broken={c.topic: d.broken for c, d in decoders.items() if d.broken},
+        sha256={file.name: sha256_of(file) for file in files},
+        attachments={n: a.data for scan in scans for n, a in scan.attachments.items()},
+    )
+
+
+def find_configuration(files: tuple[Path, ...], topics: Topics) -> Configuration:
+    """Return the configuration that a bag was recorded with; reads no further than needed."""
+    for file in files:
+        scan = scan_file(file)
+        for text in _configuration_texts(scan, topics):
+            return parse_configuration(text, f"{file.name}: {names.CONFIGURATION}")
+    raise BagError(
+        f"{files[0].parent if len(files) > 1 else files[0]} holds no configuration: neither the "
+        f"attachment {names.CONFIGURATION} nor a message on the topic {names.PLAN}; "
+        "give the set-up (--setup)"
+    )
+
+
+def joint_name(configuration: Configuration) -> str:
+    """Return the name of the table among the joint states; empty: the first one."""
+    return str(configuration.groups.get("cell", {}).get("joint", ""))
+
+
+def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
+    decoders: Decoders = {}
+    for block in scan.blocks():
+        if names.CONFIGURATION in scan.attachments:
+            break
+        for part in topics.split(block, scan.channels, decoders):
+            if part.role == names.PLAN:
+                yield from (message.configuration for _, message in part.messages(block))
+    if names.CONFIGURATION in scan.attachments:
+        yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")
+
+
+def _read(
+    files: tuple[Path, ...], progress: Progress | None
+) -> Iterator[tuple[Scan, Block | None]]:
+    """Yield the blocks of all files in order, and None at the end of each file."""
+    total, done = sum(file.stat().st_size for file in files), 0
+    for file in files:
+        scan = scan_file(file)
+        for block in scan.blocks():
+            yield scan, block
+            if progress is not None:
+                progress(done + scan.position, total)
+        done += file.stat().st_size
+        yield scan, None

@@ -1,0 +1,167 @@
+"""The streams of one cell in a bag, fed to the capture in the order they were recorded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.bags import names, records
+from rotcal_ros.bags.blocks import Block, Indices
+from rotcal_ros.bags.decode import Columns
+from rotcal_ros.bags.topics import Part
+from rotcal_ros.observations import Command, Observation, TableSample
+
+_STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
+_TRACER: Final = (*_STAMP, "sequence", "length", "status")
+_SLICE_NS: Final = 1_000_000_000
+
+Numbered = tuple[int, Any]
+"""The row of a message in its block, and its record."""
+
+
+class Capture(Protocol):
+    """What is needed of rotcal_ros.capture.Capture."""
+
+    def feed(self, record: Any) -> tuple[Observation, ...]:
+        """Take one record."""
+
+    def feed_tracer(
+        self,
+        stamp_ns: Indices,
+        sequence: NDArray[Any],
+        length: NDArray[Any],
+        status: NDArray[Any],
+    ) -> tuple[Observation, ...]:
+        """Take many tracer readings."""
+
+
+class StreamFeeder:
+    """Feeds blocks of messages to a capture and collects the observations.
+
+    Tracer readings go in many at once, so they run ahead of the other streams, by one second
+    of their stamps at most; the capture's answer does not depend on that. ``joint`` names the
+    table among the joint states; empty means the first one.
+    """
+
+    def __init__(self, capture: Capture, joint: str = "") -> None:
+        self.observations: list[Observation] = []
+        self._capture = capture
+        self._joint = joint
+        self._half_orders: dict[tuple[str, int, int], Any] = {}
+        self._makers: dict[str, Callable[[Any], Any]] = {
+            names.PROBE_POINT: records.probe_sample,
+            names.TEMPERATURE: records.temperature_sample,
+            names.TABLE_ANGLE: lambda message: self._order(names.TABLE_ANGLE, message),
+            names.PROBE_TARGET: lambda message: self._order(names.PROBE_TARGET, message),
+        }
+
+    def feed(self, block: Block, parts: list[Part]) -> None:
+        """Feed one block that ``parts`` splits into the topics of the cell."""
+        others: list[Numbered] = []
+        readings = _no_readings()
+        for part in parts:
+            if part.role == names.TRACER_LENGTH:
+                readings = self._readings(block, part)
+            elif part.role == names.JOINT_STATES:
+                others.extend(self._table_samples(block, part))
+            elif part.role in self._makers:
+                others.extend(self._single(block, part))
+        others.sort(key=lambda numbered: numbered[0])
+        self._feed_slices(readings, others)
+
+    def _feed_slices(self, readings: NDArray[np.void], others: list[Numbered]) -> None:
+        """Feed in file order, but the readings of one second at once."""
+        stamps = readings["stamp_ns"]
+        seconds = (stamps - stamps[:1]) // _SLICE_NS
+        cuts = [*(np.flatnonzero(np.diff(seconds)) + 1).tolist(), len(readings)]
+        begin = done = 0
+        for cut in cuts:
+            part = readings[begin:cut]
+            if cut > begin:
+                self.observations += self._capture.feed_tracer(
+                    part["stamp_ns"], part["sequence"], part["length"], part["status"]
+                )
+            last_row = readings["row"][cut] if cut < len(readings) else math.inf
+            while done < len(others) and others[done][0] < last_row:
+                self.observations += self._capture.feed(others[done][1])
+                done += 1
+            begin = cut
+
+    def _readings(self, block: Block, part: Part) -> NDArray[np.void]:
+        """Return the tracer readings of a block in file order."""
+        readings = np.concatenate(
+            [
+                _no_readings(),
+                *(
+                    _readings_of(c, part)
+                    for c in part.decoder.columns(block.select(part.rows), _TRACER)
+                ),
+            ]
+        )
+        return readings[np.argsort(readings["row"], kind="stable")]
+
+    def _table_samples(self, block: Block, part: Part) -> Iterator[Numbered]:
+        wanted = (*_STAMP, "position", "velocity")
+        for columns in part.decoder.columns(block.select(part.rows), wanted):
+            index = records.joint_index(columns.layout.texts.get("name", []), self._joint)
+            position, velocity = columns.values["position"], columns.values["velocity"]
+            if index is None or index >= position.shape[1]:
+                continue
+            known = velocity.shape[1] > index
+            speeds = velocity[:, index].tolist() if known else [math.nan] * len(columns.rows)
+            yield from zip(
+                part.rows[columns.rows].tolist(),
+                map(
+                    TableSample,
+                    columns.stamp_ns().tolist(),
+                    position[:, index].tolist(),
+                    speeds,
+                ),
+                strict=True,
+            )
+
+    def _single(self, block: Block, part: Part) -> Iterator[Numbered]:
+        """Yield the records of a slow topic, message by message."""
+        for row, message in part.messages(block):
+            record = self._makers[part.role](message)
+            if record is not None:
+                yield row, record
+
+    def _order(self, half: str, message: Any) -> Command | None:
+        """Join the two messages of an order by step and attempt; None while one is missing."""
+        other = names.PROBE_TARGET if half == names.TABLE_ANGLE else names.TABLE_ANGLE
+        partner = self._half_orders.pop((other, message.step, message.attempt), None)
+        if partner is None:
+            self._half_orders[half, message.step, message.attempt] = message
+            return None
+        if half == names.TABLE_ANGLE:
+            return records.command(message, partner)
+        return records.command(partner, message)
+
+
+_READING: Final = np.dtype(
+    [
+        ("row", np.int64),
+        ("stamp_ns", np.int64),
+        ("sequence", np.int64),
+        ("length", np.float64),
+        ("status", np.int64),
+    ]
+)
+
+
+def _no_readings() -> NDArray[np.void]:
+    return np.zeros(0, _READING)
+
+
+def _readings_of(columns: Columns, part: Part) -> NDArray[np.void]:
+    readings = np.zeros(len(columns.rows), _READING)
+    readings["row"] = part.rows[columns.rows]
+    readings["stamp_ns"] = columns.stamp_ns()
+    for name in ("sequence", "length", "status"):
+        readings[name] = columns.values[name]
+    return readings

