@@ -22,6 +22,7 @@ from rotcal_ros.nodes.plan_message import calibration_of, run_name
 from rotcal_ros.nodes.qos import ANY_STREAM, EVENT, LATCHED
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.observations import LengthStatus
+from rotcal_ros.planning.cell_settings import CellSettings
 
 CONTINUOUS = ("tracer_length", "joint_states")
 """Streams that never pause: their silence means that the instrument is lost."""
@@ -33,7 +34,7 @@ class CaptureNode(Node):
 
     def __init__(self) -> None:
         super().__init__("capture")
-        self._joint = self.declare_parameter("table_joint", "table").value
+        self._joint = ""
         self._capture: Capture | None = None
         self._run = ""
         self._state = "waiting for a plan"
@@ -115,6 +116,7 @@ class CaptureNode(Node):
         try:
             calibration = calibration_of(message)
             settings = calibration.configuration.group("capture", CaptureSettings)
+            self._joint = calibration.configuration.group("cell", CellSettings).joint
             self._capture = Capture(calibration.plan, settings)
         except Exception as error:
             self._state = f"plan refused: {error}"

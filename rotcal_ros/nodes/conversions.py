@@ -1,4 +1,4 @@
-"""Messages into dataclasses and back: the only place that knows both."""
+"""Dataclasses into messages, and back with the functions that the replay of bags uses too."""
 
 from __future__ import annotations
 
@@ -12,13 +12,19 @@ from rotcal_msgs.msg import Observation as ObservationMsg
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Header
 
+from rotcal_ros.bags.records import (
+    command,
+    observation,
+    probe_sample,
+    stamp_ns,
+    table_sample,
+    temperature_sample,
+    tracer_sample,
+)
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.observations import (
-    Approach,
     Command,
-    LengthStatus,
     Observation,
-    PointKind,
     ProbeSample,
     TableSample,
     TemperatureSample,
@@ -27,14 +33,26 @@ from rotcal_ros.observations import (
 from rotcal_ros.results import Result
 
 _SECOND_NS: Final = 1_000_000_000
-_STATUS: Final = tuple(LengthStatus)
-_KINDS: Final = tuple(PointKind)
 
-
-def stamp_ns(stamp: Time) -> int:
-    """Return a stamp as integer nanoseconds."""
-    nanoseconds: int = stamp.sec * _SECOND_NS + stamp.nanosec
-    return nanoseconds
+__all__ = [
+    "command",
+    "command_messages",
+    "compensation_message",
+    "deviations_message",
+    "header",
+    "observation",
+    "observation_message",
+    "probe_message",
+    "probe_sample",
+    "stamp_ns",
+    "table_message",
+    "table_sample",
+    "temperature_message",
+    "temperature_sample",
+    "time_message",
+    "tracer_message",
+    "tracer_sample",
+]
 
 
 def time_message(nanoseconds: int) -> Time:
@@ -48,18 +66,6 @@ def header(nanoseconds: int, frame: str) -> Header:
     return Header(stamp=time_message(nanoseconds), frame_id=frame)
 
 
-def tracer_sample(message: TracerLength) -> TracerSample:
-    """Return a tracer reading; an unheard-of status is UNKNOWN."""
-    status = message.status
-    return TracerSample(
-        stamp_ns(message.header.stamp),
-        message.sequence,
-        message.length,
-        message.length_std,
-        _STATUS[status] if status < len(_STATUS) else LengthStatus.UNKNOWN,
-    )
-
-
 def tracer_message(sample: TracerSample, frame: str) -> TracerLength:
     """Return the message of a tracer reading."""
     return TracerLength(
@@ -71,20 +77,6 @@ def tracer_message(sample: TracerSample, frame: str) -> TracerLength:
     )
 
 
-def table_sample(message: JointState, joint: str) -> TableSample | None:
-    """Return the feedback of ``joint``; None when the message does not hold it.
-
-    A drive that tells no velocity gives NaN, which the capture counts as not usable.
-    """
-    try:
-        index = list(message.name).index(joint)
-        angle = message.position[index]
-    except (ValueError, IndexError):
-        return None
-    velocity = message.velocity[index] if index < len(message.velocity) else math.nan
-    return TableSample(stamp_ns(message.header.stamp), angle, velocity)
-
-
 def table_message(sample: TableSample, joint: str, frame: str) -> JointState:
     """Return the message of table feedback."""
     return JointState(
@@ -92,25 +84,6 @@ def table_message(sample: TableSample, joint: str, frame: str) -> JointState:
         name=[joint],
         position=[sample.angle],
         velocity=[sample.velocity],
-    )
-
-
-def probe_sample(message: ProbePoint) -> ProbeSample:
-    """Return a probe point; an unheard-of kind is UNKNOWN."""
-    x, y, z = message.position.tolist()
-    sx, sy, sz = message.position_std.tolist()
-    return ProbeSample(
-        stamp_ns=stamp_ns(message.header.stamp),
-        sequence=message.sequence,
-        step=message.step,
-        attempt=message.attempt,
-        kind=_kind(message.kind),
-        target=message.target,
-        station=message.station,
-        point=message.point,
-        position=(x, y, z),
-        position_std=(sx, sy, sz),
-        tip_radius=message.tip_radius,
     )
 
 
@@ -131,32 +104,10 @@ def probe_message(sample: ProbeSample, frame: str) -> ProbePoint:
     )
 
 
-def temperature_sample(message: Temperature) -> TemperatureSample:
-    """Return a temperature; the frame names the sensor."""
-    return TemperatureSample(
-        stamp_ns(message.header.stamp), message.header.frame_id, message.temperature
-    )
-
-
 def temperature_message(sample: TemperatureSample) -> Temperature:
     """Return the message of a temperature; the variance is unknown."""
     return Temperature(
         header=header(sample.stamp_ns, sample.sensor), temperature=sample.temperature_c
-    )
-
-
-def command(table: TableAngle, probe: ProbeTarget) -> Command:
-    """Return the order that the two messages of one attempt give together."""
-    x, y, z = probe.position.tolist()
-    approach = table.approach
-    return Command(
-        step=table.step,
-        attempt=table.attempt,
-        table_angle=table.angle,
-        approach=Approach(approach) if approach <= Approach.NEGATIVE else Approach.UNKNOWN,
-        kind=_kind(probe.kind),
-        target=probe.target,
-        position=(x, y, z),
     )
 
 
@@ -180,32 +131,6 @@ def command_messages(
         position=order.position,
     )
     return table, probe
-
-
-def observation(message: ObservationMsg) -> Observation:
-    """Return a captured step."""
-    x, y, z = message.probe_position.tolist()
-    return Observation(
-        step=message.step,
-        attempt=message.attempt,
-        table_index=message.table_index,
-        table_angle=message.table_angle,
-        target=message.target,
-        station=message.station,
-        kind=_kind(message.kind),
-        mean=tuple(message.mean),
-        std=tuple(message.std),
-        scatter=tuple(message.scatter),
-        probe_position=(x, y, z),
-        n_samples=message.n_samples,
-        n_used=message.n_used,
-        accepted=message.accepted,
-        reason=message.reason,
-        table_angle_measured=message.table_angle_measured,
-        temperature_c=None if math.isnan(message.temperature) else message.temperature,
-        window_start_ns=stamp_ns(message.window_start),
-        window_end_ns=stamp_ns(message.window_end),
-    )
 
 
 def observation_message(captured: Observation, frame: str) -> ObservationMsg:
@@ -277,7 +202,3 @@ def compensation_message(
         correction_reverse=table.correction_reverse.tolist(),
         std=table.std.tolist(),
     )
-
-
-def _kind(number: int) -> PointKind:
-    return _KINDS[number] if number < len(_KINDS) else PointKind.UNKNOWN

@@ -240,7 +240,9 @@ class GoalRun:
     async def _call(self, client: Any, request: Any, timeout_s: float) -> Any:
         future = client.call_async(request)
         if not await self._wait(future.done, timeout_s):
-            raise GoalError(Outcome.NODE_LOST, f"{client.srv_name} gave no answer in {timeout_s:g} s")
+            raise GoalError(
+                Outcome.NODE_LOST, f"{client.srv_name} gave no answer in {timeout_s:g} s"
+            )
         return future.result()
 
     def _check(self) -> None:

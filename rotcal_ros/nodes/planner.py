@@ -26,6 +26,7 @@ from rotcal_ros.nodes.goal_run import GoalRun, Outcome, Progress
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings, read_settings, settings_mapping
 from rotcal_ros.nodes.running import run_node
+from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
 RESULT_TIMEOUT_S: Final = 3600
@@ -92,6 +93,7 @@ class Planner(LifecycleNode):
                 f"known: {', '.join(sorted(METHODS))}"
             )
         groups = {
+            "cell": CellSettings,
             **METHODS[name].settings,
             "capture": CaptureSettings,
             "planner": PlannerSettings,

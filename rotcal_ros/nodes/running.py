@@ -24,8 +24,8 @@ STOP_TIMEOUT_S: Final = 20.0
 _TURN_S: Final = 0.2
 
 
-class Stoppable(Protocol):
-    """What a node offers to be stopped in good order."""
+class EndingNode(Protocol):
+    """What a node offers so that it can be ended in good order; an rclpy Node besides."""
 
     def begin_stop(self) -> None:
         """Begin to end: give up running work, close files."""
@@ -48,7 +48,7 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
             executor = SingleThreadedExecutor()
             executor.add_node(node)
             with suppress(ExternalShutdownException):
-                while not told.to_end():
+                while not told.to_end() and not _finished(node):
                     executor.spin_once(timeout_sec=_TURN_S)
                 _finish(node, executor)
             executor.shutdown(timeout_sec=1.0)
@@ -57,6 +57,11 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
         sys.stderr.write(f"{error}\n")
         return error.exit_code
     return 0
+
+
+def _finished(node: Node) -> bool:
+    """Return whether the node says that its work is done; most never do."""
+    return hasattr(node, "finished") and bool(node.finished())
 
 
 def _finish(node: Node, executor: SingleThreadedExecutor) -> None:

@@ -33,7 +33,7 @@ class SimulatedCellNode(Node):
     def __init__(self) -> None:
         super().__init__("simulated_cell")
         settings = declare_settings(self, "simulation", SimulationSettings)
-        self._joint = declare_settings(self, "cell", CellSettings).table_joint
+        self._joint = declare_settings(self, "cell", CellSettings).joint or "table"
         self._scale = settings.time_scale
         self._cell = SimulatedCell(settings, self.get_clock().now().nanoseconds)
         self._turned_s = time.monotonic()

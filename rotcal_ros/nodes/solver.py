@@ -24,6 +24,7 @@ from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.nodes.waiting import until
 from rotcal_ros.observations import Observation
+from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.results import Result
 
 ARRIVAL_TIMEOUT_S = 10.0
@@ -161,7 +162,8 @@ class SolverNode(Node):
         """Publish the compensation table, where the result can make one."""
         assert self._calibration is not None
         try:
-            table = table_from_result(result)
+            cell = self._calibration.configuration.group("cell", CellSettings)
+            table = table_from_result(result, axis=cell.axis)
         except RotcalError as error:
             self.get_logger().warning(f"no compensation table: {error}")
             return

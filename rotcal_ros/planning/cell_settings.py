@@ -12,5 +12,5 @@ class CellSettings:
     """What the cell's parts are called."""
 
     namespace: str = setting("/cell", doc="ROS namespace of all topics of the cell")
-    table_joint: str = setting("table", doc="name of the table's joint in its feedback")
+    joint: str = setting("", doc="name of the table's joint in its feedback; empty: the first")
     axis: str = setting("C", doc="letter of the rotary axis, for compensation tables")
