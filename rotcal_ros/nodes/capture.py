@@ -16,10 +16,10 @@ from sensor_msgs.msg import JointState, Temperature
 
 from rotcal_ros.capture import Capture, CaptureSettings, Record
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.draining import Batch, DrainedSubscription
+from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.plan_message import calibration_of, run_name
-from rotcal_ros.nodes.qos import ANY_STREAM, EVENT, LATCHED
+from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.observations import LengthStatus
 from rotcal_ros.planning.cell_settings import CellSettings
@@ -76,7 +76,7 @@ class CaptureNode(Node):
                 if record is not None:
                     self._feed(record)
 
-        DrainedSubscription(self, kind, topic, ANY_STREAM, self._health.guarded(handle))
+        InstrumentSubscription(self, kind, topic, self._health.guarded(handle))
 
     def _tracer(self, message: TracerLength) -> tuple[Record, bool]:
         sample = conversions.tracer_sample(message)

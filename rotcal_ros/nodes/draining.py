@@ -12,8 +12,13 @@ from typing import Any, Final
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.nodes.qos import adapted_qos
+
 LIMIT: Final = 1000
 """Messages taken in one callback at most, so that no topic starves the others."""
+
+GRAPH_PERIOD_S: Final = 0.1
+"""How often the graph is looked at for new publishers."""
 
 Batch = Sequence[tuple[Any, Any]]
 """Pairs of a message (or its serialised bytes) and rclpy's message info."""
@@ -60,3 +65,30 @@ class DrainedSubscription:
                 if pair is None:
                     return
                 batch.append(pair)
+
+
+class InstrumentSubscription:
+    """A drained subscription that waits for the publisher, to match its quality of service.
+
+    Reliable where the instrument offers it: best effort would match every publisher, but lose
+    readings of a fast one.
+    """
+
+    def __init__(
+        self, node: Node, message_type: type, topic: str, handle: Callable[[Batch], None]
+    ) -> None:
+        self._node = node
+        self._type = message_type
+        self._topic = topic
+        self._handle = handle
+        self._drained: DrainedSubscription | None = None
+        self._timer = node.create_timer(GRAPH_PERIOD_S, self._look)
+
+    def _look(self) -> None:
+        infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
+        if infos:
+            qos = adapted_qos([info.qos_profile for info in infos])
+            self._drained = DrainedSubscription(
+                self._node, self._type, self._topic, qos, self._handle
+            )
+            self._node.destroy_timer(self._timer)

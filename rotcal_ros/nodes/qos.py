@@ -1,14 +1,9 @@
 """The qualities of service of the cell: one profile per kind of topic."""
 
+from collections.abc import Sequence
 from typing import Final
 
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_profile_sensor_data,
-)
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 LATCHED: Final = QoSProfile(
     depth=1,
@@ -24,5 +19,20 @@ EVENT: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 STREAM: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Readings at kilohertz rates, published reliably by our own nodes."""
 
-ANY_STREAM: Final = QoSProfile(depth=5000, reliability=qos_profile_sensor_data.reliability)
-"""For listening to instruments: best effort matches every publisher."""
+LISTENING_DEPTH: Final = 10_000
+"""Messages that the middleware keeps for a busy listener."""
+
+
+def adapted_qos(profiles: Sequence[QoSProfile]) -> QoSProfile:
+    """Return the strictest profile that matches all publishers, as rosbag2 chooses it.
+
+    All reliable: reliable, else best effort; all transient local: transient local, else
+    volatile; everything else is left open.
+    """
+    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+    return QoSProfile(
+        depth=LISTENING_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )

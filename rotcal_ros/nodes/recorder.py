@@ -24,7 +24,7 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.conversions import stamp_ns
-from rotcal_ros.nodes.draining import Batch, DrainedSubscription
+from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
 from rotcal_ros.nodes.goal_run import BAG
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings
@@ -35,7 +35,6 @@ from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_t
 from rotcal_ros.nodes.versions import versions_json
 from rotcal_ros.nodes.waiting import until
 
-GRAPH_PERIOD_S: Final = 0.1
 CLOSE_TIMEOUT_S: Final = 15.0
 _STAMP: Final = struct.Struct("<4xiI")
 """CDR encapsulation, then the stamp that begins every message with a header."""

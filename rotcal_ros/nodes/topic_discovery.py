@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -11,14 +10,13 @@ from typing import Any, Final
 from ament_index_python.packages import get_package_share_directory
 from rclpy.duration import Duration, Infinite
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 
 from rotcal_ros.bags.definitions import collect_definition
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, OfferedQos, qos_text
 from rotcal_ros.errors import BagError
+from rotcal_ros.nodes.qos import adapted_qos
 
-DEPTH: Final = 10_000
-"""Messages that the middleware keeps for the recorder while it is busy."""
 ALWAYS: Final = ("/diagnostics", "/rosout")
 
 
@@ -64,21 +62,6 @@ def discover(node: Node, name: str, type_name: str) -> DiscoveredTopic | None:
         type_hash=type_hash if type_hash.startswith("RIHS") else "",
         offered_qos=qos_text(_offered(profile) for profile in profiles),
         qos=adapted_qos(profiles),
-    )
-
-
-def adapted_qos(profiles: Sequence[QoSProfile]) -> QoSProfile:
-    """Return the strictest profile that matches all publishers, as rosbag2 chooses it.
-
-    All reliable: reliable, else best effort; all transient local: transient local, else
-    volatile; everything else is left open.
-    """
-    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
-    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-    return QoSProfile(
-        depth=DEPTH,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
 
 
