@@ -11,13 +11,13 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 demo: setup  ## calibrate the simulated cell over ROS 2; results in out/demo
 	@rm -rf $(DEMO)
-	@$(BIN)/rotcal run config/demo.yaml --output $(DEMO)
+	@$(BIN)/rotcal run config/tracer_demo.yaml --output $(DEMO)
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 	@$(BIN)/python -m pytest $(PYTEST_ARGS)
 
 bench: setup  ## compare speed with well-known alternatives, side by side
-	@$(BIN)/python -m benchmarks
+	@$(BIN)/python benchmarks/run.py --json out/benchmarks.json
 
 lint: setup  ## style, types, and which room may import which
 	$(BIN)/ruff check .

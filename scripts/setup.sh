@@ -29,7 +29,7 @@ quietly() {
     echo "+ $*" >>"$LOG"
     "$@" >>"$LOG" 2>&1 || {
         tail -n 25 "$LOG" | cut -c 1-300 >&2
-        fail "failed: ${1##*/}; all of the log is in $LOG"
+        fail "this failed; all of the log is in $LOG"
     }
 }
 
@@ -51,15 +51,10 @@ check_machine() {
         fail "a C and C++ compiler is missing; on Debian and Ubuntu: apt install g++"
 }
 
-# Is the stamp .venv/.<name> there, with the hash of standard input?
-is_made() { [[ -e $VENV/.$1 && $(<"$VENV/.$1") == "$(sha256sum)" ]]; }
-
-stamp() { sha256sum >"$VENV/.$1"; }
-
-# An environment cannot be moved, nor serve another Python.
-of_environment() { python_says 'print(sys.version, sys.base_prefix, "'"$PWD"'")'; }
-of_packages() { of_environment && cat constraints.txt setup.py setup.cfg; }
-of_messages() { of_packages && find msg_defs -type f -print0 | sort -z | xargs -0 sha256sum; }
+# A stamp .venv/.<name> holds the hash of what the part was made from.
+is_made() { [[ -e $VENV/.$1 && $(<"$VENV/.$1") == "$2" ]]; }
+stamp() { echo "$2" >"$VENV/.$1"; }
+hash_of() { sha256sum | cut -c 1-64; }
 
 make_environment() {
     say "1/3 new environment .venv with Python $(python_says 'print(sys.version.split()[0])')"
@@ -69,7 +64,7 @@ make_environment() {
 }
 
 install_packages() {
-    say "2/3 Python packages and ROS 2 wheels (some 400 MB, about a minute)"
+    say "2/3 Python packages and ROS 2 wheels (800 MB on disk, a minute or two)"
     local pip=("$VENV/bin/python" -m pip --disable-pip-version-check install -c constraints.txt)
     quietly "${pip[@]}" setuptools wheel
     quietly "${pip[@]}" --no-build-isolation -e '.[ros,build,test]'
@@ -98,22 +93,26 @@ mkdir -p "$BUILD"
 touch build/COLCON_IGNORE
 exec 9>"$BUILD/lock"
 flock 9 # two terminals, one set-up
-if of_messages | is_made messages; then
+# An environment can neither be moved nor serve another Python.
+environment=$(python_says 'print(sys.version, sys.base_prefix)' && pwd)
+packages=$({ echo "$environment" && cat constraints.txt setup.py setup.cfg; } | hash_of)
+messages=$({ echo "$packages" && find msg_defs -type f -print0 | sort -z | xargs -0 sha256sum; } | hash_of)
+if is_made messages "$messages"; then
     exit 0
 fi
 : >"$LOG"
 trap 'say "interrupted; run it again"; exit 130' INT
-if ! of_packages | is_made packages; then
-    # The environment is good only while its last pip run has ended well.
-    if ! of_environment | is_made environment || [[ ! -e $VENV/.packages ]]; then
+if ! is_made packages "$packages"; then
+    # Without a packages stamp the last pip run has not ended well: start afresh.
+    if ! is_made environment "$environment" || [[ ! -e $VENV/.packages ]]; then
         make_environment
-        of_environment | stamp environment
+        stamp environment "$environment"
     fi
     rm -f "$VENV/.packages" "$VENV/.messages"
     install_packages
-    of_packages | stamp packages
+    stamp packages "$packages"
 fi
 rm -f "$VENV/.messages"
 build_messages
-of_messages | stamp messages
+stamp messages "$messages"
 say "done in $SECONDS s"

@@ -19,6 +19,7 @@ from rotcal_ros.bags.mcap_records import (
     MESSAGE,
     MESSAGE_INDEX,
     chunk_size,
+    is_chunk,
     record_header,
 )
 from rotcal_ros.bags.resync import find_record, is_sound
@@ -59,6 +60,12 @@ class Framing:
         self._summary_crc = 0
         self._in_summary = False
         self._finished = False
+        self._rejected = False
+
+    def reject(self, record: Record, what: str) -> None:
+        """Note that the content of the record yielded last is broken."""
+        self.damage(record.offset, what)
+        self._rejected = True
 
     def damage(self, offset: int, what: str) -> None:
         """Note a fault."""
@@ -83,7 +90,17 @@ class Framing:
                 self.chunked = True
             self._checksum(record, head)
             yield record
-            position += HEADER_SIZE + len(record.content)
+            position = self._behind(record)
+
+    def _behind(self, record: Record) -> int | None:
+        """Return where the next record is; a broken one may have lied about its length."""
+        end = record.offset + HEADER_SIZE + len(record.content)
+        rejected, self._rejected = self._rejected, False
+        if not rejected or self._sound(end):
+            return end
+        self.skipped = True
+        found = self._search(record.offset + 1)
+        return end if found is None else found
 
     def _begin(self) -> int | None:
         self._file.seek(0)
@@ -109,7 +126,7 @@ class Framing:
 
     def _consistent(self, opcode: int, content: bytes) -> bool:
         if opcode == CHUNK:
-            return chunk_size(content) == len(content)
+            return is_chunk(content, len(content))
         if opcode == MESSAGE:
             return len(content) >= 22 and not self.chunked
         if opcode == MESSAGE_INDEX:
@@ -118,7 +135,7 @@ class Framing:
             return len(content) == _EXACT[opcode]
         if HEADER <= opcode <= DATA_END:
             return True
-        return opcode >= _PRIVATE and chunk_size(content) != len(content)
+        return opcode >= _PRIVATE and not is_chunk(content, len(content))
 
     def _repaired_chunk(self, offset: int, length: int) -> Record | None:
         """Return a chunk whose opcode or one of whose two lengths is wrong."""

@@ -194,6 +194,11 @@ def chunk_size(content: bytes) -> int:
     return fixed + 12 + length + packed
 
 
+def is_chunk(content: bytes, length: int) -> bool:
+    """Tell whether the lengths inside a record agree that it is a chunk ``length`` bytes long."""
+    return length > 0 and chunk_size(content) == length
+
+
 def parse_chunk(content: bytes) -> Chunk:
     """Parse a chunk without unpacking it."""
     cursor = _Cursor(content)

@@ -120,7 +120,7 @@ class McapScan:
             try:
                 block = self._take(record)
             except (DamagedRecord, BagError) as fault:
-                framing.damage(record.offset, str(fault))
+                framing.reject(record, str(fault))
             else:
                 if block is not None:
                     yield from self._counted(block)

@@ -19,7 +19,7 @@ from rotcal_ros.bags.mcap_records import (
     MESSAGE_INDEX,
     METADATA,
     SCHEMA,
-    chunk_size,
+    is_chunk,
     message_header,
     record_header,
 )
@@ -30,6 +30,8 @@ _OVERLAP: Final = 64
 _CANDIDATE: Final = re.compile(rb"(?s)[\x02-\x07\x09\x0c\x0f](?=.{4}\x00{4})")
 _INSIDE_CHUNKS: Final = (SCHEMA, CHANNEL, MESSAGE)
 _LINKS: Final = 3
+# Where the first text of a record stands, and the length of the record without any text.
+_NAMED: Final = {SCHEMA: (2, 14), CHANNEL: (4, 16), METADATA: (0, 8), ATTACHMENT: (16, 36)}
 
 
 def find_record(file: BinaryIO, start: int, size: int, *, chunked: bool) -> int | None:
@@ -76,14 +78,15 @@ def is_sound(file: BinaryIO, offset: int, size: int, *, links: int) -> bool:
 def _fits(opcode: int, length: int, content: bytes) -> bool:
     """Check the length of a record against the lengths inside it."""
     if opcode == CHUNK:
-        return chunk_size(content) == length
+        return is_chunk(content, length)
     if opcode == MESSAGE_INDEX:
         return length == 6 + int.from_bytes(content[2:6], "little") and length % 16 == 6
     if opcode in (FOOTER, DATA_END):
         return length == (FOOTER_CONTENT if opcode == FOOTER else 4)
     if opcode == MESSAGE:
         return length >= message_header.size
-    if opcode in (SCHEMA, CHANNEL, METADATA, ATTACHMENT):
-        name = {SCHEMA: 2, CHANNEL: 4, METADATA: 0, ATTACHMENT: 16}[opcode]
-        return int.from_bytes(content[name : name + 4], "little") < min(length, 65536)
+    if opcode in _NAMED:
+        name, shortest = _NAMED[opcode]
+        text = int.from_bytes(content[name : name + 4], "little")
+        return length >= shortest + text
     return 0 < opcode <= DATA_END

@@ -93,15 +93,8 @@ class StreamFeeder:
 
     def _readings(self, block: Block, part: Part) -> NDArray[np.void]:
         """Return the tracer readings of a block in file order."""
-        readings = np.concatenate(
-            [
-                _no_readings(),
-                *(
-                    _readings_of(c, part)
-                    for c in part.decoder.columns(block.select(part.rows), _TRACER)
-                ),
-            ]
-        )
+        shapes = part.decoder.columns(block.select(part.rows), _TRACER)
+        readings = np.concatenate([_no_readings(), *(_readings_of(c, part) for c in shapes)])
         return readings[np.argsort(readings["row"], kind="stable")]
 
     def _table_samples(self, block: Block, part: Part) -> Iterator[Numbered]:

@@ -122,11 +122,11 @@ class Capture:
         """What the oldest undecided attempt waits for, in words; empty: none is undecided."""
         if not self._pending or self._waiting is None:
             return ""
-        attempt = self._pending[0]
-        lag = seconds(self._newest_ns(attempt) - self._reached(self._waiting.stream, attempt))
+        attempt, wait = self._pending[0], self._waiting
         return (
             f"step {attempt.step.index}, attempt {attempt.number}: waiting for "
-            f"{self._name(self._waiting.stream)}, now {lag:.3g} s behind the other streams"
+            f"{self._name(wait.stream)}, now {self._lag_s(attempt, wait):.3g} s behind the other "
+            "streams"
         )
 
     def remarks(self) -> tuple[str, ...]:
@@ -251,20 +251,24 @@ class Capture:
         """Return the observation of an attempt, or what it waits for."""
         if attempt.refusal:
             return attempt.rejection(attempt.refusal)
-        wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
-        if wait is not None and not self._too_far_behind(attempt, wait):
-            return wait
-        decide = decide_length if attempt.step.kind == PointKind.REFLECTOR else decide_points
-        outcome = decide(attempt, self._streams, self._settings)
+        outcome = self._judge(attempt)
         if isinstance(outcome, Wait) and self._too_far_behind(attempt, outcome):
-            lag = seconds(self._newest_ns(attempt) - self._reached(outcome.stream, attempt))
             return attempt.rejection(
-                f"{self._name(outcome.stream)} are {lag:.3g} s behind the other streams, allowed "
-                f"{self._settings.clock_tolerance_s:g} s: silent, or stamped by another clock"
+                f"{self._name(outcome.stream)} are {self._lag_s(attempt, outcome):.3g} s behind "
+                f"the other streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or "
+                "stamped by another clock"
             )
         if isinstance(outcome, Wait) and len(self._pending) > _MAX_PENDING:
             return attempt.rejection(f"undecided while {_MAX_PENDING} later attempts were begun")
         return outcome
+
+    def _judge(self, attempt: Attempt) -> Observation | Wait:
+        """Judge an attempt by the streams; a temperature too far behind is done without."""
+        wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
+        if wait is not None and not self._too_far_behind(attempt, wait):
+            return wait
+        decide = decide_length if attempt.step.kind == PointKind.REFLECTOR else decide_points
+        return decide(attempt, self._streams, self._settings)
 
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:
         """Let every stream report when it brings what is needed, or gets too far ahead."""
@@ -275,8 +279,14 @@ class Capture:
         wait.stream.wait(wait.stamp_ns, wait.samples, wait.latest_ns)
 
     def _too_far_behind(self, attempt: Attempt, wait: Wait) -> bool:
-        behind = self._newest_ns(attempt) - self._reached(wait.stream, attempt)
-        return behind > self._tolerance_ns
+        return self._lag_ns(attempt, wait) > self._tolerance_ns
+
+    def _lag_s(self, attempt: Attempt, wait: Wait) -> float:
+        return seconds(self._lag_ns(attempt, wait))
+
+    def _lag_ns(self, attempt: Attempt, wait: Wait) -> int:
+        """Return how far the awaited stream is behind the others."""
+        return self._newest_ns(attempt) - self._reached(wait.stream, attempt)
 
     def _newest_ns(self, attempt: Attempt) -> int:
         """Return the newest stamp of probe, tracer and table."""

@@ -1,0 +1,131 @@
+"""Tracer solvers against scipy's Levenberg-Marquardt with analytic Jacobians, side by side.
+
+``rows()`` yields one measurement each; both sides run alternately and the best time of each counts.
+"""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy_tracer import DenseNetwork, locate_station
+
+from rotcal_ros.methods.tracer import TracerProblem, solve
+from rotcal_ros.methods.tracer.grid import arrange
+from rotcal_ros.methods.tracer.joint import align, relax
+from rotcal_ros.methods.tracer.start import find_start
+from rotcal_ros.methods.tracer.station import adjust_stations, locate_stations
+
+LENGTH_STD, TARGET_STD = 2e-7, 1e-6
+
+
+@dataclass(frozen=True)
+class Row:
+    """Times in seconds; ``difference`` is the largest one between the answers, in metres."""
+
+    name: str
+    ours_s: float
+    opponent_s: float | None
+    ratio: float | None
+    difference: float | None
+
+
+def problem(m: int, n: int, step_deg: float, **options: object) -> TracerProblem:
+    """The paper's geometry: n targets in 450 x 600 x 450 mm, m stations on a 65 mm circle."""
+    rng = np.random.default_rng(1)
+    angles = np.radians(-145.0 + step_deg * np.arange(m))
+    stations = np.column_stack([0.065 * np.cos(angles), 0.065 * np.sin(angles), 0.12 + 0 * angles])
+    targets = rng.uniform([-0.225, -0.3, 0.5], [0.225, 0.3, 0.95], size=(n, 3))
+    true_targets = targets + rng.normal(scale=TARGET_STD, size=(n, 3))
+    distance = np.linalg.norm(stations[:, None] - true_targets, axis=2)
+    length = distance - distance[:, :1] + rng.normal(scale=LENGTH_STD, size=(m, n))
+    station, target = np.divmod(np.arange(m * n), n)
+    return TracerProblem(
+        station, target, length.ravel(), LENGTH_STD, targets, TARGET_STD, angles, **options
+    )
+
+
+def race(
+    ours: Callable[[], np.ndarray], opponent: Callable[[], np.ndarray], repeats: tuple[int, int]
+) -> tuple[float, float, float]:
+    """Return both best times and the largest difference; runs alternate: (ours, opponent) times."""
+    best, answers = [np.inf, np.inf], [ours(), opponent()]
+    for round_ in range(max(repeats)):
+        for side, function in enumerate((ours, opponent)):
+            if round_ < repeats[side]:
+                start = time.perf_counter()
+                answers[side] = function()
+                best[side] = min(best[side], time.perf_counter() - start)
+    return best[0], best[1], float(np.abs(answers[0] - answers[1]).max())
+
+
+def station_by_station(same_start: bool, m: int = 11, n: int = 64) -> Row:
+    """All stations; scipy starts at the paper's start values, ours there too or without any."""
+    grid, _, _ = arrange(problem(m, n, 30.0))
+    start = np.array([-0.0649938, -0.0066256, 0.1225133, 0.0])
+    start[3] = np.linalg.norm(start[:3] - grid.targets[0])
+    everywhere = np.tile(start, (m, 1))
+
+    def ours() -> np.ndarray:
+        begin = everywhere if same_start else find_start(grid, None)[0]
+        return locate_stations(grid.targets, grid.length, grid.weights, begin)[0]
+
+    def opponent() -> np.ndarray:
+        return np.array([locate_station(grid.targets, row, start) for row in grid.length])
+
+    a, b, difference = race(ours, opponent, (60, 20))
+    name = "same start" if same_start else "no start values"
+    return Row(f"station by station {m} x {n}, {name}", a, b, b / a, difference)
+
+
+def joint(datum: str, m: int = 6, n: int = 108) -> Row:
+    """Stations, distances and targets together, both from the station by station solution."""
+    grid, _, _ = arrange(problem(m, n, 60.0, variant="joint", datum=datum))
+    begin = adjust_stations(grid, find_start(grid, None)[0]).state
+    flat = np.concatenate([begin.ravel(), grid.targets.ravel()])
+
+    def ours() -> np.ndarray:
+        network = relax(grid, begin, grid.targets)
+        state, targets = network.state, network.targets
+        if datum == "free":
+            state, targets = align(state, targets, grid.targets)
+        return np.concatenate([state.ravel(), targets.ravel()])
+
+    stations = ours()[: 4 * m].reshape(m, 4)[:, :3]
+    radius = np.sqrt(((stations - stations.mean(axis=0)) ** 2).sum() / m)
+    target_std = TARGET_STD if datum == "prior" else None
+    dense = DenseNetwork(grid.targets, grid.length, LENGTH_STD, target_std, float(radius))
+    a, b, difference = race(ours, lambda: dense.solve(flat), (30, 3))
+    return Row(f"joint {m} x {n}, {datum}", a, b, b / a, difference)
+
+
+def whole(variant: str, datum: str, m: int = 72, n: int = 500) -> Row:
+    """From the rows to the result: screening, covariance and verdict included."""
+    task = problem(m, n, 5.0, variant=variant, datum=datum)
+    best = np.inf
+    for _ in range(3):
+        start = time.perf_counter()
+        solve(task)
+        best = min(best, time.perf_counter() - start)
+    name = variant if variant == "station" else f"{variant}, {datum}"
+    return Row(f"solve() {m} x {n}, {name}", best, None, None, None)
+
+
+def rows() -> Iterator[Row]:
+    """Run everything, one row after the other."""
+    yield station_by_station(same_start=False)
+    yield station_by_station(same_start=True)
+    yield joint("prior")
+    yield joint("free")
+    yield whole("station", "prior")
+    yield whole("joint", "prior")
+    yield whole("joint", "free")
+
+
+if __name__ == "__main__":
+    print(json.dumps([asdict(row) for row in rows()], indent=1))

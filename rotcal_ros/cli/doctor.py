@@ -1,0 +1,210 @@
+"""``rotcal doctor``: what this machine lacks, and what to do about it."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib import metadata, util
+from pathlib import Path
+from typing import Final
+
+import click
+
+from rotcal_ros.cli.console import json_option, print_json
+
+CORE: Final = (
+    "click",
+    "jinja2",
+    "matplotlib",
+    "mcap",
+    "numpy",
+    "PyYAML",
+    "rich",
+    "rosbags",
+    "scipy",
+)
+COMPILERS: Final = (("CC", "cc"), ("CXX", "c++"))
+NEEDED_BYTES: Final = 2_000_000_000
+"""A calibration of an hour at 1 kHz takes a fraction of this."""
+SELFTEST_DEADLINE_S: Final = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing that was looked at: what was found and, if it is bad, what to do."""
+
+    name: str
+    ok: bool
+    found: str
+    advice: str = ""
+
+
+@click.command()
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("out"),
+    show_default=True,
+    help="Folder that calibrations shall be written to.",
+)
+@json_option
+def command(output: Path, as_json: bool) -> int:
+    """Check this machine and say what to do.
+
+    Without ROS a bag can still be solved: the lines on ROS concern live calibration only.
+    """
+    done: list[Check] = []
+    for check in checks(output):
+        done.append(check)
+        if not as_json:
+            mark = click.style("✓", "green") if check.ok else click.style("✗", "red")
+            advice = "" if check.ok else f"; {check.advice}"
+            click.echo(f"{mark} {check.name}: {check.found}{advice}")
+    good = all(check.ok for check in done)
+    if as_json:
+        print_json({"ok": good, "checks": [asdict(check) for check in done]})
+    return 0 if good else 1
+
+
+def checks(output: Path) -> Iterator[Check]:
+    """Yield all checks in the order in which they build upon each other."""
+    yield python()
+    yield compiler()
+    yield packages()
+    live = (ros(), messages())
+    yield from live
+    if all(check.ok for check in live):
+        yield loopback()
+    yield writable(output)
+    yield space(output)
+
+
+def python() -> Check:
+    """Look whether rotcal runs on this Python."""
+    return Check(
+        "Python",
+        sys.version_info >= (3, 10),
+        f"{platform.python_version()} at {sys.executable}",
+        "install Python 3.10 or newer",
+    )
+
+
+def compiler() -> Check:
+    """Look for the compilers that build the message definitions."""
+    found = [shutil.which(os.environ.get(name, fallback)) for name, fallback in COMPILERS]
+    return Check(
+        "C and C++ compiler",
+        all(found),
+        ", ".join(path for path in found if path) or "none",
+        "needed to build rotcal_msgs: apt install g++",
+    )
+
+
+def packages() -> Check:
+    """Look for the packages of the core."""
+    versions = {name: _version(name) for name in CORE}
+    missing = [name for name, version in versions.items() if version is None]
+    return Check(
+        "Python packages",
+        not missing,
+        f"missing {', '.join(missing)}"
+        if missing
+        else ", ".join(f"{name} {versions[name]}" for name in ("numpy", "scipy", "mcap")),
+        "run 'make setup' or 'pip install .' again",
+    )
+
+
+def ros() -> Check:
+    """Look for rclpy without importing it, because that would load all of ROS."""
+    found = util.find_spec("rclpy") is not None
+    version = _version("rclpy") or _version("ros-rclpy") or "of this ROS installation"
+    return Check(
+        "ROS 2",
+        found,
+        f"rclpy {version}" if found else "no rclpy",
+        "needed for live calibration only: 'make setup', or source your ROS installation",
+    )
+
+
+def messages() -> Check:
+    """Look for the generated messages."""
+    found = util.find_spec("rotcal_msgs") is not None
+    return Check(
+        "rotcal_msgs",
+        found,
+        "built" if found else "not built",
+        "needed for live calibration only: 'make setup', or build msg_defs with colcon",
+    )
+
+
+def loopback() -> Check:
+    """Send a message there and back over DDS, in a domain of its own on this machine."""
+    private = {
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    try:
+        run = subprocess.run(
+            [sys.executable, "-m", "rotcal_ros.nodes.selftest"],
+            env=os.environ | private,
+            capture_output=True,
+            text=True,
+            timeout=SELFTEST_DEADLINE_S,
+            check=False,
+        )
+        ok, lines = run.returncode == 0, (run.stdout or run.stderr).strip().splitlines()
+    except subprocess.TimeoutExpired:
+        ok, lines = False, [f"no answer within {SELFTEST_DEADLINE_S:g} s"]
+    return Check(
+        "DDS on this machine",
+        ok,
+        lines[-1] if lines else "no answer",
+        "let UDP through on the loopback interface and check the space in /dev/shm",
+    )
+
+
+def writable(output: Path) -> Check:
+    """Look whether files can be made in the output folder."""
+    folder = _existing(output)
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            problem = ""
+    except OSError as error:
+        problem = f": {error.strerror}"
+    return Check(
+        "Output folder",
+        not problem,
+        f"{folder}{problem or ' is writable'}",
+        "choose another one with --output",
+    )
+
+
+def space(output: Path) -> Check:
+    """Look whether there is room for a bag."""
+    folder = _existing(output)
+    free = shutil.disk_usage(folder).free
+    return Check(
+        "Disk space",
+        free >= NEEDED_BYTES,
+        f"{free / 1e9:.1f} GB free at {folder}",
+        f"make room: {NEEDED_BYTES / 1e9:.0f} GB are wanted",
+    )
+
+
+def _existing(folder: Path) -> Path:
+    """Return the nearest folder above that exists: the output folder may yet have to be made."""
+    folder = folder.absolute()
+    return next(path for path in (folder, *folder.parents) if path.exists())
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

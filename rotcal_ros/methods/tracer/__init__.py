@@ -1,0 +1,10 @@
+"""Laser tracer on the table, reflector on the probe: the multi-station method.
+
+``solve(TracerProblem(...)) -> Result``; see :mod:`.problem` for what goes in and
+:mod:`.solve` for what comes out. Source: the laser tracer multi-station paper, Eq. 1-36.
+"""
+
+from rotcal_ros.methods.tracer.problem import TracerProblem, TracerSettings
+from rotcal_ros.methods.tracer.solve import METHOD, solve
+
+__all__ = ["METHOD", "TracerProblem", "TracerSettings", "solve"]

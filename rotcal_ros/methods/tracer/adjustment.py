@@ -1,0 +1,78 @@
+"""What an adjustment of lengths returns, whichever variant made it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+MINIMAL_REDUNDANCY: Final = 1e-6
+"""Below this share a length is checked by nothing: its test value is zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """Stations, distances and targets that fit the lengths of a grid, and how well they do.
+
+    ``stations`` (m, 3), ``distances`` (m,): the range at reading zero, ``targets`` (n, 3), metres.
+    ``residual`` (m, n): observed - computed (the paper's v of Eq. 3 is computed - observed), also
+    of lengths that were not used. ``std`` (m, n): standard deviation of a length as this
+    variant sees it; ``redundancy`` (m, n): share of a length that the others check, zero if unused.
+    ``chi2`` has mean ``dof``. ``unknowns`` counts the columns of the design matrix, ``rank`` those
+    that the data determine.
+    """
+
+    stations: Floats
+    distances: Floats
+    targets: Floats
+    residual: Floats
+    std: Floats
+    redundancy: Floats
+    chi2: float
+    dof: int
+    unknowns: int
+    rank: int
+
+    @property
+    def state(self) -> Floats:
+        """Stations and distances as (m, 4), the start of the next solve."""
+        return np.column_stack([self.stations, self.distances])
+
+    @property
+    def test_value(self) -> Floats:
+        """Normalised residuals (m, n): residual over its own standard deviation."""
+        checked = self.redundancy > MINIMAL_REDUNDANCY
+        spread = self.std * np.sqrt(np.where(checked, self.redundancy, 1.0))
+        return np.where(checked, self.residual / spread, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class StationCovariance:
+    """Covariance (3 m, 3 m) of the stations in m^2, by source.
+
+    ``lengths``: noise of the lengths, ``targets``: errors of the machine's coordinates, common to
+    all stations. ``dof_effective``: the chi-squared sum is distributed like
+    ``dof / dof_effective`` times chi-squared of that many degrees of freedom.
+    """
+
+    lengths: Floats
+    targets: Floats
+    dof_effective: float
+
+    def position_blocks(self) -> Floats:
+        """Return the 3 by 3 covariance of every station, shape (m, 3, 3)."""
+        total = self.lengths + self.targets
+        m = len(total) // 3
+        blocks = total.reshape(m, 3, m, 3)[np.arange(m), :, np.arange(m)]
+        return np.asarray(blocks, dtype=np.float64)
+
+
+def ranges(stations: Floats, targets: Floats) -> tuple[Floats, Floats]:
+    """Return distances (m, n) and unit vectors (m, n, 3) from ``targets`` to ``stations``."""
+    difference = stations[:, None, :] - targets
+    distance = np.sqrt(np.einsum("jia,jia->ji", difference, difference))
+    return distance, difference / distance[:, :, None]

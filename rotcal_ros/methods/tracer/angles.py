@@ -1,0 +1,148 @@
+"""From tracer stations to table angles: plane, circle, deviations, and their Jacobian.
+
+Laser tracer paper, sections 3.2 to 3.4. Two kinds of deviation are kept apart everywhere:
+*cumulative* (positioning) deviations are counted from the first station, *adjacent* (interval)
+ones from the station before; the paper's Table 3 lists adjacent ones. Deviation = actual -
+commanded, radians, counter-clockwise about the side of the plane normal that points along +z.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rotcal_ros.errors import GeometryError
+from rotcal_ros.geometry.circle import Circle, circle_centre_jacobian, fit_circle
+from rotcal_ros.geometry.plane import Plane, fit_plane
+from rotcal_ros.geometry.rotations import wrap_angle
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class TableMotion:
+    """How the table has carried the tracer through its m stations.
+
+    ``projected`` (m, 3) are the stations on the plane, ``centre`` (3,) the circle's centre in
+    space, ``in_plane`` (m, 2) the projected stations seen from that centre in the plane's basis.
+    ``cumulative`` (m,) and ``adjacent`` (m - 1,) are deviations in radians; ``cumulative[0]`` is
+    zero. ``tilt`` is the angle between the plane normal and +z in radians.
+    """
+
+    plane: Plane
+    projected: Floats
+    centre: Floats
+    radius: float
+    in_plane: Floats
+    cumulative: Floats
+    adjacent: Floats
+    tilt: float
+
+    @property
+    def radial(self) -> Floats:
+        """Distances (m,) of the stations from the circle, positive outside."""
+        return np.asarray(np.linalg.norm(self.in_plane, axis=1) - self.radius, dtype=np.float64)
+
+
+def table_motion(stations: ArrayLike, table_angles: ArrayLike) -> TableMotion:
+    """Return the deviations of the table from its ``stations`` (m, 3) at ``table_angles`` (m,).
+
+    Plane and projection (Eq. 18-21), circle centre (Eq. 22-31), angles (Eq. 32-33).
+    Slips of the paper done right here:
+
+    * Eq. 22 fits the circle to X', Y', the shadow of the plane on the machine's xy-plane, which
+      is an ellipse for a tilted axis. The circle is fitted in the plane itself.
+    * Eq. 31: the plane's constant is e (Eq. 19); it is printed d, which is the name of a distance.
+    * Eq. 32 takes the angle by arccos, which knows no sense of rotation, ends at 180 degrees and
+      loses digits near 0; here it is the difference of two atan2.
+
+    Raises GeometryError when the stations do not determine plane or circle, or when the axis
+    is nearer to the xy-plane than to z.
+    """
+    points = np.asarray(stations, dtype=np.float64)
+    commanded = np.asarray(table_angles, dtype=np.float64)
+    plane = fit_plane(points)
+    tilt = axis_tilt(plane.normal)
+    if tilt > np.pi / 4:
+        raise GeometryError(
+            f"the stations turn about an axis {np.degrees(tilt):.1f} deg away from +z; the table "
+            "axis has to be near +z: turn the coordinates of the targets accordingly"
+        )
+    basis = plane.basis()
+    circle: Circle = fit_circle((points - plane.centroid) @ basis.T)
+    in_plane = (points - plane.centroid) @ basis.T - circle.centre
+    bearing = np.arctan2(in_plane[:, 1], in_plane[:, 0])
+    excess = bearing - commanded
+    return TableMotion(
+        plane=plane,
+        projected=plane.project(points),
+        centre=plane.centroid + circle.centre @ basis,
+        radius=circle.radius,
+        in_plane=in_plane,
+        cumulative=wrap_angle(excess - excess[0]),
+        adjacent=wrap_angle(np.diff(excess)),
+        tilt=tilt,
+    )
+
+
+def bearing_jacobian(stations: ArrayLike, motion: TableMotion) -> Floats:
+    """Return d bearing / d stations, shape (m, 3 m), up to one common turn of all bearings.
+
+    Differences of rows are exact: those are all that deviations need. The chain runs through
+    the plane's normal (first-order perturbation of the singular vector), the projection and the
+    circle's centre.
+    """
+    points = np.asarray(stations, dtype=np.float64)
+    m = len(points)
+    basis, normal = motion.plane.basis(), motion.plane.normal
+    relative = points - motion.plane.centroid
+    flat, height = relative @ basis.T, relative @ normal
+    # d normal, in the basis: (moments - lambda_3) dn = -sum(flat dz + height dflat)
+    moments = flat.T @ flat - motion.plane.singular_values[2] ** 2 * np.eye(2)
+    push = flat[:, :, None] * normal + height[:, None, None] * basis
+    d_normal = -np.linalg.solve(moments, push)  # (m, 2, 3); centring drops out: sums are zero
+    # d flat_i / d station_j = basis (delta_ij - 1/m) - height_i dn_j; the mean is taken care of
+    # by the circle's Jacobian, because bearings feel flat_i - centre only.
+    d_flat = -height[:, None, None, None] * d_normal.transpose(1, 0, 2)
+    d_flat[np.arange(m), :, np.arange(m)] += basis
+    d_centre = np.tensordot(circle_centre_jacobian(flat), d_flat, axes=([1, 2], [0, 1]))
+    arm = motion.in_plane
+    tangent = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / (arm**2).sum(axis=1)[:, None]
+    d_bearing = np.matmul(tangent[:, None, :], (d_flat - d_centre).reshape(m, 2, 3 * m))
+    return np.asarray(d_bearing[:, 0], dtype=np.float64)
+
+
+def axis_tilt(normal: ArrayLike) -> float:
+    """Return the angle alpha (rad) between a plane ``normal`` (3,) and the z axis (Eq. 35).
+
+    By atan2 instead of the printed arccos: near zero a cosine keeps only half of the digits.
+    """
+    a, b, c = (float(x) for x in np.asarray(normal, dtype=np.float64))
+    return float(np.arctan2(np.hypot(a, b), abs(c)))
+
+
+def algorithm_error(angle: ArrayLike, tilt: float) -> Floats:
+    """Return the error (rad) of reading ``angle`` on the xy-plane when the axis leans by ``tilt``.
+
+    Eq. 36: atan(tan(theta) cos(alpha)) - theta, here with atan2, so that it also holds beyond 90
+    degrees. Slip: the 0.4 arcsec printed in Eq. 38 does not follow from it; the paper's own normal
+    (alpha = 5.2 arcsec) gives 3e-5 arcsec at 30 degrees. Deviations of :func:`table_motion` are
+    free of this error, because they are taken in the fitted plane.
+    """
+    theta = np.asarray(angle, dtype=np.float64)
+    return wrap_angle(np.arctan2(np.sin(theta) * np.cos(tilt), np.cos(theta)) - theta)
+
+
+def scatter(adjacent: ArrayLike) -> float:
+    """Return the paper's sigma of the ``adjacent`` deviations (q,), in radians (Eq. 34).
+
+    Half the root of sum(dtheta^2) / (q (q - 1)). Slip: printed with m, the number of stations,
+    the equation gives 0.80 arcsec for the paper's data; its 0.9 needs q, the number of deviations.
+    """
+    steps = np.asarray(adjacent, dtype=np.float64)
+    q = len(steps)
+    if q < 2:
+        raise GeometryError(f"the scatter of Eq. 34 needs at least 2 deviations, found {q}")
+    return 0.5 * float(np.sqrt((steps**2).sum() / (q * (q - 1))))

@@ -1,0 +1,96 @@
+"""Can this geometry tell the angle? If not, say which direction is weak.
+
+Counting comes first (Eq. 2), then the rank of each station's design, then the size of the
+uncertainty: a station that is known worse than to a hundredth of the circle's radius makes every
+first-order statement about the angle worthless.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.methods.tracer.grid import Grid
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+RANK_TOLERANCE: Final = 1e-12
+"""Smallest eigenvalue of the mean outer product of the design's rows, relative to the largest."""
+CURE: Final = (
+    "spread the targets in height and sideways, nearer to the tracer's height and to its sides"
+)
+
+
+def check_counts(grid: Grid) -> None:
+    """Raise ObservabilityError unless m >= 4 and lengths >= 4 m + 3 n (Eq. 2)."""
+    m, n = grid.used.shape
+    lengths, unknowns = int(grid.used.sum()), 4 * m + 3 * n
+    if m < 4:
+        raise ObservabilityError(
+            f"{m} stations with at least 5 usable lengths each were found, at least 4 are needed "
+            "(Eq. 2): measure at more table angles"
+        )
+    if lengths < unknowns:
+        raise ObservabilityError(
+            f"{lengths} usable lengths from {m} stations to {n} targets are fewer than the "
+            f"4 m + 3 n = {unknowns} unknowns (Eq. 2): measure more targets (with 4 stations at "
+            "least 16) or more stations"
+        )
+
+
+def check_station_rank(design: Floats, station_ids: Ints) -> None:
+    """Raise ObservabilityError where the rows ``design`` (m, n, 4) leave a direction open."""
+    values, vectors = np.linalg.eigh(design.swapaxes(1, 2) @ design)
+    weak = values[:, 0] < RANK_TOLERANCE * values[:, -1]
+    if weak.any():
+        j = int(np.flatnonzero(weak)[0])
+        direction = vectors[j, :3, 0]
+        raise ObservabilityError(
+            f"station {station_ids[j]}: the targets cannot tell the tracer's place along "
+            f"{name_direction(direction)}: {CURE}"
+        )
+
+
+def check_station_spread(
+    stations: Floats, blocks: Floats, station_ids: Ints, largest: float
+) -> None:
+    """Raise ObservabilityError when a station is known worse than ``largest`` circle radii.
+
+    ``stations`` (m, 3), ``blocks`` (m, 3, 3) their covariances in m^2.
+    """
+    j, std, direction = weakest_direction(blocks)
+    centred = stations - stations.mean(axis=0)
+    radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
+    if std > largest * radius:
+        raise ObservabilityError(
+            f"station {station_ids[j]} is known to {std:.3g} m only along "
+            f"{name_direction(direction)}, more than {largest:g} of the {radius:.3g} m radius of "
+            f"the stations: this geometry cannot tell the angle; {CURE}"
+        )
+
+
+def weakest_direction(blocks: Floats) -> tuple[int, float, Floats]:
+    """Return the station, standard deviation (m) and unit vector (3,) of the largest uncertainty.
+
+    ``blocks`` (m, 3, 3) are the covariances of the stations. The vector's largest component is
+    positive.
+    """
+    values, vectors = np.linalg.eigh(blocks)
+    j = int(np.argmax(values[:, -1]))
+    direction = vectors[j, :, -1]
+    direction = direction * np.sign(direction[np.argmax(np.abs(direction))])
+    return j, float(np.sqrt(max(values[j, -1], 0.0))), direction
+
+
+def name_direction(direction: Floats) -> str:
+    """Return a text like "(0.02, 0.05, 1.00), mostly z" for a vector (3,) in the machine frame."""
+    length = float(np.linalg.norm(direction))
+    if length < 1e-6:
+        return "the beam (the distance d alone)"
+    x, y, z = direction / length * np.sign(direction[np.argmax(np.abs(direction))])
+    axis = "xyz"[int(np.argmax(np.abs(direction)))]
+    return f"({x:.2f}, {y:.2f}, {z:.2f}), mostly {axis}"

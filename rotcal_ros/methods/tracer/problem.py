@@ -1,0 +1,177 @@
+"""What the tracer method is asked: lengths, targets, commanded angles, and how to judge them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rotcal_ros.errors import ConfigurationError, DataError
+
+Floats = NDArray[np.float64]
+Variant = Literal["station", "joint"]
+Datum = Literal["prior", "free"]
+
+
+@dataclass(frozen=True, slots=True)
+class TracerSettings:
+    """When an observation is rejected, and when a result is no longer called ok.
+
+    ``rejection_significance``: probability of rejecting any observation at all when all are
+    good (two-sided, shared among the observations; 0.01 means |test value| > 4.3 at 704
+    lengths). ``test_significance``: the same for each global test (chi-squared, closure, error
+    motion). ``max_rejected_share``: share of rejected lengths beyond which the verdict is suspect.
+    ``max_station_std``: largest standard deviation of a station in any direction, relative to
+    the radius of the circle of stations; beyond it the geometry is refused.
+    """
+
+    rejection_significance: float = 0.01
+    test_significance: float = 0.001
+    max_rejected_share: float = 0.03
+    max_station_std: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not 0.0 < value < 1.0:
+                raise ConfigurationError(
+                    f"tracer setting {name} is {value}, expected 0 < value < 1"
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class TracerProblem:
+    """One calibration run: k lengths between m stations and n targets, in any order.
+
+    ``station`` (k,), ``target`` (k,): indices into ``table_angles`` (m,) and ``targets`` (n, 3).
+    ``length`` (k,): tracer readings in metres, growing with distance, relative to an unknown zero
+    that is common to each station; ``length_std`` (k,) or one number: their standard deviation.
+    ``targets``: positions of the reflector in the machine's frame, metres; ``target_std``: their
+    standard deviation, one number or (n, 3). ``table_angles``: commanded angles, radians,
+    counter-clockwise about +z; unequal steps, arcs and a full circle with its first angle
+    repeated at the end (closure) are all welcome.
+
+    ``variant`` "station": targets are taken as known, one small problem per station (Eq. 5-17).
+    ``variant`` "joint": stations and targets are adjusted together (Eq. 1-4); ``datum`` "prior"
+    weighs the machine's coordinates by ``target_std``, "free" uses them as start values only and
+    fixes position and attitude of the network by inner constraints on the targets.
+
+    ``error_motion_std``: standard deviation, per direction in the plane, of the table's own
+    radial error motion (EXC, EYC) in metres. One tracer position cannot tell it from the
+    angle; it enters the uncertainty as a type B component.
+
+    ``start_stations`` (m, 3), optional: start values in metres; without them the start is
+    found by linear multilateration. They also settle which of two mirror images is meant when
+    all targets lie in one plane.
+
+    Lengths may be missing (a blocked beam): leave the row out. A pair (station, target) has one
+    length; an identical repetition is dropped and counted as rejected, a different one raises.
+
+    Raises DataError for values that are not finite, indices out of range, and standard
+    deviations that are not positive; ConfigurationError for unknown names.
+    """
+
+    station: NDArray[np.int64]
+    target: NDArray[np.int64]
+    length: Floats
+    length_std: Floats
+    targets: Floats
+    target_std: Floats
+    table_angles: Floats
+    variant: Variant = "station"
+    datum: Datum = "prior"
+    error_motion_std: float = 0.0
+    start_stations: Floats | None = None
+    settings: TracerSettings = field(default_factory=TracerSettings)
+
+    def __post_init__(self) -> None:
+        self._check_names()
+        angles = self._store("table_angles", _vector("table_angles", self.table_angles))
+        targets = self._store("targets", _matrix("targets", self.targets))
+        station = self._store("station", _indices("station", self.station, len(angles)))
+        length = self._store("length", _vector("length", self.length, len(station)))
+        self._store("target", _indices("target", self.target, len(targets), len(station)))
+        std = _broadcast("length_std", self.length_std, length.shape)
+        self._store("length_std", _require(std > 0.0, std, "length_std", "a positive number"))
+        std = _broadcast("target_std", self.target_std, targets.shape)
+        self._store("target_std", _require(std >= 0.0, std, "target_std", "zero or more"))
+        if self.start_stations is not None:
+            start = _matrix("start_stations", self.start_stations)
+            if start.shape != (len(angles), 3):
+                raise DataError(
+                    f"start_stations has shape {start.shape}, one row per table angle "
+                    f"is expected: {(len(angles), 3)}"
+                )
+            self._store("start_stations", start)
+        if self.variant == "joint" and self.datum == "prior" and not (self.target_std > 0).all():
+            raise DataError(
+                "target_std holds zeros: the joint variant with a prior weighs the "
+                "targets by it; give their standard deviation, or use the variant "
+                "'station', which takes the targets as known"
+            )
+
+    def _check_names(self) -> None:
+        for name, known in (("variant", ("station", "joint")), ("datum", ("prior", "free"))):
+            if getattr(self, name) not in known:
+                raise ConfigurationError(
+                    f"tracer {name} {getattr(self, name)!r} is unknown: expected one of {known}"
+                )
+        if not (np.isfinite(self.error_motion_std) and self.error_motion_std >= 0.0):
+            raise ConfigurationError(
+                f"error_motion_std is {self.error_motion_std}, expected zero or more metres"
+            )
+
+    def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
+        values.setflags(write=False)
+        object.__setattr__(self, name, values)
+        return values
+
+
+def _vector(name: str, values: ArrayLike, size: int | None = None) -> Floats:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != 1 or (size is not None and len(array) != size):
+        expected = "one dimension" if size is None else f"shape ({size},), one value per row"
+        raise DataError(f"{name} has shape {array.shape}, expected {expected}")
+    return _require(np.isfinite(array), array, name, "a finite number")
+
+
+def _matrix(name: str, values: ArrayLike) -> Floats:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise DataError(f"{name} has shape {array.shape}, expected (n, 3)")
+    return _require(np.isfinite(array), array, name, "a finite number")
+
+
+def _broadcast(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape not in ((), shape):
+        raise DataError(f"{name} has shape {array.shape}, expected one number or {shape}")
+    return _require(np.isfinite(array), np.full(shape, array), name, "a finite number")
+
+
+def _indices(name: str, values: ArrayLike, limit: int, size: int | None = None) -> NDArray[Any]:
+    array = np.asarray(values)
+    if array.size == 0:
+        raise DataError("there are no lengths: no observation was accepted")
+    if (
+        array.ndim != 1
+        or array.dtype.kind not in "iu"
+        or (size is not None and len(array) != size)
+    ):
+        raise DataError(
+            f"{name} is {array.dtype} of shape {array.shape}, expected whole numbers, one per row"
+        )
+    inside = (array >= 0) & (array < limit)
+    return _require(inside, array.astype(np.int64), f"{name} index", f"0 to {limit - 1}")
+
+
+def _require(good: NDArray[np.bool_], array: NDArray[Any], name: str, what: str) -> NDArray[Any]:
+    """Return ``array`` where all is ``good``; else raise DataError naming the first bad entry."""
+    good = np.broadcast_to(good, array.shape)
+    if not good.all():
+        place = tuple(int(i) for i in np.argwhere(~good)[0])
+        row = place[0] if len(place) == 1 else place
+        raise DataError(f"{name} in row {row} is {array[place]}, expected {what}")
+    return array

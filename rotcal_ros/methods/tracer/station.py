@@ -1,0 +1,236 @@
+"""Station by station: the tracer's places from known targets, all in one vectorised solve.
+
+Laser tracer paper, section 3.1 (Eq. 5-17): Levenberg-Marquardt with the paper's damping rule and
+line search on four unknowns (X, Y, Z, d) per station. The stations share the targets and hence
+the targets' errors; their joint covariance keeps that, because errors common to all stations
+largely cancel in the angle.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance, ranges
+from rotcal_ros.methods.tracer.grid import Grid
+from rotcal_ros.methods.tracer.observability import check_station_rank
+
+Floats = NDArray[np.float64]
+
+BETA: Final = 0.55
+SIGMA: Final = 0.4
+"""Line search constants of the paper, section 4.2.1."""
+EPSILON: Final = 1e-5
+"""Step (m) at which undamped steps, which converge quadratically, take over."""
+POLISHED: Final = 1e-11
+"""Step (m) that no longer needs to be done; the paper stops at 1e-4 mm."""
+MAX_ITERATIONS: Final = 100
+
+
+def locate_stations(
+    targets: Floats, length: Floats, weights: Floats, start: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return (X, Y, Z, d) of all stations (m, 4), and which have settled (m,); Eq. 5-17.
+
+    ``targets`` (n, 3), ``length`` and ``weights`` (m, n; weight zero for a missing length),
+    ``start`` (m, 4), in metres. Weights count relative to the largest one, so that objective
+    and first damping mu = |f(x_0)| keep the paper's dimension, a length.
+
+    Slip of Eq. 11-14: the line search is printed once per coordinate; it is one search along h,
+    and it is the objective F of Eq. 6 that has to fall - by more than its rounding error. The last
+    steps are undamped, so that damping leaves no trace.
+    """
+    misfit = _Misfit(targets, length, np.sqrt(weights / weights.max()))
+    state, active = start.copy(), np.ones(len(start), dtype=np.bool_)
+    products = misfit(state)
+    damping = np.sqrt(products[:, 4, 4])
+    # a range r carries a rounding error of r times eps into f, and twice sum(f df) into f'f
+    reach = np.abs(start[:, 3:] + length).max()
+    grain = 4.0 * np.finfo(np.float64).eps * reach * np.sqrt(length.shape[1])
+    for _ in range(MAX_ITERATIONS):
+        h, slope = _step(products, damping)
+        squared = np.einsum("ja,ja->j", h, h)
+        before, products = products, misfit(state + h)
+        # Eq. 15, with (N + mu) h = -g put in: h'g + h'N h / 2 = (h'g - mu h'h) / 2
+        predicted = 0.5 * (slope - damping * squared)
+        change = 0.5 * (products[:, 4, 4] - before[:, 4, 4])
+        slack = grain * np.sqrt(before[:, 4, 4])
+        short = active & (change > SIGMA * slope + slack)
+        if short.any():
+            h, products = _search(state, h, slope, slack, before[:, 4, 4], short, misfit)
+        state += h
+        active &= squared > EPSILON**2
+        if not active.any():
+            break
+        # Eq. 16-17; a predicted change that is all rounding says nothing against the step
+        good, poor = change < 0.75 * predicted + slack, change > 0.25 * predicted + slack
+        damping[good] *= 0.1
+        damping[poor] *= 10.0
+    return _polish(state, h, products, misfit), ~active
+
+
+class _Misfit:
+    """Eq. 5 and its derivative at a state (m, 4): called, it returns [J f]'[J f], (m, 5, 5).
+
+    That one product holds the normal matrix J'J, the gradient J'f (last column) and twice the
+    objective f'f (last corner); f is computed - observed, every row multiplied by ``root``.
+    """
+
+    def __init__(self, targets: Floats, length: Floats, root: Floats) -> None:
+        m, n = length.shape
+        self._targets, self._length, self._root = np.ascontiguousarray(targets.T), length, root
+        self._rows = np.empty((m, 5, n))
+        self._rows[:, 3] = -root
+        self._slopes, self._errors = self._rows[:, :3], self._rows[:, 4]
+        self._transposed = self._rows.swapaxes(1, 2)
+
+    def __call__(self, state: Floats) -> Floats:
+        slopes = self._slopes
+        np.subtract(state[:, :3, None], self._targets, out=slopes)
+        distance = np.sqrt(np.einsum("jai,jai->ji", slopes, slopes))
+        slopes *= (self._root / distance)[:, None]
+        distance -= state[:, 3:]
+        distance -= self._length
+        np.multiply(distance, self._root, out=self._errors)
+        return np.asarray(self._rows @ self._transposed)
+
+
+def _step(products: Floats, damping: Floats | float) -> tuple[Floats, Floats]:
+    """Return h (m, 4) of Eq. 10 and the slope h'g (m,) of the objective along it."""
+    normal = products[:, :4, :4].reshape(-1, 16)
+    normal[:, ::5] += np.asarray(damping)[..., None]
+    gradient = products[:, :4, 4:]
+    h: Floats = np.linalg.solve(normal.reshape(-1, 4, 4), -gradient)[:, :, 0]
+    return h, np.einsum("ja,ja->j", h, gradient[:, :, 0])
+
+
+def _search(
+    state: Floats,
+    h: Floats,
+    slope: Floats,
+    slack: Floats,
+    objective: Floats,
+    short: NDArray[np.bool_],
+    misfit: _Misfit,
+) -> tuple[Floats, Floats]:
+    """Shorten ``h`` where F does not fall enough by powers of beta until it does (Eq. 11-14).
+
+    ``objective`` is twice F. Returns the shortened steps and the products at their ends.
+    """
+    step = np.ones(len(h))
+    for _ in range(60):
+        step[short] *= BETA
+        products = misfit(state + step[:, None] * h)
+        fallen = 0.5 * (products[:, 4, 4] - objective)
+        short = short & (fallen > SIGMA * step * slope + slack)
+        if not short.any():
+            break
+    return step[:, None] * h, products
+
+
+def _polish(state: Floats, last: Floats, products: Floats, misfit: _Misfit) -> Floats:
+    """Finish with undamped steps, after the damped step ``last`` (m, 4).
+
+    A step that is not small tells a station that the targets do not determine; it stays.
+    Convergence is at least linear: the step to come is foreseen from the last two.
+    """
+    before = np.abs(last).max(axis=1)
+    for _ in range(8):
+        h, _ = _step(products, np.finfo(np.float64).eps)
+        size = np.abs(h).max(axis=1)
+        small = size < 100.0 * EPSILON
+        state = state + small[:, None] * h
+        if not (small & (size * size > POLISHED * before)).any():
+            break
+        before, products = size, misfit(state)
+    return state
+
+
+def adjust_stations(grid: Grid, start: Floats) -> Adjustment:
+    """Return the stations that fit the lengths of ``grid`` best, from ``start`` (m, 4).
+
+    The targets stay where the machine says. A length is weighted by the variance of its noise plus
+    that of its target along the beam: within one station the targets' errors are independent.
+
+    Raises ObservabilityError when the targets leave a direction of a station open, DataError when a
+    station does not settle.
+    """
+    _, unit = ranges(start[:, :3], grid.targets)
+    variance = grid.length_std**2 + np.einsum("jia,ia->ji", unit**2, grid.target_std**2)
+    weights = grid.used / variance
+    state, settled = locate_stations(grid.targets, grid.length, weights, start)
+    distance, unit = ranges(state[:, :3], grid.targets)
+    design = np.concatenate([unit, -np.ones((*distance.shape, 1))], axis=2)
+    check_station_rank(design * grid.used[:, :, None], grid.station_ids)
+    if not settled.all():
+        worst = grid.station_ids[np.flatnonzero(~settled)[0]]
+        raise DataError(
+            f"station {worst} does not settle in {MAX_ITERATIONS} iterations: its lengths do not "
+            "fit the targets; check the order of the targets and the sign of the lengths"
+        )
+    whitened = design * np.sqrt(weights)[:, :, None]
+    inverse = np.linalg.inv(whitened.swapaxes(1, 2) @ whitened)
+    leverage = np.einsum("jia,jia->ji", whitened @ inverse, whitened)
+    residual = grid.length - (distance - state[:, 3:])
+    n_lengths, unknowns = int(grid.used.sum()), 4 * len(state)
+    return Adjustment(
+        stations=state[:, :3],
+        distances=state[:, 3],
+        targets=grid.targets,
+        residual=residual,
+        std=np.sqrt(variance),
+        redundancy=grid.used * (1.0 - leverage),
+        chi2=float((weights * residual**2).sum()),
+        dof=n_lengths - unknowns,
+        unknowns=unknowns,
+        rank=unknowns,
+    )
+
+
+def stations_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
+    """Return the joint covariance of all stations: own noise, and the common target errors."""
+    m = len(fit.stations)
+    _, unit = ranges(fit.stations, grid.targets)
+    weights = grid.used / fit.std**2
+    design = np.concatenate([unit, -np.ones((*fit.std.shape, 1))], axis=2)
+    weighted = design * weights[:, :, None]
+    inverse = np.linalg.inv(design.swapaxes(1, 2) @ weighted)
+    gain = (weighted @ inverse)[:, :, :3]  # (m, n, 3): d station / d length
+    own = np.zeros((m, 3, m, 3))
+    own[np.arange(m), :, np.arange(m)] = gain.swapaxes(1, 2) @ (
+        gain * (grid.length_std**2)[:, :, None]
+    )
+    felt = unit * grid.target_std  # (m, n, 3): what a standard target error does to a length
+    common = np.einsum("jia,jic->jaic", gain, felt).reshape(3 * m, -1)
+    return StationCovariance(
+        lengths=own.reshape(3 * m, 3 * m),
+        targets=common @ common.T,
+        dof_effective=_effective_dof(
+            design * np.sqrt(weights)[:, :, None], felt * np.sqrt(weights)[:, :, None], fit.dof
+        ),
+    )
+
+
+def _effective_dof(whitened: Floats, felt: Floats, dof: int) -> float:
+    """Return the degrees of freedom of the chi-squared sum, whose stations are correlated.
+
+    ``whitened`` (m, n, 4) is the design, ``felt`` (m, n, 3) the targets' standard errors, both in
+    standard deviations of the lengths. Welch-Satterthwaite: 2 mean^2 / variance, where the variance
+    of the sum is 2 sum_jk tr(R_j D_jk R_k D_jk), D_jk the correlation of lengths to one
+    target from two stations and R the projection on the residuals of a station.
+    """
+    if not felt.any():
+        return float(dof)
+    factor = np.linalg.cholesky(whitened.swapaxes(1, 2) @ whitened)
+    basis = np.linalg.solve(factor, whitened.swapaxes(1, 2))  # (m, 4, n), orthonormal rows
+    leverage = (basis**2).sum(axis=1)
+    total = 0.0
+    for j in range(len(basis)):
+        shared = np.einsum("ic,kic->ki", felt[j], felt)
+        shared[j] = 0.0
+        overlap = (basis[j] * shared[:, None, :]) @ basis.swapaxes(1, 2)
+        total += float((shared**2 * (1.0 - leverage[j] - leverage)).sum() + (overlap**2).sum())
+    return dof**2 / (dof + total)

@@ -1,0 +1,109 @@
+"""From the covariance of the stations to that of the angles, with its budget.
+
+Standard uncertainties are for a normal distribution: the 95 % interval is +-1.96 times the
+standard deviation. The a priori standard deviations are taken as known (GUM type B), so there is
+no t factor and the covariance is never shrunk when the residuals happen to be small; it is
+enlarged by sigma0^2 when the chi-squared test says that the stated noise cannot explain them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi_squared
+
+from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
+from rotcal_ros.methods.tracer.angles import TableMotion, bearing_jacobian
+
+Floats = NDArray[np.float64]
+
+COVERAGE_FACTOR: Final = 1.959963984540054
+"""Standard deviations of a normal distribution in half a 95 % interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class AngleUncertainty:
+    """Covariance of the cumulative deviations (m, m) in rad^2, and standard deviations from it.
+
+    ``adjacent_std`` (m - 1,) belongs to the adjacent deviations. ``budget`` maps each source to
+    its share (m,) of the cumulative standard deviation; the shares add in squares.
+    """
+
+    covariance: Floats
+    std: Floats
+    adjacent_std: Floats
+    budget: Mapping[str, Floats]
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalTest:
+    """A chi-squared test: ``sigma0`` = sqrt(chi2 / dof), and the chance to exceed it."""
+
+    sigma0: float
+    probability: float
+
+
+def angle_uncertainty(
+    motion: TableMotion,
+    fit: Adjustment,
+    covariance: StationCovariance,
+    error_motion_std: float,
+    scale: float,
+) -> AngleUncertainty:
+    """Propagate the stations' covariance, times ``scale``^2, and the error motion to the angles."""
+    bearing = bearing_jacobian(fit.stations, motion)
+    cumulative, adjacent = bearing - bearing[0], np.diff(bearing, axis=0)
+    sources = {
+        "lengths": scale**2 * covariance.lengths,
+        "targets": scale**2 * covariance.targets,
+        "error_motion": error_motion_covariance(motion, error_motion_std),
+    }
+    total = sum(sources.values(), np.zeros_like(covariance.lengths))
+    joint = cumulative @ total @ cumulative.T
+    joint = 0.5 * (joint + joint.T)
+    return AngleUncertainty(
+        covariance=joint,
+        std=np.sqrt(joint.diagonal()),
+        adjacent_std=_root_of_diagonal(adjacent, total),
+        budget={name: _root_of_diagonal(cumulative, part) for name, part in sources.items()},
+    )
+
+
+def error_motion_covariance(motion: TableMotion, std: float) -> Floats:
+    """Return the covariance (3 m, 3 m) of independent error motions ``std`` (m) in the plane."""
+    normal = motion.plane.normal
+    in_plane = np.eye(3) - np.outer(normal, normal)
+    return np.kron(np.eye(len(motion.in_plane)), std**2 * in_plane)
+
+
+def length_test(fit: Adjustment, dof_effective: float) -> GlobalTest:
+    """Compare the residuals of the lengths with their stated standard deviations."""
+    probability = float(chi_squared.sf(fit.chi2 * dof_effective / fit.dof, dof_effective))
+    return GlobalTest(float(np.sqrt(fit.chi2 / fit.dof)), probability)
+
+
+def circle_test(motion: TableMotion, total: Floats) -> GlobalTest:
+    """Compare the stations' radial distances from the circle with their covariance.
+
+    ``total`` (3 m, 3 m) holds all sources, the error motion too. What the circle has absorbed
+    (centre and radius) is projected out; m - 3 degrees of freedom remain. The table's error motion
+    shows here by its radial part; its tangential part is what the angle cannot be told from.
+    """
+    direction = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
+    m = len(direction)
+    absorbed = np.column_stack([direction, np.ones(m)])
+    open_part = np.linalg.qr(absorbed, mode="complete")[0][:, 3:]
+    outward = direction @ motion.plane.basis()
+    radial = np.einsum("ja,jakb,kb->jk", outward, total.reshape(m, 3, m, 3), outward)
+    seen = open_part.T @ motion.radial
+    chi2 = float(seen @ np.linalg.solve(open_part.T @ radial @ open_part, seen))
+    return GlobalTest(float(np.sqrt(chi2 / (m - 3))), float(chi_squared.sf(chi2, m - 3)))
+
+
+def _root_of_diagonal(jacobian: Floats, covariance: Floats) -> Floats:
+    variance = np.einsum("ia,ia->i", jacobian @ covariance, jacobian)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)

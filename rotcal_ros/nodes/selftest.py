@@ -1,0 +1,74 @@
+"""A message there and back over DDS, for ``rotcal doctor``: python -m rotcal_ros.nodes.selftest.
+
+Two contexts are two DDS participants, so the message takes the way that it takes between two
+processes. Prints one line and leaves with 0, or says what failed and leaves with 1.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import Final
+
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.utilities import get_rmw_implementation_identifier
+from rotcal_msgs.msg import TableAngle
+
+DEADLINE_S: Final = 10.0
+LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Peer:
+    """A node in a context of its own."""
+
+    def __init__(self, name: str) -> None:
+        self.context = Context()
+        self.context.init()
+        self.node = Node(name, context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.shutdown()
+
+
+def round_trip(deadline_s: float = DEADLINE_S) -> float | None:
+    """Return the seconds from the first sign of life to the answer; None after the deadline."""
+    here, there = Peer("doctor_here"), Peer("doctor_there")
+    returned: list[TableAngle] = []
+    echo = there.node.create_publisher(TableAngle, "doctor_back", LATCHED)
+    there.node.create_subscription(TableAngle, "doctor_out", echo.publish, LATCHED)
+    here.node.create_subscription(TableAngle, "doctor_back", returned.append, LATCHED)
+    start = time.monotonic()
+    here.node.create_publisher(TableAngle, "doctor_out", LATCHED).publish(TableAngle(step=7))
+    try:
+        while time.monotonic() < start + deadline_s:
+            there.executor.spin_once(timeout_sec=0.02)
+            here.executor.spin_once(timeout_sec=0.02)
+            if returned:
+                return time.monotonic() - start
+        return None
+    finally:
+        here.close()
+        there.close()
+
+
+def main() -> int:
+    """Run the self-test and say in one line what came of it."""
+    seconds = round_trip()
+    rmw = get_rmw_implementation_identifier()
+    if seconds is None:
+        sys.stdout.write(f"{rmw}: no message came back within {DEADLINE_S:g} s\n")
+        return 1
+    sys.stdout.write(f"{rmw}: a message came back after {seconds * 1e3:.0f} ms\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

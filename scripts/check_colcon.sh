@@ -1,0 +1,26 @@
+#!/usr/bin/env bash
+# The way of a ROS 2 user: builds both packages with colcon, starts a node out of the install
+# folder as `ros2 run rotcal_ros planner` does, and ends it by Ctrl-C.
+set -euo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+root=$PWD
+work=$root/build/colcon
+scripts/setup.sh
+
+# A ROS installation would be sourced here; the wheels in .venv take its place.
+export PATH=$root/.venv/bin:$PATH AMENT_PREFIX_PATH=$root/.venv
+unset CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+rm -rf "$work"
+mkdir -p "$work"
+cd "$work"
+colcon build --base-paths "$root" "$root/msg_defs" || {
+    tail -n 30 log/latest_build/*/stderr.log >&2
+    exit 1
+}
+set +u # the generated scripts read variables that are not set
+source install/setup.bash
+set -u
+for folder in config launch; do
+    [[ ! -d $root/$folder ]] || diff -r "$root/$folder" "install/rotcal_ros/share/rotcal_ros/$folder"
+done
+python "$root/scripts/check_node.py" "$work/install" planner

@@ -1,0 +1,136 @@
+"""The frame of the command line: what is loaded, what is printed where, how it ends."""
+
+import signal
+import subprocess
+import sys
+
+import click
+import pytest
+from click.testing import CliRunner
+
+import rotcal_ros
+from rotcal_ros.cli import main
+from rotcal_ros.errors import BagError, ConfigurationError, ObservabilityError
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.rotcal, arguments, prog_name="rotcal")
+
+
+@pytest.fixture
+def verb(monkeypatch):
+    """Return a function that replaces the verb ``doctor`` by one that does what it is given."""
+
+    def replace(action):
+        monkeypatch.setattr("rotcal_ros.cli.doctor.command", click.command()(action))
+
+    return replace
+
+
+def raising(error):
+    def action():
+        raise error
+
+    return action
+
+
+@pytest.mark.parametrize("name", main.VERBS)
+def test_every_verb_has_help_that_agrees_with_the_list(name):
+    command = main.rotcal.get_command(None, name)
+    assert command.get_short_help_str(limit=200).rstrip(".") == main.VERBS[name].rstrip(".")
+    result = run(name, "--help")
+    assert result.exit_code == 0
+    assert f"Usage: rotcal {name}" in result.stdout
+
+
+def test_help_lists_every_verb_and_loads_none():
+    script = (
+        "import sys; from rotcal_ros.cli.main import rotcal\n"
+        "try: rotcal(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'rich', 'matplotlib', 'mcap', 'rclpy', 'yaml'}\n"
+        "verbs = {m for m in sys.modules if m.startswith('rotcal_ros.cli.')} \n"
+        "print(sorted(heavy & set(sys.modules)), sorted(verbs))"
+    )
+    run_ = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    *help_, loaded = run_.stdout.splitlines()
+    assert loaded == "[] ['rotcal_ros.cli.main']"
+    for name in main.VERBS:
+        assert any(line.startswith(f"  {name} ") for line in help_)
+
+
+def test_version():
+    result = run("--version")
+    assert result.exit_code == 0
+    assert result.stdout == f"rotcal, version {rotcal_ros.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (ConfigurationError("no such method"), 2),
+        (BagError("a.mcap: damaged at byte 7"), 2),
+        (ObservabilityError("the angle cannot be told"), 3),
+    ],
+)
+def test_an_error_is_one_line_and_its_exit_code(verb, error, code):
+    verb(raising(error))
+    result = run("doctor")
+    assert result.exit_code == code
+    assert result.stdout == ""
+    assert result.stderr == f"rotcal: {error}\n"
+
+
+def test_an_unreadable_file_is_one_line(verb):
+    verb(lambda: open("/nowhere/at/all"))
+    result = run("doctor")
+    assert result.exit_code == 2
+    assert result.stderr == "rotcal: No such file or directory: /nowhere/at/all\n"
+
+
+def test_an_unexpected_error_is_one_line_that_says_how_to_learn_more(verb):
+    verb(raising(ZeroDivisionError("division by zero")))
+    result = run("doctor")
+    assert result.exit_code == 2
+    assert result.stderr == (
+        "rotcal: unexpected ZeroDivisionError: division by zero "
+        "('rotcal --debug ...' shows where)\n"
+    )
+
+
+def test_debug_shows_the_traceback(verb):
+    verb(raising(BagError("damaged")))
+    assert isinstance(run("--debug", "doctor").exception, BagError)
+
+
+def test_interruption(verb):
+    verb(raising(KeyboardInterrupt()))
+    result = run("doctor")
+    assert result.exit_code == 130
+    assert result.stderr == "rotcal: interrupted\n"
+
+
+@pytest.mark.parametrize(("value", "code"), [(None, 0), (0, 0), (1, 1), (3, 3)])
+def test_a_verb_may_return_its_exit_code(verb, value, code):
+    verb(lambda: value)
+    assert run("doctor").exit_code == code
+
+
+@pytest.mark.parametrize("arguments", [["nonsense"], ["--nonsense"], ["doctor", "--nonsense"]])
+def test_wrong_usage(arguments):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert "nonsense" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    script = "from rotcal_ros.cli.main import main; main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", script, "--help"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        process.stdout.close()
+        complaint = process.stderr.read()
+    assert complaint == b""
+    assert process.returncode in (0, 1, -signal.SIGPIPE)

@@ -1,0 +1,39 @@
+"""The stated uncertainty is the true one: 1000 seeded runs per variant."""
+
+import numpy as np
+import pytest
+from tracer_scene import arc, low_ring, paper_block, simulate
+
+from rotcal_ros.methods.tracer import solve
+
+RUNS = 1000
+CASES = {
+    "station": {"variant": "station", "target_std": 1e-6},
+    "joint_prior": {"variant": "joint", "datum": "prior", "target_std": 1e-6},
+    "joint_free": {"variant": "joint", "datum": "free", "target_std": 1e-5},
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_95_percent_intervals_hold_the_truth(case):
+    options = CASES[case]
+    layout = paper_block if case == "station" else low_ring
+    angles, motion = arc(7, 45.0), 1e-7
+    inside = np.empty((RUNS, 6))
+    adjacent_inside = np.empty((RUNS, 6))
+    chi2, verdicts = np.empty(RUNS), []
+    for run in range(RUNS):
+        scene = simulate(run, angles, 20, layout, 2e-7, options["target_std"], motion)
+        result = solve(scene.problem(error_motion_std=motion, **options))
+        error = result.deviations["ECC"] - scene.deviation
+        inside[run] = (np.abs(error) <= 1.96 * result.std["ECC"])[1:]
+        error = result.adjacent_deviations - np.diff(scene.deviation)
+        adjacent_inside[run] = np.abs(error) <= 1.96 * result.adjacent_std
+        chi2[run] = result.sigma0**2
+        verdicts.append(result.verdict)
+    for hits in (inside, adjacent_inside):
+        assert 0.93 <= hits.mean() <= 0.97
+        assert (hits.mean(axis=0) >= 0.93).all()
+        assert (hits.mean(axis=0) <= 0.97).all()
+    assert chi2.mean() == pytest.approx(1.0, abs=0.03)
+    assert verdicts.count("ok") > 0.98 * RUNS

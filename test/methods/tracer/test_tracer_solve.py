@@ -1,0 +1,142 @@
+"""Against truth, against scipy, and against itself in another order or place."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy_tracer import DenseNetwork, locate_station
+from tracer_scene import arc, low_ring, simulate
+
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.tracer import solve
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC, DEGREE
+
+VARIANTS = [
+    {"variant": "station"},
+    {"variant": "joint", "datum": "prior", "target_std": 1e-6},
+    {"variant": "joint", "datum": "free"},
+]
+
+
+@pytest.mark.parametrize("options", VARIANTS)
+def test_exact_lengths_give_the_truth(options):
+    scene = simulate(length_std=0.0)
+    result = solve(scene.problem(**options))
+    assert result.deviations["ECC"] == pytest.approx(scene.deviation, abs=2e-5 * ARCSEC)
+    assert result.adjacent_deviations == pytest.approx(np.diff(scene.deviation), abs=4e-5 * ARCSEC)
+    assert result.details["stations"] == pytest.approx(scene.stations, abs=2e-10)
+    assert result.details["circle"]["radius"] == pytest.approx(0.065, abs=1e-10)
+    assert result.verdict == "ok"
+
+
+def test_station_variant_is_scipys_minimum():
+    scene = simulate(seed=3)
+    result = solve(scene.problem())
+    start = np.array([-0.065, -0.0066, 0.1225, 1.1285])  # one for all, as in the paper
+    for j, lengths in enumerate(scene.length):
+        best = locate_station(scene.targets, lengths, start)
+        assert result.details["stations"][j] == pytest.approx(best[:3], abs=1e-9)
+        assert result.details["distances"][j] == pytest.approx(best[3], abs=1e-9)
+
+
+@pytest.mark.parametrize("datum", ["prior", "free"])
+def test_joint_variant_is_scipys_minimum(datum):
+    scene = simulate(seed=4, angles=arc(9), n=20, layout=low_ring, target_std=1e-6)
+    result = solve(scene.problem(target_std=1e-6, variant="joint", datum=datum))
+    ours = result.details
+    start = np.concatenate(
+        [np.column_stack([scene.stations, ours["distances"]]).ravel(), scene.targets.ravel()]
+    )
+    spread = ours["stations"] - ours["stations"].mean(axis=0)
+    radius = np.sqrt((spread**2).sum(axis=1).mean())
+    target_std = 1e-6 if datum == "prior" else None
+    network = DenseNetwork(scene.targets, scene.length, 2e-7, target_std, radius)
+    best = network.solve(start)
+    state = np.column_stack([ours["stations"], ours["distances"]])
+    assert state.ravel() == pytest.approx(best[:36], abs=1e-9)
+    assert ours["targets"].ravel() == pytest.approx(best[36:], abs=1e-9)
+    chi2 = (network.misfit(best) ** 2).sum()
+    assert result.sigma0**2 * result.dof == pytest.approx(chi2, rel=1e-6)
+
+
+@pytest.mark.parametrize("options", VARIANTS)
+def test_order_of_rows_does_not_change_a_bit(options):
+    scene = simulate(seed=5, angles=arc(8), n=24, target_std=1e-6)
+    problem = scene.problem(**options)
+    order = np.random.default_rng(1).permutation(len(problem.length))
+    shuffled = scene.problem(
+        station=problem.station[order],
+        target=problem.target[order],
+        length=problem.length[order],
+        **options,
+    )
+    first, second = solve(problem), solve(shuffled)
+    assert (first.deviations["ECC"] == second.deviations["ECC"]).all()
+    assert (first.covariance["ECC"] == second.covariance["ECC"]).all()
+    assert (first.residuals.residual[order] == second.residuals.residual).all()
+    assert (first.residuals.redundancy[order] == second.residuals.redundancy).all()
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2), st.sampled_from(VARIANTS))
+def test_place_and_heading_of_the_machine_do_not_matter(turn, x, y, options):
+    scene = simulate(seed=6, angles=arc(8), n=24, target_std=1e-6)
+    moved = scene.targets @ rotation_about_z(turn).T + [x, y, 0.3]
+    here, there = solve(scene.problem(**options)), solve(scene.problem(**options, targets=moved))
+    change = there.deviations["ECC"] - here.deviations["ECC"]
+    assert np.abs(change).max() < 1e-6 * here.std["ECC"].max()
+    assert there.std["ECC"] == pytest.approx(here.std["ECC"], rel=1e-5)
+
+
+def test_stations_measured_in_reverse_give_the_reversed_steps():
+    scene = simulate(seed=7)
+    problem = scene.problem(target_std=1e-6)
+    reverse = scene.problem(
+        target_std=1e-6, station=10 - problem.station, table_angles=scene.angles[::-1]
+    )
+    forward, backward = solve(problem), solve(reverse)
+    assert backward.adjacent_deviations == pytest.approx(
+        -forward.adjacent_deviations[::-1], abs=1e-6 * ARCSEC
+    )
+    assert backward.adjacent_std == pytest.approx(forward.adjacent_std[::-1], rel=1e-6)
+
+
+@pytest.mark.parametrize("options", VARIANTS)
+def test_unequal_steps_full_circle_and_missing_lengths(options):
+    angles = DEGREE * np.array([0.0, 17, 60, 100, 150, 210, 222, 290, 330, 360])
+    scene = simulate(seed=8, angles=angles, n=30, layout=low_ring, length_std=0.0)
+    blocked = np.random.default_rng(2).random(scene.length.size) < 0.2
+    problem = scene.problem(**options)
+    keep = ~blocked
+    gaps = scene.problem(
+        station=problem.station[keep],
+        target=problem.target[keep],
+        length=problem.length[keep],
+        **options,
+    )
+    result = solve(gaps)
+    assert result.deviations["ECC"] == pytest.approx(scene.deviation, abs=1e-4 * ARCSEC)
+    (closure,) = result.details["closure"]
+    assert (closure["first"], closure["last"]) == (0, 9)
+    assert closure["error"] == pytest.approx(0.0, abs=1e-4 * ARCSEC)
+    assert closure["std"] == pytest.approx(result.std["ECC"][-1], rel=1e-9)
+
+
+def test_redundancies_count_the_degrees_of_freedom():
+    scene = simulate(seed=9, angles=arc(8), n=24)
+    for options, dof in ((VARIANTS[0], 8 * 24 - 32), (VARIANTS[2], 8 * 24 - 32 - 72 + 7)):
+        result = solve(scene.problem(**options))
+        assert result.dof == dof
+        assert result.residuals.redundancy.sum() == pytest.approx(dof, rel=1e-6)
+        assert result.details["redundancy_per_station"].sum() == pytest.approx(dof, rel=1e-6)
+
+
+@pytest.mark.parametrize("options", VARIANTS)
+def test_result_survives_json(options):
+    result = solve(simulate(seed=10).problem(**options))
+    again = Result.from_dict(json.loads(result.to_json()))
+    assert (again.deviations["ECC"] == result.deviations["ECC"]).all()
+    assert again.details["circle"]["radius"] == result.details["circle"]["radius"]
