@@ -171,6 +171,8 @@ class Capture:
     def _take_probe(self, sample: ProbeSample) -> Observations:
         """Start an attempt, or add a point to the newest one."""
         self._probe.received += 1
+        if sample.kind == PointKind.UNKNOWN:  # a position told unasked: no attempt begins
+            return ()
         newest = self._pending[-1] if self._pending else None
         if not 0 <= sample.step < len(self._plan.steps):
             self._probe.unknown_step += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rotcal_ros.configuration import Configuration
@@ -15,6 +15,7 @@ from rotcal_ros.results import Result
 class Method:
     """What a method brings.
 
+    ``settings`` names its own groups of settings, from which nodes declare parameters;
     ``plan`` builds the plan from a configuration; ``solve`` turns a configuration, its plan
     and accepted observations into a result; ``topics`` are the instrument topics that must
     have delivered before the first motion.
@@ -23,6 +24,7 @@ class Method:
     name: str
     title: str
     topics: tuple[str, ...]
+    settings: Mapping[str, type]
     plan: Callable[[Configuration], Plan]
     solve: Callable[[Configuration, Plan, Sequence[Observation]], Result]
 

@@ -141,6 +141,7 @@ TRACER_MULTISTATION = Method(
     name=NAME,
     title="Laser tracer, multi-station",
     topics=("tracer_length", "probe_point", "joint_states"),
+    settings={"plan": TracerPlanSettings, "solver": TracerSolverSettings},
     plan=plan,
     solve=solve,
 )

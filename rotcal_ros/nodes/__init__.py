@@ -1,1 +1,1 @@
-"""ROS 2 nodes, thin: they declare parameters, convert messages and call the core."""
+"""ROS nodes, thin: they declare parameters, convert messages, call the core and publish."""

@@ -1,0 +1,26 @@
+"""The settings of the recorder: group ``recorder`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rotcal_ros.bags.writer import WriterSettings
+from rotcal_ros.settings import group, setting
+
+
+@dataclass(frozen=True)
+class RecorderSettings:
+    """Where and how a cell is recorded."""
+
+    folder: str = setting(
+        "~/.ros/rotcal", doc="folder below which every calibration gets its session folder"
+    )
+    session: str = setting(
+        "", doc="name of the session folder; empty: UTC time and the start of the plan's hash"
+    )
+    queue_bytes: int = setting(
+        67_108_864,
+        doc="bytes waiting for the disk at most; beyond that messages are lost and counted",
+        minimum=65_536,
+    )
+    writer: WriterSettings = group(WriterSettings)

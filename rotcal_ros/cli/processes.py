@@ -1,0 +1,87 @@
+"""Child processes that end with their parent: started together, watched, ended by their id."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+
+TERMINATE_TIMEOUT_S: Final = 25.0
+_POLL_S: Final = 0.05
+
+
+@dataclass
+class Processes:
+    """Named child processes with their output in ``log_folder``; a context manager.
+
+    Every child leads a process group of its own, so that Ctrl-C in the terminal reaches only the
+    parent, which then ends the children in the order in which they were started.
+    """
+
+    log_folder: Path
+    environment: Mapping[str, str]
+    children: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
+
+    def start(self, name: str, command: Sequence[str], *, piped: bool = False) -> None:
+        """Start ``command``; its output goes to ``<name>.log``, with ``piped`` only its errors."""
+        with (self.log_folder / f"{name}.log").open("wb") as log:
+            self.children[name] = subprocess.Popen(
+                command,
+                env={**os.environ, **self.environment},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE if piped else log,
+                stderr=log,
+                start_new_session=True,
+            )
+
+    def ended(self) -> dict[str, int]:
+        """Return the exit codes of the children that have ended."""
+        return {
+            name: code
+            for name, child in self.children.items()
+            if (code := child.poll()) is not None
+        }
+
+    def signal(self, name: str, number: signal.Signals) -> None:
+        """Send a signal to one child if it still runs."""
+        child = self.children[name]
+        if child.poll() is None:
+            with suppress(ProcessLookupError):
+                child.send_signal(number)
+
+    def log_tail(self, name: str, lines: int = 5) -> str:
+        """Return the last lines that a child wrote to its log."""
+        text = (self.log_folder / f"{name}.log").read_text(errors="replace")
+        return "\n".join(text.splitlines()[-lines:])
+
+    def end(self) -> None:
+        """Ask all children to end, wait for them, and kill those that hang."""
+        for name in self.children:
+            self.signal(name, signal.SIGTERM)
+        deadline = time.monotonic() + TERMINATE_TIMEOUT_S
+        while len(self.ended()) < len(self.children) and time.monotonic() < deadline:
+            time.sleep(_POLL_S)
+        for child in self.children.values():
+            if child.poll() is None:
+                child.kill()
+            child.wait()
+            if child.stdout is not None:
+                child.stdout.close()
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.end()

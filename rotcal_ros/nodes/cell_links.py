@@ -1,0 +1,105 @@
+"""The planner's links to the cell: orders out, observations, receipts and deviations in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rotcal_msgs.msg import (
+    CalibrationPlan,
+    DeviationArray,
+    ProbeTarget,
+    RecordedObservation,
+    TableAngle,
+)
+from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
+
+from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.qos import EVENT, LATCHED
+from rotcal_ros.observations import Command, Observation
+
+TABLE_FRAME: Final = "table_base"
+MACHINE_FRAME: Final = "machine"
+
+Attempt = tuple[int, int]
+"""Step and attempt."""
+
+
+class CellLinks:
+    """Publishers, subscriptions and clients, and what came in for the steps so far."""
+
+    def __init__(self, node: Node, guarded: Callable[[Callable[..., Any]], Any]) -> None:
+        self._node = node
+        self.observations: dict[Attempt, Observation] = {}
+        self.receipts: set[Attempt] = set()
+        self.bag_file = ""
+        self.current_std = math.nan
+        self._plans = self._publisher(CalibrationPlan, "plan", LATCHED)
+        self._tables = self._publisher(TableAngle, "table_angle", EVENT)
+        self._probes = self._publisher(ProbeTarget, "probe_target", EVENT)
+        for kind, topic, callback, qos in (
+            (ObservationMsg, "observation", self._observed, EVENT),
+            (RecordedObservation, "observation_recorded", self._recorded, EVENT),
+            (DeviationArray, "deviations", self._solved, LATCHED),
+        ):
+            node.create_subscription(kind, topic, guarded(callback), qos)
+        self.start_recording = node.create_client(StartRecording, "start_recording")
+        self.stop_recording = node.create_client(StopRecording, "stop_recording")
+        self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")
+
+    def now_ns(self) -> int:
+        """Return the time of the node's clock."""
+        nanoseconds: int = self._node.get_clock().now().nanoseconds
+        return nanoseconds
+
+    def forget(self) -> None:
+        """Forget what came in for an earlier goal."""
+        self.observations.clear()
+        self.receipts.clear()
+        self.current_std = math.nan
+
+    def announce(self, plan: CalibrationPlan) -> None:
+        """Publish the plan."""
+        self._plan_id = plan.plan_id
+        self._plans.publish(plan)
+
+    def order(self, command: Command) -> None:
+        """Order the table to its angle and the probe to its target."""
+        table, probe = conversions.command_messages(
+            command, self.now_ns(), TABLE_FRAME, MACHINE_FRAME
+        )
+        self._tables.publish(table)
+        self._probes.publish(probe)
+
+    def publishers(self, topic: str) -> list[str]:
+        """Return the names of the nodes that publish ``topic``."""
+        infos = self._node.get_publishers_info_by_topic(self.resolve(topic))
+        return sorted(info.node_name for info in infos)
+
+    def listeners(self, topic: str) -> list[str]:
+        """Return the names of the nodes that subscribe to ``topic``."""
+        infos = self._node.get_subscriptions_info_by_topic(self.resolve(topic))
+        return sorted(info.node_name for info in infos)
+
+    def resolve(self, topic: str) -> str:
+        """Return the absolute name of a topic of the cell."""
+        name: str = self._node.resolve_topic_name(topic)
+        return name
+
+    def _publisher(self, kind: type, topic: str, qos: QoSProfile) -> Any:
+        return self._node.create_publisher(kind, topic, qos)
+
+    def _observed(self, message: ObservationMsg) -> None:
+        self.observations[message.step, message.attempt] = conversions.observation(message)
+
+    def _recorded(self, message: RecordedObservation) -> None:
+        self.receipts.add((message.step, message.attempt))
+        self.bag_file = message.file
+
+    def _solved(self, message: DeviationArray) -> None:
+        if message.plan_id == getattr(self, "_plan_id", "") and message.ecc_std:
+            self.current_std = max(message.ecc_std)

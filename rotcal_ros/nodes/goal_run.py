@@ -1,0 +1,279 @@
+"""Carrying out one calibration goal, from preflight to result, as one coroutine."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from rotcal_msgs.action import Calibrate
+from rotcal_msgs.msg import CalibrationPlan
+from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
+
+from rotcal_ros.bags.durable import write_atomically
+from rotcal_ros.catalogue import Calibration
+from rotcal_ros.nodes import conversions, preflight
+from rotcal_ros.nodes.cell_links import TABLE_FRAME, CellLinks
+from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.waiting import until
+from rotcal_ros.planning.planner_settings import PlannerSettings
+
+Outcome = Calibrate.Result
+CLOSE_TIMEOUT_S: Final = 10.0
+BAG: Final = "bag"
+"""Folder of the bag inside the session folder."""
+
+
+class GoalError(Exception):
+    """The goal cannot go on; ``code`` is an error code of the action."""
+
+    def __init__(self, code: int, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+@dataclass
+class Progress:
+    """How far a goal has come."""
+
+    total: int
+    step: int = 0
+    activity: str = "preflight"
+    accepted: list[int] = field(default_factory=list)
+    skipped: list[int] = field(default_factory=list)
+    rejected: int = 0
+    done: int = 0
+    started_s: float = field(default_factory=time.monotonic)
+
+    def time_left(self) -> float:
+        """Return the estimated seconds to the last step; NaN before the first is done."""
+        if not self.done:
+            return float("nan")
+        return (time.monotonic() - self.started_s) / self.done * (self.total - self.step)
+
+
+class GoalRun:
+    """One goal. ``show`` is called with every progress; ``canceled`` tells of a cancel request."""
+
+    def __init__(
+        self,
+        calibration: Calibration,
+        settings: PlannerSettings,
+        links: CellLinks,
+        health: Health,
+        *,
+        start_index: int,
+        show: Callable[[Progress], None],
+        canceled: Callable[[], bool],
+    ) -> None:
+        self._calibration = calibration
+        self._settings = settings
+        self._links = links
+        self._health = health
+        self._start = start_index
+        self._show = show
+        self._canceled = canceled
+        self._watched: set[str] = set()
+        self._stream_beat: object = None
+        self._session = Path()
+        self.stopping = ""
+        self.progress = Progress(total=len(calibration.plan.steps), step=start_index)
+        self.outcome = Outcome()
+
+    async def execute(self) -> Outcome:
+        """Carry the goal out; every way to end leaves a closed bag and an explained outcome."""
+        recording = False
+        try:
+            await self._preflight()
+            await self._start_recording()
+            recording = True
+            await self._announce()
+            await self._measure()
+            result_json = await self._solve()
+            recording = False
+            await self._stop_recording()
+            self._write(result_json)
+        except GoalError as error:
+            self.outcome.error_code, self.outcome.error_msg = error.code, str(error)
+        if recording:
+            await self._close_after_failure()
+        progress = self.progress
+        self.outcome.n_used = len(progress.accepted)
+        self.outcome.n_rejected = progress.rejected
+        self.outcome.skipped_steps = progress.skipped
+        return self.outcome
+
+    async def _preflight(self) -> None:
+        self._tell("preflight: nodes")
+        self._links.forget()
+        topics = self._calibration.method.topics
+        await self._have(
+            lambda: preflight.missing_nodes(self._links, self._health), Outcome.NODE_LOST
+        )
+        self._watched = self._health.present() | set(preflight.NODES)
+        self._tell("preflight: topics")
+        await self._have(
+            lambda: preflight.missing_topics(self._links, self._health, topics),
+            Outcome.TOPIC_MISSING,
+        )
+        self._watched |= self._health.present()
+
+    async def _start_recording(self) -> None:
+        self._tell("opening the bag")
+        configuration = self._calibration.configuration
+        request = StartRecording.Request(
+            plan_id=configuration.plan_id, configuration=configuration.text
+        )
+        answer = await self._call(self._links.start_recording, request, CLOSE_TIMEOUT_S)
+        if not answer.success:
+            raise GoalError(Outcome.RECORDER_FAILED, answer.message)
+        self._session = Path(answer.folder)
+        self.outcome.bag_folder = str(self._session / BAG)
+
+    async def _announce(self) -> None:
+        now_ns = self._links.now_ns()
+        configuration = self._calibration.configuration
+        self._links.announce(
+            CalibrationPlan(
+                header=conversions.header(now_ns, TABLE_FRAME),
+                plan_id=configuration.plan_id,
+                method=configuration.method,
+                configuration=configuration.text,
+                total_steps=self.progress.total,
+                start_index=self._start,
+            )
+        )
+        run = f"{configuration.plan_id}@{now_ns}"
+        await self._have(lambda: preflight.missing_plan(self._health, run), Outcome.NODE_LOST)
+
+    async def _measure(self) -> None:
+        progress = self.progress
+        progress.started_s = time.monotonic()
+        for index in range(self._start, progress.total):
+            progress.step = index
+            if await self._step(index):
+                progress.accepted.append(index)
+            else:
+                progress.skipped.append(index)
+            progress.done += 1
+        progress.step = progress.total
+
+    async def _step(self, index: int) -> bool:
+        """Measure one step; False when all attempts failed."""
+        step = self._calibration.plan.steps[index]
+        limits = self._settings
+        for attempt in range(limits.max_attempts):
+            key = (index, attempt)
+            again = f" (attempt {attempt + 1})" if attempt else ""
+            self._tell(f"table position {step.table_index}, target {step.target}{again}")
+            self._links.order(step.command(attempt))
+            arrived = await self._wait(
+                lambda key=key: key in self._links.observations,  # type: ignore[misc]
+                limits.step_timeout_s,
+            )
+            if not arrived or not self._links.observations[key].accepted:
+                self.progress.rejected += 1
+                continue
+            if not await self._wait(
+                lambda key=key: key in self._links.receipts,  # type: ignore[misc]
+                limits.receipt_timeout_s,
+            ):
+                reason = self._health.state("recorder") or "silent"
+                raise GoalError(
+                    Outcome.RECORDER_FAILED,
+                    f"step {index}: no receipt from the recorder within "
+                    f"{limits.receipt_timeout_s:g} s ({reason})",
+                )
+            return True
+        return False
+
+    async def _solve(self) -> str:
+        """Return the result in JSON form."""
+        self._tell("solving")
+        request = FinishCalibration.Request(
+            plan_id=self._calibration.configuration.plan_id, steps=self.progress.accepted
+        )
+        answer = await self._call(
+            self._links.finish_calibration, request, self._settings.solve_timeout_s
+        )
+        if not answer.success:
+            few = not self.progress.accepted
+            code = Outcome.TOO_FEW_OBSERVATIONS if few else Outcome.SOLVER_FAILED
+            raise GoalError(code, f"no result: {answer.message}")
+        self.outcome.verdict = answer.verdict
+        text: str = answer.result_json
+        return text
+
+    async def _stop_recording(self) -> None:
+        self._tell("closing the bag")
+        answer = await self._call(
+            self._links.stop_recording, StopRecording.Request(), CLOSE_TIMEOUT_S
+        )
+        if not answer.success:
+            raise GoalError(Outcome.RECORDER_FAILED, answer.message)
+
+    async def _close_after_failure(self) -> None:
+        """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
+        if self._health.is_lost(["recorder"]):
+            return
+        future = self._links.stop_recording.call_async(StopRecording.Request())
+        await until(lambda: future.done() or "recorder" in self._health.lost, CLOSE_TIMEOUT_S)
+
+    def _write(self, result_json: str) -> None:
+        path = self._session / "result.json"
+        try:
+            write_atomically(path, result_json)
+        except OSError as error:
+            raise GoalError(Outcome.RECORDER_FAILED, f"cannot write {path}: {error}") from error
+        self.outcome.result_file = str(path)
+
+    async def _have(self, missing: Callable[[], list[str]], code: int) -> None:
+        """Wait until nothing is missing; after the preflight time raise what still is."""
+        if not await self._wait(lambda: not missing(), self._settings.preflight_timeout_s):
+            raise GoalError(code, "; ".join(missing()) or "preflight timed out")
+
+    async def _wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        return await until(condition, timeout_s, self._check)
+
+    async def _call(self, client: Any, request: Any, timeout_s: float) -> Any:
+        future = client.call_async(request)
+        if not await self._wait(future.done, timeout_s):
+            raise GoalError(
+                Outcome.NODE_LOST, f"{client.srv_name} gave no answer in {timeout_s:g} s"
+            )
+        return future.result()
+
+    def _check(self) -> None:
+        """Raise when the goal must end: cancel, shutdown, a node or an instrument lost."""
+        place = f"at step {self.progress.step} of {self.progress.total}"
+        if self.stopping:
+            raise GoalError(Outcome.CANCELED, f"{self.stopping} {place}")
+        if self._canceled():
+            raise GoalError(
+                Outcome.CANCELED,
+                f"canceled {place}; continue with start_index {self.progress.step}",
+            )
+        lost = sorted(self._health.lost & self._watched)
+        if lost:
+            raise GoalError(Outcome.NODE_LOST, f"node {', '.join(lost)} fell silent {place}")
+        self._check_streams(place)
+
+    def _check_streams(self, place: str) -> None:
+        """Raise when the capture tells of an instrument that fell silent after it had spoken."""
+        beat = self._health.others.get("capture")
+        if not self.outcome.bag_folder or beat is None or beat is self._stream_beat:
+            return
+        self._stream_beat = beat
+        for key, value in self._health.values("capture").items():
+            if key.startswith("silent_s.") and float(value) > self._settings.stream_timeout_s:
+                topic = key.removeprefix("silent_s.")
+                raise GoalError(
+                    Outcome.NODE_LOST,
+                    f"{self._links.resolve(topic)} has been silent for {value} s {place}",
+                )
+
+    def _tell(self, activity: str) -> None:
+        self.progress.activity = activity
+        self._show(self.progress)

@@ -1,0 +1,137 @@
+"""Heartbeats and diagnostics of a node, and watching those of the others.
+
+Every node beats on ``heartbeat`` (diagnostic_msgs/DiagnosticStatus, 5 Hz, from its executor, so
+that a hung node falls silent like a dead one) and reports on ``/diagnostics`` at 1 Hz.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from functools import wraps
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from rotcal_ros.nodes.rollcall import RollCall
+
+BEAT_PERIOD_S: Final = 0.2
+DIAGNOSTICS_PERIOD_S: Final = 1.0
+NODE_TIMEOUT_S: Final = 1.4
+"""Silence after which a node is lost: noticed within 2 s together with the beat itself."""
+LEAVING: Final = "leaving"
+
+Values = Mapping[str, object]
+
+
+class Health:
+    """The health of one node.
+
+    ``lost`` holds the names of the others that fell silent, as of the last beat.
+    ``report`` returns (state in words, values) at any time; the state goes into every beat.
+    ``on_lost`` is called once for every other node that falls silent, with its name.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        report: Callable[[], tuple[str, Values]],
+        on_lost: Callable[[str], None] | None = None,
+    ) -> None:
+        self._node = node
+        self._report = report
+        self._on_lost = on_lost
+        self.lost: set[str] = set()
+        self._roll = RollCall(NODE_TIMEOUT_S)
+        self.others: dict[str, DiagnosticStatus] = {}
+        self.errors: Counter[str] = Counter()
+        self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
+        self._heard = node.create_subscription(
+            DiagnosticStatus, "heartbeat", self.guarded(self._hear), QoSProfile(depth=50)
+        )
+        self._timers = (
+            node.create_timer(BEAT_PERIOD_S, self.guarded(self._beat)),
+            node.create_timer(DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose)),
+        )
+
+    def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
+        """Keep an exception in ``callback`` from ending the node: count it, log it once."""
+
+        @wraps(callback)
+        def run(*arguments: Any) -> Any:
+            try:
+                return callback(*arguments)
+            except Exception as error:
+                self.note_error(getattr(callback, "__name__", "callback"), error)
+                return None
+
+        return run
+
+    def note_error(self, where: str, error: Exception) -> None:
+        """Count an error; log the first of its kind in full."""
+        kind = f"{where}: {type(error).__name__}"
+        self.errors[kind] += 1
+        if self.errors[kind] == 1:
+            self._node.get_logger().error(f"{kind}: {error}")
+
+    def present(self) -> set[str]:
+        """Return the names of the other nodes that beat."""
+        return self._roll.present(time.monotonic())
+
+    def is_lost(self, names: Iterable[str]) -> list[str]:
+        """Return those of ``names`` that do not beat."""
+        return sorted(set(names) - self.present())
+
+    def values(self, name: str) -> dict[str, str]:
+        """Return the values of the last beat of node ``name``."""
+        status = self.others.get(name)
+        return {} if status is None else {v.key: v.value for v in status.values}
+
+    def state(self, name: str) -> str:
+        """Return the state of node ``name`` in words, empty when it was never heard."""
+        status = self.others.get(name)
+        return "" if status is None else str(status.message)
+
+    def leave(self) -> None:
+        """Tell the others that this node ends on purpose."""
+        self._beats.publish(self._status(LEAVING, {}))
+
+    def _hear(self, status: DiagnosticStatus) -> None:
+        if status.name == self._node.get_name():
+            return
+        if status.message == LEAVING:
+            self._roll.leave(status.name)
+            self.others.pop(status.name, None)
+            return
+        self._roll.beat(status.name, time.monotonic())
+        self.others[status.name] = status
+
+    def _beat(self) -> None:
+        self._beats.publish(self._status(*self._report()))
+        silent = self._roll.silent(time.monotonic())
+        for name in silent.keys() - self.lost:
+            self._node.get_logger().error(f"node {name} fell silent {silent[name]:.1f} s ago")
+            if self._on_lost is not None:
+                self._on_lost(name)
+        self.lost = set(silent)
+
+    def _diagnose(self) -> None:
+        array = DiagnosticArray(status=[self._status(*self._report())])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _status(self, state: str, values: Values) -> DiagnosticStatus:
+        trouble: dict[str, object] = dict(self.errors)
+        if self.lost:
+            trouble["lost_nodes"] = ", ".join(sorted(self.lost))
+        return DiagnosticStatus(
+            level=DiagnosticStatus.ERROR if trouble else DiagnosticStatus.OK,
+            name=self._node.get_name(),
+            hardware_id=self._node.get_namespace(),
+            message=state,
+            values=[KeyValue(key=k, value=str(v)) for k, v in {**values, **trouble}.items()],
+        )

@@ -1,0 +1,212 @@
+"""The planner: turns one goal into a finished calibration, step by step.
+
+A lifecycle node with the action ``calibrate``; one goal at a time.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rotcal_msgs.action import Calibrate
+
+from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.catalogue import METHODS, Calibration, prepare
+from rotcal_ros.configuration import Configuration, dump_configuration, parse_configuration
+from rotcal_ros.errors import ConfigurationError, RotcalError
+from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.goal_run import GoalRun, Outcome, Progress
+from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.parameters import declare_settings, read_settings, settings_mapping
+from rotcal_ros.nodes.running import run_node
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.planner_settings import PlannerSettings
+
+RESULT_TIMEOUT_S: Final = 3600
+FEEDBACK_PERIOD_S: Final = 0.1
+
+
+class Planner(LifecycleNode):
+    """Commands the cell from the first step to the result."""
+
+    def __init__(self) -> None:
+        super().__init__("planner")
+        self._run: GoalRun | None = None
+        self._active = False
+        self._stopping = False
+        self._shown_s = -math.inf
+        self._groups = self._declare()
+        self._health = Health(self, self._report)
+        self._links = CellLinks(self, self._health.guarded)
+        self._server = ActionServer(
+            self,
+            Calibrate,
+            "calibrate",
+            self._execute,
+            goal_callback=self._judge_goal,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            result_timeout=RESULT_TIMEOUT_S,
+        )
+        if self.declare_parameter("autostart", True).value:
+            self.trigger_configure()
+            self.trigger_activate()
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Accept goals from now on."""
+        self._active = True
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give up the running goal and accept no more."""
+        self._active = False
+        self._give_up("the planner was deactivated")
+        return super().on_deactivate(state)
+
+    def begin_stop(self) -> None:
+        """End the running goal with a valid bag."""
+        self._stopping = True
+        self._give_up("the planner was ended")
+
+    def stopped(self) -> bool:
+        """Return whether no goal runs any more."""
+        if self._run is None:
+            self._health.leave()
+        return self._run is None
+
+    def _give_up(self, why: str) -> None:
+        if self._run is not None:
+            self._run.stopping = why
+
+    def _declare(self) -> Mapping[str, type]:
+        """Declare the parameters of the configured method and return its groups."""
+        name = self.declare_parameter("method", "tracer_multistation").value
+        if name not in METHODS:
+            raise ConfigurationError(
+                f"planner: parameter method: unknown method {name!r}; "
+                f"known: {', '.join(sorted(METHODS))}"
+            )
+        groups = {
+            "cell": CellSettings,
+            **METHODS[name].settings,
+            "capture": CaptureSettings,
+            "planner": PlannerSettings,
+        }
+        for group, cls in groups.items():
+            declare_settings(self, group, cls, read_only=False)
+        return groups
+
+    def _configuration(self, goal: Calibrate.Goal) -> Configuration:
+        """Return the configuration of a goal, or that of the node's own parameters."""
+        text, source = goal.configuration, "configuration of the goal"
+        if not text:
+            method = self.get_parameter("method").value
+            groups = {g: settings_mapping(self, g, cls) for g, cls in self._groups.items()}
+            text, source = dump_configuration(method, groups), "parameters of the planner"
+        configuration = parse_configuration(text, source)
+        if goal.method and goal.method != configuration.method:
+            raise ConfigurationError(
+                f"the goal asks for method {goal.method!r}, its configuration describes "
+                f"{configuration.method!r}"
+            )
+        return configuration
+
+    def _judge_goal(self, _goal: Calibrate.Goal) -> GoalResponse:
+        """Refuse a goal while another runs; the heartbeat tells the reason to the client."""
+        if self._active and not self._stopping and self._run is None:
+            return GoalResponse.ACCEPT
+        self.get_logger().warning(f"goal refused: the planner is {self._report()[0]}")
+        return GoalResponse.REJECT
+
+    async def _execute(self, handle: ServerGoalHandle) -> Outcome:
+        try:
+            run = self._prepare(handle)
+        except RotcalError as error:
+            handle.abort()
+            return Outcome(error_code=Outcome.BAD_CONFIGURATION, error_msg=str(error))
+        self._run = run
+        try:
+            outcome = await run.execute()
+        except Exception as error:
+            self._health.note_error("goal", error)
+            outcome = Outcome(error_code=Outcome.UNKNOWN, error_msg=repr(error))
+        finally:
+            self._run = None
+        self._end(handle, outcome)
+        return outcome
+
+    def _prepare(self, handle: ServerGoalHandle) -> GoalRun:
+        configuration = self._configuration(handle.request)
+        calibration: Calibration = prepare(configuration)
+        calibration.plan.step(handle.request.start_index)
+        if handle.request.configuration:
+            settings = configuration.group("planner", PlannerSettings)
+        else:
+            settings = read_settings(self, "planner", PlannerSettings)
+        return GoalRun(
+            calibration,
+            settings,
+            self._links,
+            self._health,
+            start_index=handle.request.start_index,
+            show=lambda progress: self._show(handle, progress),
+            canceled=lambda: handle.is_cancel_requested,
+        )
+
+    def _end(self, handle: ServerGoalHandle, outcome: Outcome) -> None:
+        if outcome.error_code == Outcome.NONE:
+            self.get_logger().info(f"calibration done, verdict {outcome.verdict}")
+            handle.succeed()
+            return
+        self.get_logger().error(f"calibration ended: {outcome.error_msg}")
+        if handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            handle.abort()
+
+    def _show(self, handle: ServerGoalHandle, progress: Progress) -> None:
+        """Publish feedback, not more often than a person can follow."""
+        now = time.monotonic()
+        if now - self._shown_s < FEEDBACK_PERIOD_S and progress.step:
+            return
+        self._shown_s = now
+        handle.publish_feedback(
+            Calibrate.Feedback(
+                step=progress.step,
+                total=progress.total,
+                activity=progress.activity,
+                time_left=progress.time_left(),
+                current_std=self._links.current_std,
+                n_accepted=len(progress.accepted),
+                n_rejected=progress.rejected,
+            )
+        )
+
+    def _report(self) -> tuple[str, dict[str, Any]]:
+        if self._run is None:
+            return "ready" if self._active else "inactive", {}
+        progress = self._run.progress
+        return (
+            f"calibrating: step {progress.step} of {progress.total}, {progress.activity}",
+            {"accepted": len(progress.accepted), "rejected": progress.rejected},
+        )
+
+
+def make() -> Node:
+    """Return the node."""
+    return Planner()
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the planner."""
+    sys.exit(run_node(make, args))
+
+
+if __name__ == "__main__":
+    main()

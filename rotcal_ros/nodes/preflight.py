@@ -1,0 +1,59 @@
+"""What must be there before the first motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.health import Health
+
+NODES: Final = ("capture", "recorder", "solver")
+ORDERS: Final = ("table_angle", "probe_target")
+
+
+def missing_nodes(links: CellLinks, health: Health) -> list[str]:
+    """Return what keeps the nodes of the suite from working together, in words."""
+    lost = [f"node {name} does not beat" for name in health.is_lost(NODES)]
+    for node, client in (
+        ("recorder", links.start_recording),
+        ("recorder", links.stop_recording),
+        ("solver", links.finish_calibration),
+    ):
+        if not lost and not client.service_is_ready():
+            lost.append(f"node {node} does not offer {client.srv_name}")
+    return lost
+
+
+def missing_topics(links: CellLinks, health: Health, topics: Sequence[str]) -> list[str]:
+    """Return what is missing around the instrument topics and the orders, in words."""
+    found: list[str] = []
+    heard = health.values("capture")
+    for topic in topics:
+        name = links.resolve(topic)
+        publishers = links.publishers(topic)
+        if not publishers:
+            found.append(f"nobody publishes {name}: start its instrument")
+        elif len(publishers) > 1:
+            found.append(
+                f"{len(publishers)} publishers on {name} (nodes {', '.join(publishers)}): "
+                "one instrument topic has one publisher; stop the others"
+            )
+        elif heard.get(f"valid.{topic}", "0") == "0":
+            found.append(f"{name} has not delivered a valid message (node {publishers[0]})")
+    for topic in ORDERS:
+        if not set(links.listeners(topic)) - {"capture", "recorder"}:
+            found.append(f"nobody obeys {links.resolve(topic)}: start the machine's node")
+    for topic in (*topics, *ORDERS, "plan", "observation"):
+        if "recorder" not in links.listeners(topic):
+            found.append(f"the recorder does not listen to {links.resolve(topic)} yet")
+    return found
+
+
+def missing_plan(health: Health, run: str) -> list[str]:
+    """Return which nodes have not taken the plan of this run, with their reason."""
+    return [
+        f"node {name} has not taken the plan ({health.state(name) or 'silent'})"
+        for name in ("capture", "solver")
+        if health.values(name).get("run") != run
+    ]

@@ -1,0 +1,38 @@
+"""The qualities of service of the cell: one profile per kind of topic."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+LATCHED: Final = QoSProfile(
+    depth=1,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+"""Plans and results: whoever comes later still gets the last one."""
+
+EVENT: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
+"""Orders, observations, receipts: none may be lost."""
+
+STREAM: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
+"""Readings at kilohertz rates, published reliably by our own nodes."""
+
+LISTENING_DEPTH: Final = 10_000
+"""Messages that the middleware keeps for a busy listener."""
+
+
+def adapted_qos(profiles: Sequence[QoSProfile]) -> QoSProfile:
+    """Return the strictest profile that matches all publishers, as rosbag2 chooses it.
+
+    All reliable: reliable, else best effort; all transient local: transient local, else
+    volatile; everything else is left open.
+    """
+    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
+    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
+    return QoSProfile(
+        depth=LISTENING_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )

@@ -1,0 +1,175 @@
+"""The writer's side of the recorder: a thread that puts a queue of messages on the disk.
+
+The taking of messages never waits for the disk. The queue is bounded; what does not fit is lost
+and counted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from threading import Lock, Thread
+from typing import Final
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.errors import BagError
+
+_TURN_S: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """What the writer needs to know of a topic."""
+
+    topic: str
+    type_name: str
+    definition: str
+    type_hash: str
+    offered_qos: str
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One serialised message with its times in ns."""
+
+    channel: Channel
+    data: bytes
+    received_ns: int
+    published_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A file that goes beside the messages."""
+
+    name: str
+    media_type: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Receipt:
+    """A request to confirm that everything before it is on disk."""
+
+    step: int
+    attempt: int
+
+
+class _Close:
+    """The end of the queue."""
+
+
+class Recording:
+    """One bag being written. ``confirm`` is called from the thread, after the sync.
+
+    After a failure of the disk ``error`` says why, nothing is confirmed any more, and what still
+    arrives counts as lost.
+    """
+
+    def __init__(
+        self, writer: BagWriter, queue_bytes: int, confirm: Callable[[Receipt, str], None]
+    ) -> None:
+        self._writer = writer
+        self._limit = queue_bytes
+        self._confirm = confirm
+        self._queue: SimpleQueue[object] = SimpleQueue()
+        self._waiting = 0
+        self._lock = Lock()
+        self._channels: dict[Channel, int] = {}
+        self.losses: Counter[str] = Counter()
+        self.messages = 0
+        self.error = ""
+        self._thread = Thread(target=self._work, name="bag writer", daemon=True)
+        self._thread.start()
+
+    @property
+    def file(self) -> str:
+        """Absolute path of the file that is written now."""
+        return str(self._writer.folder / self._writer.files[-1].name)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the bag is closed."""
+        return not self._thread.is_alive()
+
+    def put(self, item: Message | Attachment | Receipt) -> None:
+        """Queue ``item``; a message that finds the queue full is lost and counted."""
+        if isinstance(item, Message):
+            with self._lock:
+                if self.error or self._waiting + len(item.data) > self._limit:
+                    self.losses[f"queue {item.channel.topic}"] += 1
+                    return
+                self._waiting += len(item.data)
+        self._queue.put(item)
+
+    def close(self) -> None:
+        """Close the bag after everything that is queued; see ``finished``."""
+        self._queue.put(_Close())
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the bag to be closed."""
+        self._thread.join(timeout_s)
+        return self.finished
+
+    def _work(self) -> None:
+        while True:
+            try:
+                item = self._queue.get(timeout=_TURN_S)
+            except Empty:
+                item = None
+            try:
+                if isinstance(item, _Close):
+                    self._finish()
+                    return
+                if not self.error:
+                    self._handle(item)
+            except BagError as error:
+                self.error = str(error)
+            except Exception as error:
+                self.error = f"unexpected failure of the bag writer: {error!r}"
+            if isinstance(item, _Close):
+                return
+
+    def _handle(self, item: object) -> None:
+        if isinstance(item, Message):
+            self._write(item)
+        elif isinstance(item, Receipt):
+            self._writer.sync()
+            self._confirm(item, self.file)
+        elif isinstance(item, Attachment):
+            self._writer.attach(item.name, item.media_type, item.data)
+        self._writer.tick(time.monotonic_ns())
+
+    def _write(self, message: Message) -> None:
+        with self._lock:
+            self._waiting -= len(message.data)
+        number = self._channels.get(message.channel)
+        if number is None:
+            number = self.add_channel(message.channel)
+        self._writer.write(number, message.data, message.received_ns, message.published_ns)
+        self.messages += 1
+
+    def add_channel(self, channel: Channel) -> int:
+        """Register a channel; only before the first message or from the thread."""
+        number = self._writer.channel(
+            channel.topic,
+            channel.type_name,
+            channel.definition,
+            channel.type_hash,
+            channel.offered_qos,
+        )
+        self._channels[channel] = number
+        return number
+
+    def _finish(self) -> None:
+        self.note_losses(self.losses)
+        self._writer.close()
+
+    def note_losses(self, losses: Mapping[str, int]) -> None:
+        """Keep the loss counters in the bag."""
+        if losses and not self._writer.closed:
+            self._writer.note(names.LOSSES, dict(losses))

@@ -1,0 +1,116 @@
+"""The simulated cell as a node: obeys orders and streams like the instruments would."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any, Final
+
+from rclpy.node import Node
+from rotcal_msgs.msg import ProbePoint, ProbeTarget, TableAngle, TracerLength
+from sensor_msgs.msg import JointState, Temperature
+
+from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.cell_links import MACHINE_FRAME, TABLE_FRAME
+from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.parameters import declare_settings
+from rotcal_ros.nodes.qos import EVENT, STREAM
+from rotcal_ros.nodes.running import run_node
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.simulation import CellOutput, SimulatedCell, SimulationSettings
+
+PERIOD_S: Final = 0.005
+LONGEST_TURN_S: Final = 0.02
+"""Wall time made up for in one turn at most, so that a stall never becomes a burst."""
+UNASKED_PERIOD_S: Final = 0.5
+TRACER_FRAME: Final = "tracer"
+
+
+class SimulatedCellNode(Node):
+    """Lets machine time pass: ``time_scale`` times faster than life while something is to do."""
+
+    def __init__(self) -> None:
+        super().__init__("simulated_cell")
+        settings = declare_settings(self, "simulation", SimulationSettings)
+        self._joint = declare_settings(self, "cell", CellSettings).joint or "table"
+        self._scale = settings.time_scale
+        self._cell = SimulatedCell(settings, self.get_clock().now().nanoseconds)
+        self._turned_s = time.monotonic()
+        self._orders: dict[tuple[int, int], Any] = {}
+        self._order_text = "no order yet"
+        self._health = Health(self, self._report)
+        guarded = self._health.guarded
+        self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+        self._table = self.create_publisher(JointState, "joint_states", STREAM)
+        self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
+        self._temperature = self.create_publisher(Temperature, "temperature", EVENT)
+        for kind, topic in ((TableAngle, "table_angle"), (ProbeTarget, "probe_target")):
+            self.create_subscription(kind, topic, guarded(self._obey), EVENT)
+        self.create_timer(PERIOD_S, guarded(self._turn))
+        self.create_timer(UNASKED_PERIOD_S, guarded(self._tell_position))
+
+    def begin_stop(self) -> None:
+        """Say goodbye."""
+        self._health.leave()
+
+    def stopped(self) -> bool:
+        """Return True: there is nothing to finish."""
+        return True
+
+    def _obey(self, message: TableAngle | ProbeTarget) -> None:
+        """Begin both motions of an order together, once both of its messages are here."""
+        key = (message.step, message.attempt)
+        other = self._orders.pop(key, None)
+        if other is None or type(other) is type(message):
+            self._orders = {key: message}
+            return
+        pair = (message, other) if isinstance(message, TableAngle) else (other, message)
+        command = conversions.command(*pair)
+        self._cell.order_table(command)
+        self._cell.order_probe(command)
+        self._order_text = f"step {command.step}, attempt {command.attempt}"
+
+    def _turn(self) -> None:
+        """Let as much machine time pass as wall time has."""
+        now = time.monotonic()
+        elapsed = min(now - self._turned_s, LONGEST_TURN_S)
+        self._turned_s = now
+        scale = self._scale if self._cell.busy else min(self._scale, 1.0)
+        self._publish(self._cell.advance(elapsed * scale))
+
+    def _publish(self, output: CellOutput) -> None:
+        """Publish the streams, the probe first: its point begins the wait for the readings."""
+        for probe in output.probe:
+            self._probe.publish(conversions.probe_message(probe, MACHINE_FRAME))
+        for table in output.table:
+            self._table.publish(conversions.table_message(table, self._joint, TABLE_FRAME))
+        for temperature in output.temperature:
+            self._temperature.publish(conversions.temperature_message(temperature))
+        for tracer in output.tracer:
+            self._tracer.publish(conversions.tracer_message(tracer, TRACER_FRAME))
+
+    def _tell_position(self) -> None:
+        """Tell the probe's position unasked, so that a preflight hears the machine."""
+        if not self._cell.busy:
+            self._probe.publish(
+                conversions.probe_message(self._cell.unasked_point(), MACHINE_FRAME)
+            )
+
+    def _report(self) -> tuple[str, dict[str, Any]]:
+        state = "busy" if self._cell.busy else "idle"
+        return f"{state}: {self._order_text}", {"machine_time_ns": self._cell.now_ns}
+
+
+def make() -> Node:
+    """Return the node."""
+    return SimulatedCellNode()
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the simulated cell."""
+    sys.exit(run_node(make, args))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,194 @@
+"""The solver node: accepted observations in, deviations and a compensation table out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+from rclpy.node import Node
+from rotcal_msgs.msg import CalibrationPlan, DeviationArray
+from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
+from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs.srv import FinishCalibration
+
+from rotcal_ros.catalogue import Calibration
+from rotcal_ros.compensation.table import table_from_result
+from rotcal_ros.errors import DataError, RotcalError
+from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.cell_links import TABLE_FRAME
+from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.plan_message import calibration_of, run_name
+from rotcal_ros.nodes.qos import EVENT, LATCHED
+from rotcal_ros.nodes.running import run_node
+from rotcal_ros.nodes.waiting import until
+from rotcal_ros.observations import Observation
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.results import Result
+
+ARRIVAL_TIMEOUT_S = 10.0
+SOLVE_TIMEOUT_S = 3600.0
+
+
+class SolverNode(Node):
+    """Solves in a thread of its own, so that no observation waits for a solution."""
+
+    def __init__(self) -> None:
+        super().__init__("solver")
+        period = self.declare_parameter("preliminary_period_s", 3.0).value
+        self._calibration: Calibration | None = None
+        self._run = ""
+        self._state = "waiting for a plan"
+        self._observations: dict[int, Observation] = {}
+        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
+        self._solving: Future[Result] | None = None
+        self._solved_count = 0
+        self._health = Health(self, self._report)
+        guarded = self._health.guarded
+        self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
+        self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
+        self.create_subscription(CalibrationPlan, "plan", guarded(self._take_plan), LATCHED)
+        self.create_subscription(ObservationMsg, "observation", guarded(self._take), EVENT)
+        self.create_service(FinishCalibration, "finish_calibration", self._finish)
+        self.create_timer(period, guarded(self._preliminary))
+
+    def begin_stop(self) -> None:
+        """Say goodbye; a running solution is not waited for."""
+        self._worker.shutdown(wait=False, cancel_futures=True)
+        self._health.leave()
+
+    def stopped(self) -> bool:
+        """Return True: nothing to finish."""
+        return True
+
+    def _take_plan(self, message: CalibrationPlan) -> None:
+        """Start afresh; a run that continues the same plan keeps the steps before its start."""
+        old = self._calibration
+        self._calibration, self._run = None, ""
+        try:
+            self._calibration = calibration_of(message)
+        except RotcalError as error:
+            self._state = f"plan refused: {error}"
+            raise
+        kept: dict[int, Observation] = {}
+        if old is not None and old.configuration.plan_id == message.plan_id:
+            kept = {s: o for s, o in self._observations.items() if s < message.start_index}
+        self._observations = kept
+        self._solved_count = 0
+        self._run = run_name(message)
+        self._state = f"collecting for {message.method}"
+
+    def _take(self, message: ObservationMsg) -> None:
+        if self._calibration is not None and message.accepted:
+            self._observations[message.step] = conversions.observation(message)
+
+    def _preliminary(self) -> None:
+        """Begin a solution of what is there, unless one is running or nothing is new."""
+        if self._solving is not None or len(self._observations) == self._solved_count:
+            return
+        calibration, run = self._calibration, self._run
+        if calibration is not None:
+            self._solved_count = len(self._observations)
+            self._solving = self._begin(calibration)
+            self._solving.add_done_callback(
+                lambda future: self.executor.create_task(self._show_preliminary, future, run)
+            )
+
+    def _begin(self, calibration: Calibration) -> Future[Result]:
+        return self._worker.submit(calibration.solve, tuple(self._observations.values()))
+
+    def _show_preliminary(self, future: Future[Result], run: str) -> None:
+        self._solving = None
+        if future.cancelled() or run != self._run:
+            return
+        try:
+            self._publish(future.result(), final=False)
+            self._state = f"preliminary result from {self._solved_count} observations"
+        except DataError as error:
+            self._state = f"not enough observations yet: {error}"
+        except Exception as error:
+            self._health.note_error("preliminary solution", error)
+
+    async def _finish(
+        self, request: FinishCalibration.Request, response: FinishCalibration.Response
+    ) -> FinishCalibration.Response:
+        try:
+            result = await self._final(request)
+            self._publish(result, final=True)
+            self._publish_table(result)
+            response.result_json = result.to_json()
+            response.verdict = result.verdict
+            response.success = True
+            self._state = f"final result, verdict {result.verdict}"
+        except Exception as error:
+            if not isinstance(error, RotcalError):
+                self._health.note_error("final solution", error)
+            response.message = str(error)
+            self._state = f"no final result: {error}"
+        return response
+
+    async def _final(self, request: FinishCalibration.Request) -> Result:
+        calibration = self._calibration
+        if calibration is None or calibration.configuration.plan_id != request.plan_id:
+            raise DataError(f"the solver has no plan {request.plan_id}: announce the plan first")
+        steps = set(request.steps)
+        await until(lambda: steps <= self._observations.keys(), ARRIVAL_TIMEOUT_S)
+        missing = sorted(steps - self._observations.keys())
+        if missing:
+            raise DataError(
+                f"the observations of {len(missing)} accepted steps did not arrive at the solver "
+                f"(first: {missing[0]}); solve the bag instead, it holds them all"
+            )
+        self._state = "solving"
+        future = self._begin(calibration)
+        future.add_done_callback(lambda _: self.executor.wake())
+        await until(future.done, SOLVE_TIMEOUT_S)
+        return future.result(timeout=0.0)
+
+    def _publish(self, result: Result, *, final: bool) -> None:
+        assert self._calibration is not None
+        self._deviations.publish(
+            conversions.deviations_message(
+                result,
+                plan_id=self._calibration.configuration.plan_id,
+                final=final,
+                now_ns=self.get_clock().now().nanoseconds,
+                frame=TABLE_FRAME,
+            )
+        )
+
+    def _publish_table(self, result: Result) -> None:
+        """Publish the compensation table, where the result can make one."""
+        assert self._calibration is not None
+        try:
+            cell = self._calibration.configuration.group("cell", CellSettings)
+            table = table_from_result(result, axis=cell.axis)
+        except RotcalError as error:
+            self.get_logger().warning(f"no compensation table: {error}")
+            return
+        self._tables.publish(
+            conversions.compensation_message(
+                table,
+                plan_id=self._calibration.configuration.plan_id,
+                now_ns=self.get_clock().now().nanoseconds,
+                frame=TABLE_FRAME,
+            )
+        )
+
+    def _report(self) -> tuple[str, dict[str, Any]]:
+        return self._state, {"run": self._run, "observations": len(self._observations)}
+
+
+def make() -> Node:
+    """Return the node."""
+    return SolverNode()
+
+
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the solver node."""
+    sys.exit(run_node(make, args))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,16 @@
+"""The settings of the cell as a whole: group ``cell`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rotcal_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class CellSettings:
+    """What the cell's parts are called."""
+
+    namespace: str = setting("/cell", doc="ROS namespace of all topics of the cell")
+    joint: str = setting("", doc="name of the table's joint in its feedback; empty: the first")
+    axis: str = setting("C", doc="letter of the rotary axis, for compensation tables")
