@@ -92,6 +92,7 @@ class Misfit:
         self.floor = 1e-13 * np.einsum("ji,ji->j", root, root)
 
     def __call__(self, state: Floats) -> Floats:
+        """Return the products (m, 5, 5) at ``state`` (m, 4)."""
         slopes = self._slopes
         np.subtract(state[:, :3, None], self._targets, out=slopes)
         distance = np.sqrt(np.einsum("jai,jai->ji", slopes, slopes))
