@@ -53,9 +53,7 @@ class Reduced:
                 "singular; measure more targets from more stations, or use the datum 'prior'"
             ) from None
         reduced = self.scale * (kept - self.transfer @ other)
-        both = cho_solve(
-            factor, np.column_stack([reduced, self.constraints]), check_finite=False
-        )
+        both = cho_solve(factor, np.column_stack([reduced, self.constraints]), check_finite=False)
         x = self.scale * (both[:, 0] - self._violation(both[:, 1:], both[:, :1])[:, 0])
         q, t, _ = self.inverse.shape
         y = (self.inverse @ other.reshape(q, t, 1)).ravel() - self.transfer.T @ x
@@ -63,7 +61,7 @@ class Reduced:
 
     def covariance(self) -> Floats:
         """Return the covariance (p s, p s) of the kept side, under the constraints."""
-        inverse = np.linalg.inv(self.regular())
+        inverse: Floats = np.asarray(np.linalg.inv(self.regular()), dtype=np.float64)
         inverse -= self._violation(inverse @ self.constraints, inverse)
         inverse *= self.scale * self.scale[:, None]
         return np.asarray(0.5 * (inverse + inverse.T), dtype=np.float64)
@@ -73,9 +71,7 @@ class Reduced:
 
         ``response`` is the inverse of :meth:`regular` times the constraints (Lagrange).
         """
-        multipliers = np.linalg.solve(
-            self.constraints.T @ response, self.constraints.T @ columns
-        )
+        multipliers = np.linalg.solve(self.constraints.T @ response, self.constraints.T @ columns)
         return np.asarray(response @ multipliers, dtype=np.float64)
 
     def other_blocks(self, covariance: Floats) -> Floats:
@@ -115,4 +111,4 @@ def eliminate(
         columns = np.empty((p * s, 0))
     else:
         columns = np.linalg.qr(constraints * scale[:, None])[0]
-    return Reduced(matrix, inverse, transfer, scale, columns)
+    return Reduced(matrix, np.asarray(inverse), transfer, scale, np.asarray(columns))
