@@ -9,6 +9,7 @@ from math import dist, isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rotcal_ros.capture.attempt import (
     Attempt,
@@ -23,7 +24,7 @@ from rotcal_ros.capture.length import decide_length
 from rotcal_ros.capture.plausibility import LengthCheck
 from rotcal_ros.capture.points import decide_points
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts, Values
+from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts
 from rotcal_ros.capture.window import TracerStream
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import (
@@ -90,15 +91,16 @@ class Capture:
         return self._takers[type(record)](record)
 
     def feed_tracer(
-        self, stamp_ns: Stamps, sequence: Values, length: Values, status: Values
+        self,
+        stamp_ns: Stamps,
+        sequence: NDArray[Any],
+        length: NDArray[Any],
+        status: NDArray[Any],
     ) -> Observations:
         """Take many tracer readings at once, all arrays (n,); same answer as one by one."""
-        self._streams.tracer.flush()
-        self._streams.tracer.admit(
-            np.asarray(stamp_ns, dtype=np.int64),
-            np.column_stack([sequence, length, status]).astype(np.float64),
-        )
-        return self._decide()
+        stamps = np.asarray(stamp_ns, dtype=np.int64)
+        due = self._streams.tracer.stage_many(stamps, (sequence, length, status))
+        return self._decide() if due else ()
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
