@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.errors import GeometryError
-from rotcal_ros.geometry.rotations import rotation_from_vector, skew
+from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
 
 Floats = NDArray[np.float64]
 
@@ -70,8 +70,9 @@ def require_spread(points: Floats, what: str) -> None:
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if extent[1] < MIN_ASPECT * extent[0] or extent[0] == 0.0:
         raise GeometryError(
-            f"{what} lie in a line (within {extent[1] * 1e3:.2f} mm over {extent[0] * 1e3:.0f} mm),"
-            " so the rotation about that line is open; place at least one of them aside"
+            f"{what} lie in a line (within {extent[1] * 1e3:.2f} mm over "
+            f"{extent[0] * 1e3:.0f} mm), so the rotation about that line is open; "
+            "place at least one of them aside"
         )
 
 
@@ -94,7 +95,7 @@ def fit_rigid(
         weight = _weights(rotation, source_covariance, target_covariance, len(source))
         residual = target - turned - translation
         jacobian = np.concatenate(
-            [-skew(turned), np.broadcast_to(np.eye(3), (len(source), 3, 3))], axis=-1
+            [-cross_matrix(turned), np.broadcast_to(np.eye(3), (len(source), 3, 3))], axis=-1
         )
         weighted = np.swapaxes(jacobian, -1, -2) @ weight
         normal = (weighted @ jacobian).sum(axis=0)
@@ -121,4 +122,4 @@ def _weights(rotation: Floats, source: Floats | None, target: Floats | None, n: 
     total = np.zeros((n, 3, 3)) if target is None else target
     if source is not None:
         total = total + rotation @ source @ rotation.T
-    return np.linalg.inv(total)
+    return np.asarray(np.linalg.inv(total), dtype=np.float64)

@@ -1,32 +1,75 @@
-"""Rotation matrices from rotation vectors, for stacks of any shape."""
+"""Rotations and angles: wrapping, matrices from vectors, best rotation between point sets.
+
+Angles are radians, counter-clockwise about the axis; matrices act on column vectors.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rotcal_ros.errors import GeometryError
+
 Floats = NDArray[np.float64]
 
 
-def skew(vectors: ArrayLike) -> Floats:
-    """Return the cross-product matrices (..., 3, 3): ``skew(a) @ b == np.cross(a, b)``."""
+def wrap_angle(angle: ArrayLike) -> Floats:
+    """Return ``angle`` (rad, any shape) moved by whole turns into [-pi, pi]."""
+    turns = np.asarray(angle, dtype=np.float64)
+    return np.asarray(np.remainder(turns + np.pi, 2.0 * np.pi) - np.pi, dtype=np.float64)
+
+
+def cross_matrix(vectors: ArrayLike) -> Floats:
+    """Return the matrices (..., 3, 3) with ``cross_matrix(v) @ w == cross(v, w)``."""
     v = np.asarray(vectors, dtype=np.float64)
-    matrices = np.zeros((*v.shape[:-1], 3, 3))
-    matrices[..., 2, 1], matrices[..., 1, 2] = v[..., 0], -v[..., 0]
-    matrices[..., 0, 2], matrices[..., 2, 0] = v[..., 1], -v[..., 1]
-    matrices[..., 1, 0], matrices[..., 0, 1] = v[..., 2], -v[..., 2]
-    return matrices
+    matrix = np.zeros((*v.shape, 3))
+    matrix[..., 2, 1] = v[..., 0]
+    matrix[..., 0, 2] = v[..., 1]
+    matrix[..., 1, 0] = v[..., 2]
+    result: Floats = matrix - np.swapaxes(matrix, -1, -2)
+    return result
+
+
+def rotation_about_z(angle: ArrayLike) -> Floats:
+    """Return the matrices (..., 3, 3) that turn by ``angle`` (rad) counter-clockwise about +z."""
+    theta = np.asarray(angle, dtype=np.float64)
+    matrix = np.zeros((*theta.shape, 3, 3))
+    matrix[..., 0, 0] = matrix[..., 1, 1] = np.cos(theta)
+    matrix[..., 1, 0] = np.sin(theta)
+    matrix[..., 0, 1] = -matrix[..., 1, 0]
+    matrix[..., 2, 2] = 1.0
+    return matrix
 
 
 def rotation_from_vector(vectors: ArrayLike) -> Floats:
-    """Return the rotations (..., 3, 3) about rotation vectors (..., 3) in rad (Rodrigues).
-
-    The direction of a vector is the axis and its length the angle, counter-clockwise about it.
-    Exact to rounding for every angle, the smallest included.
-    """
+    """Return the matrices (..., 3, 3) that turn by ``|v|`` (rad) about each v (..., 3)."""
     v = np.asarray(vectors, dtype=np.float64)
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
-    cross = skew(v)
-    half = np.sinc(angle / (2.0 * np.pi))  # sin(angle / 2) / (angle / 2)
-    rotation: Floats = np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * cross @ cross
-    return rotation
+    k = cross_matrix(v)
+    # sinc(x) = sin(pi x) / (pi x) stays exact where sin(angle) / angle would be 0 / 0.
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    result: Floats = np.eye(3) + first * k + second * (k @ k)
+    return result
+
+
+def fit_rotation(source: ArrayLike, target: ArrayLike) -> Floats:
+    """Return the rotation R (3, 3) that minimises the sum of ``|R source_i - target_i|^2``.
+
+    ``source`` and ``target`` are vectors of shape (k, 3), for points relative to their
+    centroids. The determinant is +1 also for planar sets. Source: Kabsch, Acta Cryst. A32
+    (1976) 922, with the sign correction of A34 (1978) 827.
+
+    Raises GeometryError when the vectors lie on one line, so that the turn about it is free.
+    """
+    s = np.asarray(source, dtype=np.float64)
+    t = np.asarray(target, dtype=np.float64)
+    u, singular, vt = np.linalg.svd(t.T @ s)
+    if not singular[1] > 1e-12 * singular[0]:
+        raise GeometryError(
+            f"a rotation cannot be found from {len(s)} vectors on one line: "
+            "at least two directions are needed"
+        )
+    sign = np.sign(np.linalg.det(u @ vt))
+    result: Floats = (u * np.array([1.0, 1.0, sign])) @ vt
+    return result

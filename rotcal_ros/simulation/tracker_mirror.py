@@ -28,7 +28,8 @@ class FlatMirror:
 
     ``centre`` (m) is the middle of the glass, ``azimuth`` and ``lean`` (rad) the direction of
     its normal, ``width`` and ``height`` (m) its edges. The glass departs from a plane by
-    ``sag`` and ``twist`` (m): height sag (u^2 + v^2) + twist u v, with u, v from -1 to 1 edge to edge.
+    ``sag`` and ``twist`` (m): height sag (u^2 + v^2) + twist u v, with u, v
+    from -1 to 1 edge to edge.
     """
 
     centre: tuple[float, float, float] = (0.05, 0.0, 0.15)
@@ -158,7 +159,7 @@ def measure_direct(
 ) -> PlaneMirrorProblem:
     """Let the tracker measure reflectors (K, 3) on the table, given in its frame at angle 0.
 
-    Every station measures its visits; a full circle needs a station whose visits are all positions.
+    Every station measures its visits; for a full circle one station visits all positions.
     """
     rows: list[tuple[int, int, PointKind, int]] = []
     points: list[Floats] = []
@@ -186,7 +187,7 @@ def add_noise(
 
 
 def table_pose(angle: float, deviation: Floats) -> tuple[Floats, Floats]:
-    """Return rotation and shift of the table: the commanded angle, then its six deviations (6,)."""
+    """Return rotation and shift of the table: the commanded angle, then deviations (6,)."""
     turn = rotation_from_vector([0.0, 0.0, angle + deviation[5]])
     return rotation_from_vector([deviation[3], deviation[4], 0.0]) @ turn, deviation[:3]
 
@@ -241,8 +242,8 @@ def _image(
         u, v = (spot - centre) @ frame[:, :2] * 2.0 / np.array([mirror.width, mirror.height])
         if abs(u) > 1.0 or abs(v) > 1.0 or beam @ normal >= 0.0:
             raise PlanError(
-                f"{where}: the beam misses the mirror (at {u:.2f}, {v:.2f} of its half edges); move "
-                "the tracker or the reflector, or take a larger mirror"
+                f"{where}: the beam misses the mirror (at {u:.2f}, {v:.2f} of its half edges); "
+                "move the tracker or the reflector, or take a larger mirror"
             )
         height = mirror.sag * (u**2 + v**2) + mirror.twist * u * v
         slope_u = (2.0 * mirror.sag * u + mirror.twist * v) * 2.0 / mirror.width

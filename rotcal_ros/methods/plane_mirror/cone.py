@@ -12,6 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.geometry.rotations import wrap_angle
+
 Floats = NDArray[np.float64]
 
 
@@ -78,14 +80,12 @@ def azimuth_response(azimuth: Floats, tan_beta: float) -> Floats:
 
 
 def deviation(azimuth: Floats, commanded: Floats) -> Floats:
-    """Return azimuth - commanded, both from their first entry, wrapped to [-pi, pi)."""
-    difference = azimuth - azimuth[..., :1] - (commanded - commanded[0])
-    wrapped: Floats = (difference + np.pi) % (2.0 * np.pi) - np.pi
-    return wrapped
+    """Return azimuth - commanded, both from their first entry, wrapped to [-pi, pi]."""
+    return wrap_angle(azimuth - azimuth[..., :1] - (commanded - commanded[0]))
 
 
 def sense(normals: Floats, axis: Floats, commanded: Floats) -> Floats:
-    """+1 where the normals turn counter-clockwise about the axis when the command does, else -1."""
+    """Return +1 where the normals turn about the axis as the command does, else -1."""
     cross = np.cross(normals[..., :-1, :], normals[..., 1:, :])
     turned = np.einsum("...mi,...i->...m", cross, axis)
     votes = np.einsum("...m,m->...", turned, np.sin(np.diff(commanded)))

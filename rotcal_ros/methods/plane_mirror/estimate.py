@@ -51,22 +51,22 @@ class Prepared:
 def estimate(prepared: Prepared, points: Floats) -> Floats:
     """Return the deviations (..., N) in rad, from the first position, of points (..., n, 3)."""
     if prepared.problem.way == "direct":
-        deviations: Floats = _direct(prepared, points) @ prepared.joining.T
-        return deviations
-    assert prepared.pairs is not None
-    normals = fit_normals(points, prepared.pairs, prepared.pair_weight)
-    if prepared.problem.way == "joint":
-        return _joint(prepared, points, normals)
-    if prepared.problem.way == "stitching":
-        readings = stitch(normals.normal, prepared.pairs, prepared.angles)
+        readings = _direct(prepared, points)
     else:
-        readings = _registered(prepared, points, normals)
-    deviations = readings @ prepared.joining.T
-    return deviations
+        assert prepared.pairs is not None
+        normals = fit_normals(points, prepared.pairs, prepared.pair_weight)
+        if prepared.problem.way == "joint":
+            return _joint(prepared, points, normals)
+        if prepared.problem.way == "stitching":
+            readings = stitch(normals.normal, prepared.pairs, prepared.angles)
+        else:
+            readings = _registered(prepared, points, normals)
+    result: Floats = readings @ prepared.joining.T
+    return result
 
 
 def registered_readings(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
-    """Return one reading (..., G) per normal (..., G, 3) in the common frame: one plane for all."""
+    """Return one reading (..., G) per normal (..., G, 3) in the common frame."""
     commanded = angles[pairs.position]
     axis, _ = cone.fit_cone(normals, commanded)
     return cone.deviation(cone.azimuths(normals, axis), commanded)

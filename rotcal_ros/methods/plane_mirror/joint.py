@@ -7,9 +7,9 @@ Model, in the frame of the first station: the mirror at position i is the plane 
 Unknown are the axis a, the cone's beta, the poses of the stations and the nests (shared), and
 psi_i, eps_i, d_i per position; eps_i, the tilt of the table, is held at zero to within
 ``tilt_std``. The planes that :mod:`~rotcal_ros.methods.plane_mirror.normals` fits to each group,
-with their information, say all that the points say. Each group touches one position and one station,
-so the 3 x 3 blocks of the positions and of the nests are eliminated and 6 (S - 1) + 3 equations
-remain, however many positions there are. All arrays may have leading axes (trials).
+with their information, say all that the points say. Each group touches one position and one
+station, so the 3 x 3 blocks of the positions and of the nests are eliminated and 6 (S - 1) + 3
+equations remain, however many positions there are. All arrays may have leading axes (trials).
 """
 
 from __future__ import annotations
@@ -227,7 +227,7 @@ def plane_weight(normals: Normals, pairs: Pairs, poses: Poses, t: Floats, b: Flo
 
 
 def _model_normals(frame: Floats, elevation: Floats, psi: Floats) -> tuple[Floats, Floats, Floats]:
-    """Normals n with t and b (..., G, 3) across them, along the common axes."""
+    """Return normals n with t and b (..., G, 3) across them, along the common axes."""
     ce, se, cp, sp = np.cos(elevation), np.sin(elevation), np.cos(psi), np.sin(psi)
     own = (
         np.stack([ce * cp, ce * sp, se], axis=-1),

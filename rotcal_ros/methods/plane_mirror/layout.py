@@ -110,12 +110,12 @@ def find_pairs(problem: PlaneMirrorProblem) -> Pairs:
         rows[key][int(problem.kind[row] == PointKind.MIRRORED)].append(int(row))
     if not rows:
         raise DataError(f"{problem.source}: no direct and mirrored points, nothing to compute")
-    for key, (direct, mirrored) in rows.items():
-        if len(direct) != len(mirrored):
-            raise DataError(_unpaired(problem, key, len(direct), len(mirrored)))
+    for key, (near, far) in rows.items():
+        if len(near) != len(far):
+            raise DataError(_unpaired(problem, key, len(near), len(far)))
     keys = sorted(rows)
-    direct = np.concatenate([rows[key][0] for key in keys])
-    mirrored = np.concatenate([rows[key][1] for key in keys])
+    direct = np.array([row for key in keys for row in rows[key][0]], dtype=np.int64)
+    mirrored = np.array([row for key in keys for row in rows[key][1]], dtype=np.int64)
     places = np.column_stack([problem.position[direct], problem.station[direct]])
     group_places, group = np.unique(places, axis=0, return_inverse=True)
     group = group.ravel().astype(np.int64)
@@ -180,6 +180,6 @@ def _unpaired(
     position, station, nest = key
     return (
         f"{problem.source}: {problem.position_name(position)}, tracker station "
-        f"{problem.station_name(station)}, nest {nest}: {n_direct} direct and {n_mirrored} mirrored "
-        "points, expected as many of both; measure the missing one or take the row out"
+        f"{problem.station_name(station)}, nest {nest}: {n_direct} direct and {n_mirrored} "
+        "mirrored points, expected as many of both; measure the missing one or take the row out"
     )

@@ -54,9 +54,7 @@ class NestFit:
     def test_value(self) -> Floats:
         """Normalised residual (Q,): 1 is expected, 0 where nothing checks the observation."""
         v = self.residual
-        blocks = np.arange(len(v))
-        weight = self.weight.reshape(len(v), 3, len(v), 3)[blocks, :, blocks, :]
-        square = np.einsum("qi,qij,qj->q", v, weight, v)
+        square = (v * (self.weight @ v.ravel()).reshape(-1, 3)).sum(axis=1)
         share = 3.0 * self.redundancy
         value: Floats = np.sqrt(square / np.where(share > 1e-6, share, np.inf))
         return value
@@ -73,7 +71,7 @@ def register(problem: PlaneMirrorProblem, nests: Nests) -> tuple[Poses, Nests, l
     _check_exchanged(problem, nests)
     moved: list[str] = []
     while True:
-        weight = np.linalg.inv(problem.noise.covariance(problem.xyz[nests.row]))
+        weight = problem.noise.weight(problem.xyz[nests.row])
         poses = adjust_stations(problem.xyz, nests, weight, place_stations(problem, nests))
         found = _moved_nest(problem, nests, nest_fit(problem.xyz, nests, weight, poses))
         if found is None or len(moved) >= len(nests.name):
@@ -88,23 +86,23 @@ def nest_fit(points: Floats, nests: Nests, weight: Floats, poses: Poses) -> Nest
     _, _, residual = nest_equations(points, nests, weight, poses)
     rotation = poses.rotation[nests.station]
     n, n_stations = len(nests.row), len(poses.rotation)
-    full = block_diag(*(rotation @ weight @ np.swapaxes(rotation, 1, 2)))
+    full: Floats = block_diag(*(rotation @ weight @ np.swapaxes(rotation, 1, 2)))
     arm = poses.turned(points[nests.row], nests.station)
     design = np.zeros((n, 3, 3 * nests.n_points))
     axes = np.arange(3)
     design[np.arange(n)[:, None], axes, 3 * nests.point[:, None] + axes] = -1.0
-    jacobian = pose_jacobian(arm, nests.station, n_stations)
-    design = np.concatenate([jacobian, design], axis=2).reshape(3 * n, -1)
-    normal = design.T @ full @ design
-    cofactor = np.linalg.inv(full) - design @ np.linalg.solve(normal, design.T)
+    poses_part = pose_jacobian(arm, nests.station, n_stations)
+    jacobian = np.concatenate([poses_part, design], axis=2).reshape(3 * n, -1)
+    normal = jacobian.T @ full @ jacobian
+    cofactor = np.linalg.inv(full) - jacobian @ np.linalg.solve(normal, jacobian.T)
     v = residual.ravel()
-    return NestFit(residual, full, cofactor, float(v @ full @ v), 3 * n - design.shape[1])
+    return NestFit(residual, full, cofactor, float(v @ full @ v), 3 * n - jacobian.shape[1])
 
 
 def _moved_nest(
     problem: PlaneMirrorProblem, nests: Nests, fit: NestFit
 ) -> tuple[NDArray[np.bool_], str] | None:
-    """The most likely move, if one explains what noise cannot; else None."""
+    """Return the most likely move, if one explains what noise cannot; else None."""
     if fit.dof == 0 or fit.chi_square <= chi2.isf(problem.significance, fit.dof):
         return None
     hypotheses = _hypotheses(nests)
@@ -128,19 +126,14 @@ def _hypotheses(nests: Nests) -> list[tuple[NDArray[np.bool_], str]]:
     for point in range(nests.n_points):
         own = nests.point == point
         seen = np.unique(nests.station[own])
-        for station in seen[1:]:
-            found.append(
-                (own & (nests.station >= station), "moved between tracker stations {} and {}")
-            )
-        for station in seen[1:-1]:
-            found.append(
-                (own & (nests.station == station), "stood elsewhere at tracker station {1}")
-            )
+        moved, aside = "moved between tracker stations {} and {}", "stood elsewhere at station {1}"
+        found += [(own & (nests.station >= station), moved) for station in seen[1:]]
+        found += [(own & (nests.station == station), aside) for station in seen[1:-1]]
     return found
 
 
 def _stations(nests: Nests, members: NDArray[np.bool_]) -> tuple[int, int]:
-    """The last station before the move that saw the nest, and the first after it."""
+    """Return the last station before the move that saw the nest, and the first after it."""
     first = int(nests.station[members].min())
     own = nests.station[nests.point == nests.point[members][0]]
     return int(own[own < first].max()), first
@@ -154,7 +147,7 @@ def _gain(fit: NestFit, members: NDArray[np.bool_]) -> tuple[float, Floats]:
     if np.linalg.eigvalsh(inner)[0] < _MIN_REDUNDANCY * np.trace(select.T @ weighted) / 3.0:
         return 0.0, np.zeros(3)  # too few nests: the rest would not fix the stations
     push = weighted.T @ fit.residual.ravel()
-    shift = np.linalg.solve(inner, push)
+    shift = np.asarray(np.linalg.solve(inner, push), dtype=np.float64)
     return float(push @ shift), shift
 
 
@@ -168,8 +161,8 @@ def _check_apart(problem: PlaneMirrorProblem, nests: Nests) -> None:
                 a, b = nests.name[nests.point[at[i]]], nests.name[nests.point[at[j]]]
                 raise DataError(
                     f"{problem.source}: from tracker station {problem.station_name(int(station))} "
-                    f"nests {a} and {b} are {apart * 1e3:.3f} mm apart, so one of them was measured "
-                    "with the reflector on the wrong nest; measure both again"
+                    f"nests {a} and {b} are {apart * 1e3:.3f} mm apart, so one of them was "
+                    "measured with the reflector on the wrong nest; measure both again"
                 )
 
 
@@ -195,7 +188,7 @@ def _check_exchanged(problem: PlaneMirrorProblem, nests: Nests) -> None:
 
 
 def _exchange(here: Floats, there: Floats) -> tuple[int, int] | None:
-    """The two nests to swap so that all distances agree; None when there is no single answer."""
+    """Return the two nests to swap so that all distances agree; None without a single answer."""
     answers = []
     for i, j in combinations(range(len(here)), 2):
         order = np.arange(len(here))

@@ -28,8 +28,8 @@ class Normals:
     """Planes n.x = h of the groups in the frame of their tracker station.
 
     ``normal`` (..., G, 3) unit vectors towards the tracker, ``offset`` (..., G) in metres,
-    ``misclosure`` (..., P, 3) the condition e of each pair in metres, ``information`` (..., G, 4, 4)
-    the inverse covariance of (change of n, change of h), of rank 3: n keeps its length.
+    ``misclosure`` (..., P, 3) the condition e of each pair in metres, ``information``
+    (..., G, 4, 4) the inverse covariance of changes of (n, h), of rank 3: n keeps its length.
     """
 
     normal: Floats
@@ -73,8 +73,9 @@ def pair_weights(points: Floats, pairs: Pairs, noise: TrackerNoise) -> Floats:
     reflection = np.eye(3) - 2.0 * n[:, :, None] * n[:, None, :]
     total = noise.covariance(mirrored) + reflection @ noise.covariance(direct) @ reflection
     if noise.mirror_slope_std > 0.0:
-        total = total + noise.mirror_slope_std**2 * _slope_effect(direct, mirrored, n, h)
-    return np.linalg.inv(total)
+        slope = noise.mirror_slope_std * image_response(direct, mirrored, n, h)
+        total = total + slope @ np.swapaxes(slope, 1, 2)
+    return np.asarray(np.linalg.inv(total), dtype=np.float64)
 
 
 def tangent_frame(normal: Floats, axis: Floats) -> tuple[Floats, Floats]:
@@ -93,6 +94,20 @@ def incidence(points: Floats, pairs: Pairs, normal: Floats) -> Floats:
     cosine = -np.einsum("pi,pi->p", beam, normal[pairs.group]) / np.linalg.norm(beam, axis=-1)
     angle: Floats = np.arccos(np.clip(cosine, -1.0, 1.0))
     return angle
+
+
+def image_response(direct: Floats, mirrored: Floats, normal: Floats, offset: Floats) -> Floats:
+    """Return the movement (P, 3, 3) of images per change of their normal about the beam's spot.
+
+    All arguments per pair: points (P, 3), ``normal`` (P, 3), ``offset`` (P,).
+    """
+    height_of_image = np.einsum("pi,pi->p", mirrored, normal)
+    arm = direct - mirrored * (offset / height_of_image)[:, None]
+    height = np.einsum("pi,pi->p", arm, normal)[:, None, None]
+    across = np.eye(3) - normal[:, :, None] * normal[:, None, :]
+    along = (across @ arm[:, :, None])[:, None, :, 0]
+    response: Floats = -2.0 * (normal[:, :, None] * along + height * across)
+    return response
 
 
 def _start(direct: Floats, mirrored: Floats, pairs: Pairs) -> tuple[Floats, Floats]:
@@ -129,17 +144,6 @@ def tangent_basis(normal: Floats) -> Floats:
     basis = np.zeros((*normal.shape[:-1], 4, 3))
     basis[..., :3, 0], basis[..., :3, 1], basis[..., 3, 2] = t, b, 1.0
     return basis
-
-
-def _slope_effect(direct: Floats, mirrored: Floats, n: Floats, h: Floats) -> Floats:
-    """Covariance (P, 3, 3) of the image per squared slope (rad) of the mirror at the spot."""
-    spot = mirrored * (h / np.einsum("pi,pi->p", mirrored, n))[:, None]
-    arm = direct - spot
-    height = np.einsum("pi,pi->p", arm, n)[:, None, None]
-    across = np.eye(3) - n[:, :, None] * n[:, None, :]
-    effect = 2.0 * (n[:, :, None] * (across @ arm[:, :, None])[:, None, :, 0] + height * across)
-    covariance: Floats = effect @ np.swapaxes(effect, -1, -2)
-    return covariance
 
 
 def _sum(values: Floats, pairs: Pairs, axis: int) -> Floats:

@@ -132,10 +132,10 @@ def direct(prepared: Prepared, residuals: Residuals) -> Outcome:
     gain = prepared.joining @ direct_response(reflectors, angles, radii)
     readings = direct_readings(placed, reflectors, angles)
     design = circle_design(reflectors, angles)
-    off_circle = _off_circle(prepared, placed, axes, radii)
-    both = np.kron(np.eye(2), design)
+    off_circle: Floats = _off_circle(prepared, placed, axes, radii)
+    both = np.asarray(np.kron(np.eye(2), design), dtype=np.float64)
     chi_square, dof = unc.misfit(off_circle.T.ravel(), both, covariance[m:, m:])
-    leverage = np.einsum("ij,ji->i", design, np.linalg.pinv(design))
+    leverage: Floats = np.einsum("ij,ji->i", design, np.linalg.pinv(design))
     spread = np.diag(covariance)[m:].reshape(2, m).T * (1.0 - leverage)[:, None]
     test = np.sqrt((off_circle**2 / np.maximum(spread, 1e-300)).mean(axis=1))
     length = np.linalg.norm(off_circle, axis=1)
@@ -234,7 +234,7 @@ def _pose_covariance(prepared: Prepared) -> Floats:
     normal, _, _ = nest_equations(
         prepared.problem.xyz, prepared.nests, prepared.nest_weight, prepared.poses
     )
-    return np.linalg.inv(normal)
+    return np.asarray(np.linalg.inv(normal), dtype=np.float64)
 
 
 def _with_nests(

@@ -14,7 +14,6 @@ from rotcal_ros.methods.plane_mirror.estimate import Prepared
 from rotcal_ros.methods.plane_mirror.joint import adjust_joint, start_mirror
 from rotcal_ros.methods.plane_mirror.layout import (
     Nests,
-    Pairs,
     find_nests,
     find_pairs,
     find_reflectors,
@@ -41,7 +40,7 @@ class Screened:
 
 
 def prepare(problem: PlaneMirrorProblem) -> Screened:
-    """Screen and lay out a problem; raises DataError and GeometryError where it cannot be solved."""
+    """Screen and lay out a problem; raises DataError or GeometryError when it has no solution."""
     return _prepare_direct(problem) if problem.way == "direct" else _prepare_mirror(problem)
 
 
@@ -76,7 +75,7 @@ def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
         reflectors=None,
         nests=nests,
         pair_weight=weight,
-        nest_weight=nest_weights(problem, nests),
+        nest_weight=problem.noise.weight(problem.xyz[nests.row]),
         poses=poses,
         joining=joining,
     )
@@ -106,16 +105,11 @@ def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
         reflectors=reflectors,
         nests=nests,
         pair_weight=np.zeros((0, 3, 3)),
-        nest_weight=nest_weights(problem, nests),
+        nest_weight=problem.noise.weight(problem.xyz[nests.row]),
         poses=poses,
         joining=joining,
     )
     return Screened(prepared, (), tuple(warnings))
-
-
-def nest_weights(problem: PlaneMirrorProblem, nests: Nests) -> Floats:
-    """Return the inverse covariances (Q, 3, 3) of the nest rows along their station's axes."""
-    return np.linalg.inv(problem.noise.covariance(problem.xyz[nests.row]))
 
 
 def _stations(problem: PlaneMirrorProblem) -> tuple[Poses, Nests, list[str]]:

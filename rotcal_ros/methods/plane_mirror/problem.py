@@ -63,6 +63,10 @@ class TrackerNoise:
         total: Floats = across**2 * np.eye(3) + (along**2 - across**2) * beam
         return total
 
+    def weight(self, points: Floats) -> Floats:
+        """Return the inverse of :meth:`covariance`."""
+        return np.asarray(np.linalg.inv(self.covariance(points)), dtype=np.float64)
+
 
 @dataclass(frozen=True)
 class PlaneMirrorProblem:
@@ -82,6 +86,7 @@ class PlaneMirrorProblem:
     ``tilt_std`` (rad) is how far the table may tilt (EAC, EBC), that is, how exactly the normals
     stand on one cone. ``incidence_limit`` (rad) is the greatest angle between beam and mirror
     normal that is used. ``significance`` is the probability of a false alarm of each test.
+    ``station_names``, ``source`` and ``lines`` (of the file, per row) serve the messages.
     """
 
     angles: Floats
@@ -97,6 +102,7 @@ class PlaneMirrorProblem:
     significance: float = 1e-3
     station_names: tuple[str, ...] = ()
     source: str = "the data"
+    lines: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angles", np.asarray(self.angles, dtype=np.float64))
@@ -120,7 +126,11 @@ class PlaneMirrorProblem:
         where = f"tracker station {self.station_name(self.station[row])}, nest {self.nest[row]}"
         if kind != "nest":
             where = f"{self.position_name(self.position[row])}, {where}"
-        return f"row {row} ({kind}, {where})"
+        return f"{self.place(row)} ({kind}, {where})"
+
+    def place(self, row: int) -> str:
+        """Return the line of the file a row came from, else its number."""
+        return f"line {self.lines[row]}" if self.lines else f"row {row}"
 
 
 def problem_from_observations(
@@ -135,15 +145,17 @@ def problem_from_observations(
     """
     kinds = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
     used = [o for o in observations if o.accepted and o.kind in kinds]
+    stations, station = np.unique([o.station for o in used], return_inverse=True)
     return PlaneMirrorProblem(
         angles=np.asarray(angles, dtype=np.float64),
         position=np.array([o.table_index for o in used], dtype=np.int64),
-        station=np.array([o.station for o in used], dtype=np.int64),
+        station=station.astype(np.int64),
         kind=np.array([int(o.kind) for o in used], dtype=np.int64),
         nest=np.array([o.target for o in used], dtype=np.int64),
         xyz=np.array([o.mean for o in used], dtype=np.float64).reshape(-1, 3),
         noise=noise if noise is not None else TrackerNoise(),
         way=way,
+        station_names=tuple(str(s) for s in stations),
     )
 
 
@@ -166,19 +178,22 @@ def _require_values(problem: PlaneMirrorProblem) -> None:
         raise DataError("tilt_std must be above 0 and incidence_limit between 0 and pi/2 rad")
     if not np.all(np.isfinite(problem.angles)):
         raise DataError(f"{problem.source}: a commanded angle is not a number")
-    if problem.station.min() < 0:
-        raise DataError(f"{problem.source}: negative tracker station {problem.station.min()}")
+    if len(np.setdiff1d(np.arange(problem.station.max() + 1), problem.station)) or (
+        problem.station.min() < 0
+    ):
+        found = np.unique(problem.station).tolist()
+        raise DataError(f"{problem.source}: tracker stations must count from 0, found {found}")
     known = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
     for row in range(len(problem.xyz)):
         if problem.kind[row] not in known:
             raise DataError(
-                f"{problem.source}: row {row} has kind {problem.kind[row]}, expected "
+                f"{problem.source}: {problem.place(row)} has kind {problem.kind[row]}, expected "
                 "direct, mirrored or nest"
             )
         tied = problem.kind[row] != PointKind.NEST
         if tied and not 0 <= problem.position[row] < len(problem.angles):
             raise DataError(
-                f"{problem.source}: row {row} names position {problem.position[row]}, "
+                f"{problem.source}: {problem.place(row)} names position {problem.position[row]}, "
                 f"but there are {len(problem.angles)} commanded angles (0 is the first)"
             )
         if not np.all(np.isfinite(problem.xyz[row])) or not np.any(problem.xyz[row]):

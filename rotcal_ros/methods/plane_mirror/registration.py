@@ -1,8 +1,8 @@
 """Registration: fixed nests bring all tracker stations into the frame of the first.
 
 All stations and nests are adjusted together (the paper maps each station to the first one; with
-all nests seen by both that is the same transform, and here the noise of the first station's nests is
-counted once). Pose changes are (rotation about the tracker, shift) in the common frame, six per
+all nests seen by both that is the same transform, and here the noise of the first station's nests
+is counted once). Pose changes are (rotation about the tracker, shift) in the common frame, six per
 station, the first station fixed: p = 6 (S - 1) columns.
 """
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rotcal_ros.errors import GeometryError
 from rotcal_ros.geometry.rigid import align, require_spread
-from rotcal_ros.geometry.rotations import rotation_from_vector, skew
+from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
 from rotcal_ros.methods.plane_mirror.layout import Nests
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 
@@ -105,7 +105,7 @@ def adjust_stations(
     poses = start
     for _ in range(steps):
         normal, right, _ = nest_equations(points, nests, weight, poses)
-        change = np.linalg.solve(normal, right[..., None])[..., 0]
+        change = np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], dtype=np.float64)
         poses = poses.moved(change)
         if np.abs(change).max(initial=0.0) < _TOLERANCE:
             break
@@ -163,8 +163,8 @@ def _require_nests(
     where = f"{problem.source}: tracker station {problem.station_name(station)}"
     if len(rows) < 3:
         raise GeometryError(
-            f"{where} shares {len(rows)} nests ({names or 'none'}) with the stations placed before "
-            "it, registration needs 3; measure more nests from there, or choose stitching"
+            f"{where} shares {len(rows)} nests ({names or 'none'}) with the stations placed "
+            "before it, registration needs 3; measure more nests from there, or choose stitching"
         )
     require_spread(target, f"{where}: the nests {names} that it shares with the others")
 
@@ -175,7 +175,7 @@ def pose_jacobian(arm: Floats, station: Integers, n_stations: int) -> Floats:
     movable, columns = station_columns(station)
     block = np.concatenate(
         [
-            -skew(arm[..., movable, :]),
+            -cross_matrix(arm[..., movable, :]),
             np.broadcast_to(np.eye(3), (*arm[..., movable, :].shape, 3)),
         ],
         axis=-1,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rotcal_ros.methods.plane_mirror.layout import Nests, Pairs
 from rotcal_ros.methods.plane_mirror.nest_tests import NestFit
-from rotcal_ros.methods.plane_mirror.normals import Normals, tangent_basis, condition_jacobian
+from rotcal_ros.methods.plane_mirror.normals import Normals, condition_jacobian, tangent_basis
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.results import Residuals
 
@@ -55,8 +55,7 @@ def enter_pairs(
     A single pair fits its plane exactly; it is checked by the cone and the overlaps alone and has
     redundancy 0 here.
     """
-    direct, mirrored = problem.xyz[pairs.direct], problem.xyz[pairs.mirrored]
-    jacobian = condition_jacobian(direct, normals.normal, normals.offset, pairs)
+    jacobian = condition_jacobian(problem.xyz[pairs.direct], normals.normal, normals.offset, pairs)
     basis = tangent_basis(normals.normal)[pairs.group]
     reduced = jacobian @ basis
     information = np.swapaxes(basis, 1, 2) @ normals.information[pairs.group] @ basis

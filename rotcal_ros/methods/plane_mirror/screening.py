@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from rotcal_ros.errors import DataError
+from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.plane_mirror.layout import Pairs
 from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals, incidence
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
@@ -24,7 +25,7 @@ Floats = NDArray[np.float64]
 MIN_SEPARATION: Final = 1e-3
 """Two reflectors, or a reflector and its image, are never closer than this (m)."""
 MAX_MISFIT: Final = 2.0 * DEGREE
-"""Normals of one station differ from their commanded angles by less, leaning by up to 8 degrees."""
+"""Normals of one station are closer to the command than this, leaning by up to 8 degrees."""
 MAX_DEVIATION: Final = 1.0 * DEGREE
 """No rotary table is this wrong; a commanded angle or a nest is."""
 
@@ -32,8 +33,8 @@ MAX_DEVIATION: Final = 1.0 * DEGREE
 def check_pairs(problem: PlaneMirrorProblem, pairs: Pairs) -> None:
     """Refuse a reflector measured twice directly, and direct and mirrored points exchanged.
 
-    The plane half way between M and M' separates the tracker from the image, so the direct point is
-    always the nearer one.
+    The plane half way between M and M' separates the tracker from the image, so the direct point
+    is always the nearer one.
     """
     direct, mirrored = problem.xyz[pairs.direct], problem.xyz[pairs.mirrored]
     apart = np.linalg.norm(direct - mirrored, axis=1)
@@ -108,7 +109,7 @@ def check_normals(problem: PlaneMirrorProblem, pairs: Pairs, normals: Normals) -
         commanded = problem.angles[pairs.position[at]]
         seen = np.arccos(np.clip(n @ n.T, -1.0, 1.0))
         turn = commanded[:, None] - commanded[None, :]
-        wrong = np.abs(seen - np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi)) > MAX_MISFIT
+        wrong = np.abs(seen - np.abs(wrap_angle(turn))) > MAX_MISFIT
         if not wrong.any():
             continue
         worst = int(np.argmax(wrong.sum(axis=1)))
@@ -130,8 +131,8 @@ def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) 
     if not np.all(np.isfinite(deviations)) or abs(deviations[worst]) > MAX_DEVIATION:
         raise DataError(
             f"{problem.source}: the table position commanded to {angles[worst] / DEGREE:g} deg "
-            f"comes out {deviations[worst] / DEGREE:.2f} deg off; no table is that wrong: reflector "
-            "on the wrong nest, wrong position number, or wrong commanded angle"
+            f"comes out {deviations[worst] / DEGREE:.2f} deg off; no table is that wrong: "
+            "reflector on the wrong nest, wrong position number, or wrong commanded angle"
         )
 
 
@@ -183,8 +184,8 @@ def _culprit(problem: PlaneMirrorProblem, pairs: Pairs, weight: Floats, group: i
     if dof == 0 or min(left) > chi2.isf(problem.significance / pairs.n_groups, dof):
         raise DataError(
             f"{problem.source}: {problem.position_name(int(pairs.position[group]))}, tracker "
-            f"station {problem.station_name(int(pairs.station[group]))}: the reflectors {names} show "
-            "different mirror planes and nothing tells which is right: reflector on the wrong "
-            "nest, nest or mirror moved in between; measure this position again"
+            f"station {problem.station_name(int(pairs.station[group]))}: reflectors {names} "
+            "show different mirror planes and nothing tells which is right: reflector on the "
+            "wrong nest, nest or mirror moved in between; measure this position again"
         )
     return int(members[int(np.argmin(left))])

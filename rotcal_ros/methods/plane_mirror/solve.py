@@ -123,7 +123,7 @@ def _layout_details(prepared: Prepared) -> dict[str, Any]:
 
 
 def _closure(angles: Floats, repeats: list[dict[str, float | int]]) -> dict[str, float]:
-    """The difference between the same place a whole turn later and before, if it was measured."""
+    """Return how far the table is from its first place after a whole turn, if it was measured."""
     for entry in repeats:
         first, second = int(entry["first"]), int(entry["second"])
         if abs(angles[second] - angles[first]) > np.pi:

@@ -38,8 +38,8 @@ def stitch(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     """Return one reading (..., G) per group: deviation in rad from its station's first group.
 
     ``normals`` (..., G, 3) each in the frame of its station, ``angles`` (N,) commanded. A station
-    with three or more normals has its own plane. Two normals have none: their axis follows from the
-    cone found by the other stations.
+    with three or more normals has its own plane. Two normals have none: their axis follows from
+    the cone found by the other stations.
     """
     readings = np.zeros(normals.shape[:-1])
     height = np.zeros(normals.shape[:-2])
@@ -71,7 +71,7 @@ def stitch_response(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     response = np.zeros((n, 2 * n))
     height_response = np.zeros(n)
     shares = _shares(normals, pairs, angles)
-    s = cone_height(normals, pairs, angles)
+    s = float(cone_height(normals, pairs, angles))
     tan_beta, cos_beta = s / np.sqrt(1.0 - s**2), np.sqrt(1.0 - s**2)
     for few in (False, True):  # stations of two lean on the height that the others give
         for station in np.unique(pairs.station):
@@ -122,7 +122,8 @@ def require_cone(problem: PlaneMirrorProblem, pairs: Pairs, angles: Floats) -> N
     if counts.max() < 3:
         raise GeometryError(
             f"{problem.source}: no tracker station sees three table positions (at most "
-            f"{counts.max()}), so stitching finds no plane of rotation; choose registration or joint"
+            f"{counts.max()}), so stitching finds no plane of rotation; choose registration "
+            "or joint"
         )
     for station in np.flatnonzero(counts > 1):
         azimuth = angles[pairs.position[pairs.station == station]]

@@ -108,8 +108,8 @@ def tilt_crosstalk(problem: PlaneMirrorProblem, height: float, n: int) -> Floats
 def misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, int]:
     """Return the chi square and its degrees of freedom of ``values`` (m,) about a fit.
 
-    ``design`` (m, k) spans what the unweighted fit takes away, ``covariance`` (m, m) is that of the
-    values before. The statistic weighs the remainder by its own covariance, so that it is
+    ``design`` (m, k) spans what the unweighted fit takes away, ``covariance`` (m, m) is that of
+    the values before. The statistic weighs the remainder by its own covariance, so that it is
     chi-square distributed although the fit is not weighted.
     """
     basis, size, _ = np.linalg.svd(design, full_matrices=True)
