@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import multiprocessing
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
@@ -23,6 +24,7 @@ from rotcal_ros.errors import ConfigurationError
 Floats = NDArray[np.float64]
 Model = Callable[[np.random.Generator, int], Floats]
 Progress = Callable[[int, int], None]
+Blocks = Generator[Floats, None, None]
 P = TypeVar("P")
 
 BLOCK: Final = 2000
@@ -81,8 +83,8 @@ def propagate(
     """
     if not 0.0 < probability < 1.0 or digits < 1 or workers < 1 or block < 2 or seed < 0:
         raise ConfigurationError(
-            "Monte Carlo needs 0 < probability < 1, digits and workers >= 1, block >= 2, seed >= 0;"
-            f" found {probability}, {digits}, {workers}, {block}, {seed}"
+            "Monte Carlo needs 0 < probability < 1, digits and workers >= 1, block >= 2, "
+            f"seed >= 0; found {probability}, {digits}, {workers}, {block}, {seed}"
         )
     n_blocks = -(-max_trials // block)
     if n_blocks < 1:
@@ -90,14 +92,15 @@ def propagate(
     values: list[Floats] = []
     figures: list[Floats] = []
     stable = False
-    for trials in _blocks(model, seed, block, n_blocks, workers):
-        values.append(trials)
-        figures.append(_figures(trials, probability))
-        if progress is not None:
-            progress(len(values) * block, n_blocks * block)
-        stable = _stable(np.array(figures), digits)
-        if stable:
-            break
+    with closing(_blocks(model, seed, block, n_blocks, workers)) as blocks:
+        for trials in blocks:
+            values.append(trials)
+            figures.append(_figures(trials, probability))
+            if progress is not None:
+                progress(len(values) * block, n_blocks * block)
+            stable = _stable(np.array(figures), digits)
+            if stable:
+                break
     every = np.concatenate(values)
     mean, std, low, high = _figures(every, probability)
     covariance = np.atleast_2d(np.cov(every, rowvar=False))
@@ -112,8 +115,12 @@ def numerical_tolerance(std: Floats, digits: int) -> Floats:
     return np.asarray(0.5 * 10.0 ** (exponent - digits + 1), dtype=np.float64)
 
 
-def compare_with_linear(result: Propagation, value: Floats, std: Floats) -> list[str]:
-    """Return one warning per output (index) whose linear interval the trials contradict.
+def compare_with_linear(
+    result: Propagation, value: Floats, std: Floats, names: Sequence[str] = ()
+) -> list[str]:
+    """Return one warning per output whose linear interval the trials contradict.
+
+    ``value`` and ``std`` (n,) are the linear estimates, ``names`` what to call the outputs.
 
     JCGM 101, 8.1: the ends of value +- k std are compared with those of the trials; they shall
     agree within the numerical tolerance of std, here at least 5 % of std, because an interval that
@@ -128,7 +135,7 @@ def compare_with_linear(result: Propagation, value: Floats, std: Floats) -> list
     low = np.abs(value - cover * std - result.low)
     high = np.abs(value + cover * std - result.high)
     return [
-        f"output {i}: the linear standard uncertainty is {std[i]:.3g}, the trials say "
+        f"{names[i] if names else f'output {i}'}: the linear standard uncertainty is {std[i]:.3g}, the trials say "
         f"{result.std[i]:.3g} (mean shifted by {result.mean[i] - value[i]:.2g}); trust the trials"
         for i in np.flatnonzero((low > tolerance) | (high > tolerance))
     ]
@@ -151,7 +158,9 @@ def _stable(figures: Floats, digits: int) -> bool:
     return bool(np.all(2.0 * spread <= tolerance))
 
 
-def _blocks(model: Model, seed: int, block: int, n_blocks: int, workers: int) -> Iterator[Floats]:
+def _blocks(
+    model: Model, seed: int, block: int, n_blocks: int, workers: int
+) -> Blocks:
     """Trials of block after block, in order, computed ahead by the workers."""
     if workers == 1:
         for index in range(n_blocks):

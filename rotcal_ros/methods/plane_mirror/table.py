@@ -48,11 +48,14 @@ def read_points(text: str, name: str, angles: ArrayLike, **settings: Any) -> Pla
         lines.append(reader.line_num)
     if not rows:
         raise DataError(f"{name}: no points below the header")
-    columns = np.array(rows, dtype=np.int64).T
+    position_of, station_of, kind_of, nest_of = np.array(rows, dtype=np.int64).T
     return PlaneMirrorProblem(
-        np.asarray(angles, dtype=np.float64),
-        *columns,
-        np.array(points),
+        angles=np.asarray(angles, dtype=np.float64),
+        position=position_of,
+        station=station_of,
+        kind=kind_of,
+        nest=nest_of,
+        xyz=np.array(points),
         station_names=tuple(stations),
         source=name,
         lines=tuple(lines),

@@ -57,9 +57,7 @@ def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
     covariance = problem.noise.covariance(problem.xyz)
     pairs = prepared.pairs
     if pairs is None:
-        return MirrorTrials(
-            prepared, np.linalg.cholesky(covariance), np.zeros((0, problem.xyz.size))
-        )
+        return MirrorTrials(prepared, _factor(covariance), np.zeros((0, problem.xyz.size)))
     normals = fit_normals(problem.xyz, pairs, prepared.pair_weight)
     response = image_response(
         problem.xyz[pairs.direct],
@@ -75,9 +73,11 @@ def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
     for which, change in enumerate((b, height * t)):
         moved = (response @ change[pairs.group][..., None])[..., 0]
         tilt[pairs.position[pairs.group], which, pairs.mirrored] = moved
-    return MirrorTrials(
-        prepared, np.linalg.cholesky(covariance), tilt.reshape(-1, problem.xyz.size)
-    )
+    return MirrorTrials(prepared, _factor(covariance), tilt.reshape(-1, problem.xyz.size))
+
+
+def _factor(covariance: Floats) -> Floats:
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
 def _axes(prepared: Prepared, pairs: Pairs, normals: Floats) -> tuple[Floats, float]:
