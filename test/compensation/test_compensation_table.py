@@ -106,18 +106,28 @@ def test_both_directions_keep_the_reversal():
     assert "4 arcsec of reversal stay" in mean.warnings[-1]
 
 
+def test_reverse_uncertainty_holds_the_forward_zero_too():
+    """Independent runs, value s at every angle after the first: 2 s^2 there, 2 s^2 at the zero."""
+    angles, s = even(18), 0.3 * ARCSEC
+    run = result_of(angles, np.zeros(18), s)
+    table = table_from_result(run, reverse=run, reference_angle=angles[4])
+    np.testing.assert_allclose(table.std[[2, 9]], 2.0 * s, rtol=1e-12)
+    alone = table_from_result(run, reference_angle=angles[4])
+    np.testing.assert_allclose(alone.std[[2, 4, 9]], [np.sqrt(2.0) * s, 0.0, np.sqrt(2.0) * s])
+
+
 def test_runs_with_a_zero_each_have_lost_the_reversal_and_say_so():
     angles = even(18)
     values = wavy(angles) - wavy(0.0)
-    table = table_from_result(
-        result_of(angles, values), reverse=result_of(angles, values * 1.1)
-    )
+    table = table_from_result(result_of(angles, values), reverse=result_of(angles, values * 1.1))
     assert any("reversal at the reference angle is not in the table" in w for w in table.warnings)
 
 
 def test_reverse_run_at_other_angles_is_refused():
     with pytest.raises(DataError, match="same angles"):
-        table_from_result(result_of(even(12), np.zeros(12)), reverse=result_of(even(9), np.zeros(9)))
+        table_from_result(
+            result_of(even(12), np.zeros(12)), reverse=result_of(even(9), np.zeros(9))
+        )
 
 
 def test_worse_verdict_of_both_runs_counts():
