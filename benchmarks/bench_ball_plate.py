@@ -100,7 +100,9 @@ def bench_layouts() -> list[Row]:
     found = [np.mean(s.unit_std.component("ECC") ** 2) * RADIUS**2 for s in dense]
     ranked = variances[:: len(layouts) // 3, 0]
     difference = float(np.abs(np.array(found) / ranked - 1.0).max())
-    return [Row("rank 924 six-ball subsets, dense each", ours_s, dense_s, dense_s / ours_s, difference)]
+    return [
+        Row("rank 924 six-ball subsets, dense each", ours_s, dense_s, dense_s / ours_s, difference)
+    ]
 
 
 def layouts_per_second() -> float:

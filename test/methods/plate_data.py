@@ -21,7 +21,9 @@ class Truth:
 
     def component(self, name):
         field = self.translation if name in ("EXC", "EYC", "EZC") else self.rotation
-        return field[:, "XYZ".index(name[1]) if field is self.translation else "ABC".index(name[1])]
+        return field[
+            :, "XYZ".index(name[1]) if field is self.translation else "ABC".index(name[1])
+        ]
 
 
 def grid_rows(grid, balls):

@@ -84,7 +84,8 @@ def test_table_of_centres_gives_the_same_result_as_the_arrays(tmp_path):
     problem, _ = simulated(72, PAPER_PLATE)
     rows = zip(problem.table_index, problem.ball_step, problem.centres, strict=True)
     text = "table_index,ball_step,x_m,y_m,z_m\n" + "".join(
-        f"{i},{j},{x!r},{y!r},{z!r}\n" for i, j, (x, y, z) in ((i, j, c.tolist()) for i, j, c in rows)
+        f"{i},{j},{x!r},{y!r},{z!r}\n"
+        for i, j, (x, y, z) in ((i, j, c.tolist()) for i, j, c in rows)
     )
     path = tmp_path / "centres.csv"
     path.write_text(text)

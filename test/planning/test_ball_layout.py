@@ -95,9 +95,7 @@ def test_symmetric_layouts_have_one_canonical_form_and_one_variance():
 
 
 def test_count_covers_all_classes():
-    classes = {
-        tuple(canonical(12, np.array([0, *c]))) for c in combinations(range(1, 12), 4)
-    }
+    classes = {tuple(canonical(12, np.array([0, *c]))) for c in combinations(range(1, 12), 4)}
     assert len(classes) <= count_layouts(12, 5) <= 4 * len(classes)
 
 

@@ -13,9 +13,7 @@ PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 @pytest.mark.parametrize("backlash", [True, False])
 @pytest.mark.parametrize("positions", [None, [0, 3, 7, 20, 41]])
 def test_every_centre_is_measured_once(order, backlash, positions):
-    plan = plan_measurement(
-        72, PAPER_PLATE, positions=positions, order=order, backlash=backlash
-    )
+    plan = plan_measurement(72, PAPER_PLATE, positions=positions, order=order, backlash=backlash)
     cells = set(zip(plan.cmm_index.tolist(), plan.ball_step.tolist(), strict=True))
     wanted = {(k, j) for k in (positions or range(72)) for j in PAPER_PLATE}
     assert cells == wanted
