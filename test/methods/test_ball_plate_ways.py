@@ -80,9 +80,7 @@ def test_general_agrees_with_dense_on_unequal_weights_and_repeated_centres():
     problem, _ = simulated(24, random_balls(24, 8, 1), seed=5)
     rng = np.random.default_rng(2)
     twice = problem.take(np.concatenate([np.arange(len(problem.centres)), [3, 50, 51]]))
-    weighted = replace(
-        twice, row=None, std=rng.uniform(0.3, 3.0, twice.centres.shape) * 1e-7
-    )
+    weighted = replace(twice, row=None, std=rng.uniform(0.3, 3.0, twice.centres.shape) * 1e-7)
     assert_same(solve_dense(weighted), solve_general(weighted))
 
 

@@ -25,6 +25,9 @@ TO_PLANE = ROOT_HALF * np.array([[1.0, 1.0], [-1j, 1j]])  # (w+, w-) to (w_x, w_
 RANK_TOLERANCE = 1e-9
 """Smallest accepted eigenvalue of a harmonic's reduced matrix, relative to the ball count."""
 
+WEAK = 100.0
+"""Amplification of the noise from which on the solution is refined."""
+
 
 @dataclass(frozen=True)
 class Harmonics:
@@ -100,15 +103,19 @@ def factor(grid: int, balls: Ints) -> Harmonics:
 def fit(system: Harmonics, spectrum: Complexes) -> tuple[Complexes, Complexes, Complexes]:
     """Solve all harmonics: ``spectrum`` (2, Q, R, 2) to table (2, Q, 3), CMM (2, Q, 2), rest.
 
-    One step of iterative refinement takes the squared condition number out of the answer.
+    Where a layout is weak, a step of iterative refinement takes the squared condition number
+    out of the answer.
     """
     mean = spectrum.sum(axis=2) / len(system.balls)
     right = (spectrum - mean[:, :, None]).reshape(*spectrum.shape[:2], -1, 1)
-    adjoint = system.inverse @ system.centred.conj().swapaxes(2, 3)
-    table = adjoint @ right
-    table += adjoint @ (right - system.centred @ table)
-    residual = (right - system.centred @ table).reshape(spectrum.shape)
-    return table[..., 0], mean - (system.mean @ table)[..., 0], residual
+    adjoint = system.centred.conj().swapaxes(2, 3)
+    table = system.inverse @ (adjoint @ right)
+    residual = right - system.centred @ table
+    if np.abs(system.inverse).max() * len(system.balls) > WEAK:
+        table += system.inverse @ (adjoint @ residual)
+        residual = right - system.centred @ table
+    cmm = mean - (system.mean @ table)[..., 0]
+    return table[..., 0], cmm, residual.reshape(spectrum.shape)
 
 
 def cmm_covariance(system: Harmonics) -> Complexes:
@@ -116,6 +123,23 @@ def cmm_covariance(system: Harmonics) -> Complexes:
     spread = system.mean @ system.inverse @ system.mean.conj().swapaxes(2, 3)
     covariance: Complexes = spread + np.eye(2) / len(system.balls)
     return covariance
+
+
+def from_plane(sequences: Complexes) -> tuple[Complexes, Complexes]:
+    """Transform x + i y, (N, ...), to w+ and w- (Q, ...) for q = 1..N//2."""
+    grid = len(sequences)
+    last = grid // 2 + 1
+    full = ROOT_HALF * np.fft.fft(sequences, axis=0)
+    return full[1:last], full[: grid - last : -1].conj()
+
+
+def to_plane(plus: Complexes, minus: Complexes, grid: int) -> Complexes:
+    """Return x + i y (N, ...) of zero mean from w+ and w- (Q, ...): inverts from_plane."""
+    full = np.zeros((grid, *plus.shape[1:]), dtype=np.complex128)
+    full[1 : grid // 2 + 1] = plus
+    full[: grid - grid // 2 - 1 : -1] = minus.conj()
+    sequences: Complexes = np.fft.ifft(full / ROOT_HALF, axis=0)
+    return sequences
 
 
 def to_time(coefficients: Complexes, grid: int) -> Floats:
