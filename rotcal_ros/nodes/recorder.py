@@ -29,7 +29,7 @@ from rotcal_ros.nodes.goal_run import BAG
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings
 from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.recording import Attachment, Channel, Message, Receipt, Recording
+from rotcal_ros.nodes.recording import Attachment, Channel, Messages, Receipt, Recording
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_topics
 from rotcal_ros.nodes.versions import versions_json
@@ -135,12 +135,13 @@ class RecorderNode(Node):
         topic.latest = batch[-1][0]
         for _, info in batch:
             self._count_gap(topic, info)
-        recording = self._recording
-        if recording is not None:
-            for data, info in batch:
-                received = info["received_timestamp"] or time.time_ns()
-                published = info["source_timestamp"] or received
-                recording.put(Message(topic.channel, data, received, published))
+        if self._recording is not None:
+            now_ns = time.time_ns()
+            times = (
+                (d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch
+            )
+            items = [(data, received, sent or received) for data, received, sent in times]
+            self._recording.put(Messages(topic.channel, items))
 
     def _count_gap(self, topic: RecordedTopic, info: Any) -> None:
         """Count messages that the middleware numbered but never delivered."""
