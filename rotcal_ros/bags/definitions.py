@@ -30,6 +30,8 @@ class ChannelDefinition:
     type_name: str
     encoding: str
     definition: str
+    type_hash: str = ""
+    offered_qos: str = ""
 
 
 def collect_definition(type_name: str, share: ShareLookup) -> str:

@@ -176,7 +176,13 @@ class McapScan:
             self.channels.setdefault(
                 channel.channel_id,
                 ChannelDefinition(
-                    channel.channel_id, channel.topic, schema.name, schema.encoding, schema.text
+                    channel_id=channel.channel_id,
+                    topic=channel.topic,
+                    type_name=schema.name,
+                    encoding=schema.encoding,
+                    definition=schema.text,
+                    type_hash=channel.metadata.get("topic_type_hash", ""),
+                    offered_qos=channel.metadata.get("offered_qos_profiles", ""),
                 ),
             )
 

@@ -63,14 +63,26 @@ def scan_file(path: Path) -> Scan:
     return _scan_type(path)(path)
 
 
-def check_file(path: Path, progress: Progress | None = None) -> FileVerdict:
-    """Read one file to its end and return its verdict."""
-    scan = scan_file(path)
-    size = path.stat().st_size
-    for _ in scan.blocks():
-        if progress is not None:
-            progress(scan.position, size)
-    return scan.verdict()
+def read_blocks(
+    files: tuple[Path, ...], progress: Progress | None = None
+) -> Iterator[tuple[Scan, Block | None]]:
+    """Yield the blocks of several files in order, each with its pass; None ends a file."""
+    total, done = sum(file.stat().st_size for file in files), 0
+    for file in files:
+        scan = scan_file(file)
+        for block in scan.blocks():
+            yield scan, block
+            if progress is not None:
+                progress(done + scan.position, total)
+        done += file.stat().st_size
+        yield scan, None
+
+
+def check_files(
+    files: tuple[Path, ...], progress: Progress | None = None
+) -> tuple[FileVerdict, ...]:
+    """Read files to their ends and return their verdicts."""
+    return tuple(scan.verdict() for scan, block in read_blocks(files, progress) if block is None)
 
 
 def sha256_of(path: Path) -> str:

@@ -9,10 +9,16 @@ from typing import Literal
 
 from rotcal_ros import catalogue
 from rotcal_ros.bags import names, records
-from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.reader import Progress, Scan, bag_files, scan_file, sha256_of
+from rotcal_ros.bags.reader import (
+    Progress,
+    Scan,
+    bag_files,
+    read_blocks,
+    scan_file,
+    sha256_of,
+)
 from rotcal_ros.bags.streams import StreamFeeder
 from rotcal_ros.bags.topics import Topics
 from rotcal_ros.bags.verdict import FileVerdict
@@ -91,7 +97,7 @@ def read_recording(
     recorded: list[Observation] = []
     scans: list[Scan] = []
     decoders: Decoders = {}
-    for scan, block in _read(files, progress):
+    for scan, block in read_blocks(files, progress):
         if block is None:
             scans.append(scan)
             continue
@@ -145,18 +151,3 @@ def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
                 yield from (message.configuration for _, message in part.messages(block))
     if names.CONFIGURATION in scan.attachments:
         yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")
-
-
-def _read(
-    files: tuple[Path, ...], progress: Progress | None
-) -> Iterator[tuple[Scan, Block | None]]:
-    """Yield the blocks of all files in order, and None at the end of each file."""
-    total, done = sum(file.stat().st_size for file in files), 0
-    for file in files:
-        scan = scan_file(file)
-        for block in scan.blocks():
-            yield scan, block
-            if progress is not None:
-                progress(done + scan.position, total)
-        done += file.stat().st_size
-        yield scan, None

@@ -71,6 +71,7 @@ class FileVerdict:
             "path": str(self.path),
             "size": self.size,
             "verdict": self.state,
+            "sentence": self.sentence(),
             "offset": self.damages[0].offset if self.damages else None,
             "damages": [{"offset": d.offset, "what": d.what} for d in self.damages],
             "messages": self.messages,

@@ -62,6 +62,7 @@ class WriterSettings:
 class _Channel:
     info: TopicInfo
     definition: str
+    encoding: str
 
 
 class BagWriter:
@@ -131,28 +132,42 @@ class BagWriter:
         definition: str,
         type_hash: str = "",
         offered_qos: str = "",
+        *,
+        encoding: str = "ros2msg",
     ) -> int:
         """Add a channel and return its id.
 
-        ``definition`` is the text of :func:`collect_definition`, ``type_hash`` the RIHS01
-        hash (empty when the middleware offers none), ``offered_qos`` the text of
+        ``definition`` is the text of :func:`collect_definition` in ``encoding``, ``type_hash``
+        the RIHS01 hash (empty when the middleware offers none), ``offered_qos`` the text of
         :func:`rosbag2_metadata.qos_text`.
         """
-        if not definition:
+        if encoding and not definition:
             raise BagError(
                 f"topic {topic}: no definition of {type_name}; without it nobody can read the bag"
             )
-        channel = _Channel(TopicInfo(topic, type_name, type_hash, offered_qos), definition)
+        info = TopicInfo(topic, type_name, type_hash, offered_qos)
+        channel = _Channel(info, definition, encoding)
         number = self._guarded(lambda: self._register(channel))
         self._channels[number] = self._undescribed[number] = channel
         self._sequences[number] = 0
         return number
 
-    def write(self, channel: int, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Append one serialised message; log time is its reception, publish time its origin."""
+    def write(
+        self,
+        channel: int,
+        data: bytes,
+        log_time_ns: int,
+        publish_time_ns: int,
+        sequence: int | None = None,
+    ) -> None:
+        """Append one serialised message; log time is its reception, publish time its origin.
+
+        Without ``sequence`` the messages of a channel are numbered from 0.
+        """
         if self.closed:
             raise BagError(f"the bag {self.folder} is closed: a message came too late")
-        sequence = self._sequences[channel]
+        if sequence is None:
+            sequence = self._sequences[channel]
         if self._undescribed:
             self._guarded(self._describe)
         try:
@@ -248,7 +263,7 @@ class BagWriter:
         key = (info.type_name, channel.definition)
         if key not in self._schemas:
             self._schemas[key] = self._writer.register_schema(
-                info.type_name, "ros2msg", channel.definition.encode()
+                info.type_name, channel.encoding, channel.definition.encode()
             )
         self._unsynced += 1
         return self._writer.register_channel(
@@ -261,7 +276,15 @@ class BagWriter:
     def _describe(self) -> None:
         """Put new definitions beside the chunks, before the first message that needs them."""
         definitions = (
-            ChannelDefinition(number, c.info.topic, c.info.type_name, "ros2msg", c.definition)
+            ChannelDefinition(
+                number,
+                c.info.topic,
+                c.info.type_name,
+                c.encoding,
+                c.definition,
+                c.info.type_hash,
+                c.info.offered_qos,
+            )
             for number, c in self._undescribed.items()
         )
         data = dump_definitions(definitions)

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rotcal_ros.catalogue.calibration import Method
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import DataError
+from rotcal_ros.methods import tracer
+from rotcal_ros.methods.tracer.problem import TracerProblem, TracerSettings
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.tracer_plan import TracerPlanSettings, tracer_plan
@@ -46,6 +51,18 @@ class TracerSolverSettings:
     target_std_m: float = setting(
         1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
     )
+    rejection_significance: float = setting(
+        0.01,
+        doc="probability of rejecting any length at all when all are good",
+        minimum=1e-9,
+        maximum=0.5,
+    )
+    max_rejected_share: float = setting(
+        0.03,
+        doc="share of rejected lengths beyond which the verdict is suspect",
+        minimum=0.001,
+        maximum=0.5,
+    )
     error_motion_std_m: float = setting(
         0.0,
         doc="m, standard deviation of the table's radial error motion",
@@ -60,8 +77,64 @@ def plan(configuration: Configuration) -> Plan:
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
-    """Solve accepted observations of a laser-tracer plan."""
-    raise DataError("the laser-tracer solver is not connected yet")
+    """Solve the accepted observations of a laser-tracer plan."""
+    settings = configuration.group("solver", TracerSolverSettings)
+    return tracer.solve(problem(settings, plan, observations))
+
+
+def problem(
+    settings: TracerSolverSettings, plan: Plan, observations: Sequence[Observation]
+) -> TracerProblem:
+    """Return the problem that observations of a plan pose.
+
+    The coordinates of a target are the mean of what the machine reported there; a target that
+    was never observed keeps its nominal place. The standard deviation of a length joins the
+    scatter of its window with the instrument's constant and distance-dependent parts; for the
+    latter the distance from the table's frame to the target is near enough.
+
+    Raises DataError when an observation does not fit the plan.
+    """
+    for o in observations:
+        if not (o.table_index < len(plan.table_angles) and o.target < len(plan.targets)):
+            raise DataError(
+                f"step {o.step}: table index {o.table_index}, target {o.target} are not in the "
+                f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
+            )
+    target = np.array([o.target for o in observations], dtype=np.int64)
+    reported = np.array([o.probe_position for o in observations]).reshape(-1, 3)
+    targets = _reported_targets(np.array(plan.targets), target, reported)
+    distance = np.linalg.norm(targets, axis=1)[target]
+    window_std = np.array([o.std[0] for o in observations])
+    relative_std = settings.length_std_relative * distance
+    return TracerProblem(
+        station=np.array([o.table_index for o in observations], dtype=np.int64),
+        target=target,
+        length=np.array([o.mean[0] for o in observations]),
+        length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
+        targets=targets,
+        target_std=np.full(targets.shape, settings.target_std_m),
+        table_angles=np.array(plan.table_angles),
+        variant="station" if settings.variant == "station" else "joint",
+        datum="free" if settings.datum == "free" else "prior",
+        error_motion_std=settings.error_motion_std_m,
+        settings=TracerSettings(
+            rejection_significance=settings.rejection_significance,
+            max_rejected_share=settings.max_rejected_share,
+        ),
+    )
+
+
+def _reported_targets(
+    nominal: NDArray[np.float64], target: NDArray[np.int64], reported: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the mean reported position of each target, shape (n, 3)."""
+    count = np.bincount(target, minlength=len(nominal))
+    total = np.zeros_like(nominal)
+    np.add.at(total, target, reported)
+    seen = count > 0
+    total[seen] /= count[seen, None]
+    total[~seen] = nominal[~seen]
+    return total
 
 
 TRACER_MULTISTATION = Method(

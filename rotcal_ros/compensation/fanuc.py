@@ -172,7 +172,7 @@ def correction(pitch: PitchTable, angle: Floats, approach: Approach) -> Floats:
 def _increments(table: CompensationTable, unit_deg: float) -> Ints:
     """Return the steps (N,) of the rounded running sum, halves away from zero."""
     scaled = mean_deg(table) / unit_deg
-    total = np.copysign(np.floor(np.abs(scaled) + 0.5 - 1e-9), scaled).astype(np.int64)
+    total = np.copysign(np.floor(np.abs(scaled) + 0.5 + 1e-9), scaled).astype(np.int64)
     return np.diff(total)
 
 

@@ -79,15 +79,15 @@ def _checked(result: Result, component: str) -> tuple[Floats, Floats, Floats]:
     n = len(angles)
     if deviation.shape != (n,) or n < 2:
         raise DataError(
-            f"{where} holds {deviation.shape} {component} values for {n} angles: expected one for each "
-            "of at least two angles"
+            f"{where} holds {deviation.shape} {component} values for {n} angles: expected one for "
+            "each of at least two angles"
         )
     bad = ~(np.isfinite(angles) & np.isfinite(deviation))
     if np.any(bad):
         row = int(np.argmax(bad))
         raise DataError(
-            f"{where}, row {row}: {component} is {deviation[row]} at {angles[row] / DEGREE:.6g} deg, "
-            "expected finite numbers"
+            f"{where}, row {row}: {component} is {deviation[row]} at {angles[row] / DEGREE:.6g} "
+            "deg, expected finite numbers"
         )
     covariance = result.covariance.get(component)
     if covariance is None:
@@ -95,8 +95,8 @@ def _checked(result: Result, component: str) -> tuple[Floats, Floats, Floats]:
         covariance = np.zeros((n, n)) if std is None else np.diag(np.asarray(std) ** 2)
     if np.shape(covariance) != (n, n) or not np.all(np.isfinite(covariance)):
         raise DataError(
-            f"{where}: the covariance of {component} has shape {np.shape(covariance)} or is not finite, "
-            f"expected ({n}, {n}) finite numbers"
+            f"{where}: the covariance of {component} has shape {np.shape(covariance)} or is not "
+            f"finite, expected ({n}, {n}) finite numbers"
         )
     return angles, deviation, np.asarray(covariance, dtype=np.float64)
 

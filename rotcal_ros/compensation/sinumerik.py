@@ -25,6 +25,7 @@ from rotcal_ros.compensation.controller import (
     fixed,
     mean_deg,
     number,
+    only_file,
     periodic,
     require_at_most,
 )
@@ -155,16 +156,16 @@ def _cec(index: int, axis: str, values: Floats, spacing: float, direction: int) 
 def _assignments(files: Mapping[str, str]) -> dict[tuple[str, ...], str]:
     """Return {(variable, index, ...): value} of all ``$NAME[i,...]=value`` lines."""
     said: dict[tuple[str, ...], str] = {}
-    for name, text in files.items():
-        for line_number, line in enumerate(text.splitlines(), start=1):
-            match = re.fullmatch(r"\$(\w+)\[([\w,]+)\]=\(?([^()]*)\)?", line.strip())
-            if match:
-                said[(match.group(1), *match.group(2).split(","))] = match.group(3)
-            elif not re.fullmatch(r"%_N_\w+_INI|CHANDATA\(1\)|M17|", line.strip()):
-                raise BagError(
-                    f"{name}, line {line_number}: {line!r} is not an assignment such as "
-                    "$AA_ENC_COMP[0,1,C1]=0.005"
-                )
+    name, text = only_file(files, ".ini")
+    for row, line in enumerate(text.splitlines(), start=1):
+        match = re.fullmatch(r"\$(\w+)\[([\w,]+)\]=\(?([^()]*)\)?", line.strip())
+        if match:
+            said[(match.group(1), *match.group(2).split(","))] = match.group(3)
+        elif not re.fullmatch(r"%_N_\w+_INI|CHANDATA\(1\)|M17|", line.strip()):
+            raise BagError(
+                f"{name}, line {row}: {line!r} is not an assignment such as "
+                "$AA_ENC_COMP[0,1,C1]=0.005"
+            )
     return said
 
 

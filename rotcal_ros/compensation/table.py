@@ -183,10 +183,10 @@ def _standard_uncertainty(
 ) -> Floats:
     """Return the larger uncertainty of both directions; the last row of weights is the zero."""
     shift = weights[:-1] - weights[-1]
-    variance = np.einsum("ij,jk,ik->i", shift, forward.covariance, shift)
+    variance = np.sum((shift @ forward.covariance) * shift, axis=1)
     if backward is not forward:
         # Independent runs: the reverse values also carry the uncertainty of the forward zero.
-        down = np.einsum("ij,jk,ik->i", weights[:-1], backward.covariance, weights[:-1])
+        down = np.sum((weights[:-1] @ backward.covariance) * weights[:-1], axis=1)
         zero = weights[-1] @ forward.covariance @ weights[-1]
         variance = np.maximum(variance, down + zero)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
@@ -200,6 +200,7 @@ def _worse(result: Result, reverse: Result | None) -> Verdict:
 
 def _left_out(curve: MeasuredCurve, order: int) -> str:
     left = curve.deviation - _harmonic_weights(curve, curve.angles, order) @ curve.deviation
+    left = left - np.mean(left)  # the constant is nobody's: the table is zero at its reference
     noise = float(np.sqrt(np.trace(curve.covariance) / len(curve.covariance)))
     return (
         f"harmonics up to order {order} leave out {np.sqrt(np.mean(left**2)) / ARCSEC:.3g} arcsec "

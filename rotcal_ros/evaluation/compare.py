@@ -1,4 +1,4 @@
-"""Do two deviation curves of the same table agree within their stated uncertainties?
+"""Whether two deviation curves of one table agree within their stated uncertainties.
 
 Differences are aligned by the offset that no method can know, estimated by weighted least
 squares; its uncertainty and its correlation with the values are part of what the normalised

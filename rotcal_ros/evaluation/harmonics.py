@@ -74,7 +74,7 @@ def harmonic_content(curve: MeasuredCurve, max_order: int | None = None) -> Harm
         phase=phase,
         phase_std=np.minimum(turn, np.pi / np.sqrt(3.0)),
         significant=_significant(np.stack([a, b], axis=1), pairs),
-        residual_rms=float(np.sqrt(np.mean((curve.deviation - fit) ** 2))),
+        residual_rms=float(np.std(curve.deviation - fit)),
     )
 
 

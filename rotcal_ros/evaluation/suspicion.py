@@ -22,7 +22,7 @@ SCALES: Final = {
 
 
 def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> str:
-    """Return what may be wrong with ``second``, or an empty text.
+    """Return what may be wrong with one of two curves, or an empty text.
 
     ``first`` and ``second`` are the values at the same angles, ``second_mirrored`` the negative
     values of the second curve at the negative angles, if it goes round.
@@ -31,8 +31,8 @@ def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> 
         straight, mirrored = _alike(first, second), _alike(first, second_mirrored)
         if mirrored > ALIKE and mirrored > abs(straight) + 0.2:
             return (
-                "the second curve fits when it is turned the other way round: is its angle "
-                "counted clockwise?"
+                "the curves fit when one is turned the other way round: is its angle counted "
+                "clockwise?"
             )
     likeness = _alike(first, second)
     if abs(likeness) < ALIKE:
@@ -48,7 +48,7 @@ def suspicion(first: Floats, second: Floats, second_mirrored: Floats | None) -> 
         "",
     )
     wrong = " and ".join(text for text in (sign, scale) if text)
-    return f"both curves have one shape, but for the second {wrong}" if wrong else ""
+    return f"both curves have one shape, but for one of them {wrong}" if wrong else ""
 
 
 def _alike(first: Floats, second: Floats) -> float:

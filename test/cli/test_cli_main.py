@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import click
 import pytest
@@ -82,7 +83,7 @@ def test_an_error_is_one_line_and_its_exit_code(verb, error, code):
 
 
 def test_an_unreadable_file_is_one_line(verb):
-    verb(lambda: open("/nowhere/at/all"))
+    verb(lambda: Path("/nowhere/at/all").read_bytes())
     result = run("doctor")
     assert result.exit_code == 2
     assert result.stderr == "rotcal: No such file or directory: /nowhere/at/all\n"

@@ -1,0 +1,125 @@
+"""``rotcal bag``: describe, check and repair recorded bags."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rotcal_ros.cli.console import json_option, print_json, progress_bar, say
+
+BAD = 1
+
+
+@click.group()
+def command() -> None:
+    """Check, repair and describe recorded bags."""
+
+
+@command.command()
+@click.argument("bag", type=click.Path(path_type=Path))
+@json_option
+def info(bag: Path, as_json: bool) -> int:
+    """Tell what is in BAG: files, topics, attachments, configuration."""
+    from rotcal_ros.bags.summary import describe
+
+    with _progress("reading") as progress:
+        summary = describe(bag, progress)
+    if as_json:
+        print_json(summary.to_dict())
+    else:
+        _print_files(summary.to_dict())
+        _print_topics(summary.to_dict())
+    return 0
+
+
+@command.command()
+@click.argument("bag", type=click.Path(path_type=Path))
+@json_option
+def check(bag: Path, as_json: bool) -> int:
+    """Read BAG to its end and say for each file: complete, truncated or damaged.
+
+    The exit code is 0 when all files are complete, 1 otherwise.
+    """
+    from rotcal_ros.bags.reader import bag_files, check_files
+
+    with _progress("checking") as progress:
+        verdicts = check_files(bag_files(bag), progress)
+    if as_json:
+        print_json({"files": [verdict.to_dict() for verdict in verdicts]})
+    else:
+        for verdict in verdicts:
+            click.echo(f"{verdict.path}: {verdict.messages} messages, {verdict.sentence()}")
+            for name, topic in verdict.topics.items():
+                if topic.lost:
+                    click.echo(f"  {name}: {topic.lost} lost, {topic.messages} read")
+    return 0 if all(verdict.state == "complete" for verdict in verdicts) else BAD
+
+
+@command.command()
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    help="New folder for the sound bag; default: BAG's name with _repaired.",
+)
+@json_option
+def repair(bag: Path, output: Path | None, as_json: bool) -> int:
+    """Write all that can be saved of BAG into a new, sound bag; BAG itself is not touched."""
+    from rotcal_ros.bags.repair import repair as repair_bag
+
+    folder = output or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_repaired")
+    with _progress("repairing") as progress:
+        outcome = repair_bag(bag, folder, progress)
+    if as_json:
+        print_json(
+            {
+                "folder": str(folder.absolute()),
+                "before": [verdict.to_dict() for verdict in outcome.before],
+                "after": [verdict.to_dict() for verdict in outcome.after],
+            }
+        )
+    else:
+        for verdict in outcome.before:
+            click.echo(f"{verdict.path}: {verdict.sentence()}")
+        saved = sum(verdict.messages for verdict in outcome.after)
+        click.echo(f"{saved} messages saved in {folder.absolute()}")
+    return 0
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Any]:
+    """Show a progress bar and yield the function (done, total) that moves it."""
+    with progress_bar() as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _print_files(summary: dict[str, Any]) -> None:
+    for file in summary["files"]:
+        click.echo(f"{file['path']}")
+        click.echo(f"  {file['size'] / 1e6:.3f} MB, {file['messages']} messages, ", nl=False)
+        click.echo(file["verdict"] if file["offset"] is None else file["sentence"])
+    if summary["start_ns"] is not None:
+        start = datetime.fromtimestamp(summary["start_ns"] / 1e9, timezone.utc)
+        click.echo(f"begin     {start:%Y-%m-%d %H:%M:%S} UTC")
+        click.echo(f"duration  {summary['duration_s']:.3f} s")
+    for name in ("method", "plan_id"):
+        if summary[name]:
+            click.echo(f"{name:9} {summary[name]}")
+    if summary["attachments"]:
+        click.echo(f"attached  {', '.join(summary['attachments'])}")
+    for name, count in summary["losses_recorded"].items():
+        say(f"lost live: {name}: {count}")
+
+
+def _print_topics(summary: dict[str, Any]) -> None:
+    width = max((len(name) for name in summary["topics"]), default=0)
+    for name, topic in summary["topics"].items():
+        lost = f", {topic['lost']} lost" if topic["lost"] else ""
+        click.echo(f"  {name:{width}}  {topic['messages']:>10}  {topic['type']}{lost}")

@@ -1,0 +1,42 @@
+"""``rotcal report``: the self-contained HTML page of a recording."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from rotcal_ros.cli.console import VERDICT_EXIT_CODES, say
+from rotcal_ros.errors import BagError
+
+
+@click.command("report", short_help="Write the self-contained HTML report of a calibration.")
+@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The page to write; report.html beside the bag unless given. Never overwrites.",
+)
+@click.option(
+    "--truth",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="truth.json of a simulation, drawn beside the result.",
+)
+def command(bag: Path, output: Path | None, truth: Path | None) -> int:
+    """Solve BAG again and write the report: figures, tables, warnings, verdict, fingerprints."""
+    # Figures take a second to load; a wrong option should not wait for them.
+    from rotcal_ros.bags.replay import read_recording
+    from rotcal_ros.report.page import write_report
+    from rotcal_ros.report.recorded import report_of
+
+    output = output or (bag if bag.is_dir() else bag.parent) / "report.html"
+    if output.exists():
+        raise BagError(f"{output} exists and is not overwritten; name another file with -o")
+    recording = read_recording(bag)
+    result = recording.solve()
+    injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
+    write_report(report_of(recording, result, injected), output)
+    say(f"report: {output.absolute()}")
+    return VERDICT_EXIT_CODES[result.verdict]

@@ -1,0 +1,113 @@
+"""``rotcal solve``: from a recorded bag or a plain table to the deviations, without ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rotcal_ros.cli.console import (
+    VERDICT_EXIT_CODES,
+    json_option,
+    print_json,
+    progress_bar,
+    say,
+)
+
+if TYPE_CHECKING:
+    from rotcal_ros.bags.replay import Recording
+    from rotcal_ros.configuration import Configuration
+    from rotcal_ros.results import Result
+    from rotcal_ros.tables import TableData
+
+path_type = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("source", type=path_type, metavar="BAG|TABLE")
+@click.option("--setup", type=path_type, help="Configuration; default: the one in the bag.")
+@click.option(
+    "--from",
+    "taken_from",
+    type=click.Choice(["streams", "observations"]),
+    default="streams",
+    show_default=True,
+    help="Capture the raw streams again, or take the recorded observations.",
+)
+@click.option("--namespace", default="", help="Cell to solve, when the bag holds several.")
+@click.option("--targets", type=path_type, help="Target positions of a tracer table.")
+@click.option("-o", "--output", type=path_type, help="Write the result there, as JSON.")
+@json_option
+def command(
+    source: Path,
+    setup: Path | None,
+    taken_from: str,
+    namespace: str,
+    targets: Path | None,
+    output: Path | None,
+    as_json: bool,
+) -> int:
+    """Solve BAG (a folder, .mcap or .db3 file) or TABLE (.csv).
+
+    The bag's raw streams go through the same capture and solver as in the live run, so the
+    result is the same to the last bit. A cut-off or damaged bag is read as far as it goes.
+    The exit code is 0 for the verdict ok and 1 for suspect or failed.
+    """
+    if source.suffix == ".csv":
+        data: Recording | TableData = _read_table(source, setup, targets)
+    else:
+        data = _read_bag(source, setup, taken_from, namespace)
+    result = data.solve()
+    text = result.to_json()
+    if output is not None:
+        from rotcal_ros.bags.durable import write_atomically
+
+        write_atomically(output, text + "\n")
+    if as_json:
+        print_json(text)
+    else:
+        _print_result(result)
+    if output is not None:
+        say(f"result written to {output.absolute()}")
+    return VERDICT_EXIT_CODES[result.verdict]
+
+
+def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str) -> Recording:
+    from rotcal_ros.bags.replay import read_recording
+    from rotcal_ros.bags.topics import Topics
+
+    with progress_bar() as bar:
+        task = bar.add_task("reading", total=None)
+        recording = read_recording(
+            source,
+            taken_from,
+            configuration=_configuration(setup),
+            topics=Topics(namespace),
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    for warning in recording.warnings():
+        say(f"warning: {warning}")
+    return recording
+
+
+def _read_table(source: Path, setup: Path | None, targets: Path | None) -> TableData:
+    from rotcal_ros.tables import read_measurements
+
+    configuration = _configuration(setup)
+    if configuration is None:
+        raise click.UsageError("a table needs its set-up: --setup SETUP.yaml")
+    return read_measurements(source, configuration, targets)
+
+
+def _configuration(setup: Path | None) -> Configuration | None:
+    from rotcal_ros.configuration import read_configuration
+
+    return None if setup is None else read_configuration(setup)
+
+
+def _print_result(result: Result) -> None:
+    """Print the deviations as a table for people."""
+    from rotcal_ros.cli.result_table import print_result
+
+    print_result(result)

@@ -1,0 +1,10 @@
+"""Ball plate: all six deviations of a rotary table by the reduced three-rosette method.
+
+The model and its constraints are those of the reduced three-rosette method with six degrees of
+freedom; closed form and groups follow a second paper. docs/ball_plate.md has the derivation.
+"""
+
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, select
+from rotcal_ros.methods.ball_plate.solve import solve
+
+__all__ = ["BallPlateProblem", "select", "solve"]

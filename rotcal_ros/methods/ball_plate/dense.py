@@ -1,0 +1,62 @@
+"""The constrained least squares as printed (Eq. 10 to 21), one dense matrix.
+
+Slow and large (N = 72, R = 12: 709 unknowns and multipliers), but nothing in it is clever: it
+is the reference that the spectral and the general solution are tested and timed against.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate import model
+from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
+
+
+def design_matrix(problem: BallPlateProblem) -> Floats:
+    """Return T (3n, P) of Eq. 14; rows in the order of the centres, x, y, z of each."""
+    coefficients, columns = model.local_design(problem)
+    n = len(problem.centres)
+    matrix = np.zeros((n, 3, model.offsets(problem).total))
+    # a centre touches every column at most once, so plain assignment is enough
+    np.put_along_axis(matrix, np.repeat(columns[:, None, :], 3, axis=1), coefficients, axis=2)
+    return matrix.reshape(3 * n, -1)
+
+
+def solve_dense(problem: BallPlateProblem) -> Solution:
+    """Solve Eq. 20 and invert its matrix for Eq. 21.
+
+    Raises ObservabilityError when the matrix is singular.
+    """
+    design, constraints = design_matrix(problem), model.constraint_matrix(problem)
+    observed = problem.deviations.ravel()
+    if problem.std is not None:
+        weight = 1.0 / problem.std.ravel()
+        weight_design, observed = design * weight[:, None], observed * weight
+    else:
+        weight_design = design
+    size = design.shape[1]
+    normal = weight_design.T @ weight_design
+    scale = np.trace(normal) / size  # brings the constraints to the size of T'T
+    border = np.zeros((size + len(constraints),) * 2)
+    border[:size, :size] = normal / scale
+    border[size:, :size], border[:size, size:] = constraints, constraints.T
+    try:
+        inverse = np.linalg.inv(border)[:size, :size] / scale
+    except np.linalg.LinAlgError:
+        raise ObservabilityError("the matrix of Eq. 20 is singular") from None
+    vector = inverse @ (weight_design.T @ observed)
+    residuals = model.residuals_of(problem, vector)
+    return Solution(
+        estimate=model.unpack(problem, vector),
+        unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(inverse), 0.0))),
+        unit_covariance=model.table_covariance(problem, inverse),
+        residuals=residuals,
+        cofactor=partial(model.residual_cofactor, problem, inverse),
+        weighted_square_sum=model.weighted_square_sum(problem, residuals),
+        dof=model.degrees_of_freedom(problem),
+        way="dense",
+    )

@@ -1,0 +1,195 @@
+"""The least squares of any set of centres: gaps, reduced CMM positions, unequal weights.
+
+The table's six unknowns at a position only meet the centres measured there: they are eliminated
+position by position, which leaves a system in plate, CMM and axis only. It is solved in the
+gauge of smallest norm (the 19 invisible directions are known in closed form) and then moved to
+the constraints of Eq. 15 to 19. Result and covariances equal the dense form (Eq. 20, 21).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate import model
+from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+
+MIN_BALLS = 3
+"""Balls that a table position needs: two leave the rotation about their line open."""
+MAX_UNKNOWNS = 6000
+"""Largest covariance matrix that is set up in memory (P x P, 288 MB)."""
+CONDITION_LIMIT = 1e-9
+
+
+def solve_general(problem: BallPlateProblem) -> Solution:
+    """Solve any set of centres.
+
+    Raises ObservabilityError when a table position has too few balls, or when the centres do
+    not determine all parameters; DataError when the problem is too large for this way.
+    """
+    _check(problem)
+    system = _Eliminated(problem)
+    vector = system.solve(problem.deviations)
+    vector += system.solve(model.residuals_of(problem, vector))  # iterative refinement
+    mover = _to_constraints(problem, system.invisible)
+    vector = mover @ vector
+    covariance = mover @ system.covariance() @ mover.T
+    residuals = model.residuals_of(problem, vector)
+    return Solution(
+        estimate=model.unpack(problem, vector),
+        unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(covariance), 0.0))),
+        unit_covariance=model.table_covariance(problem, covariance),
+        residuals=residuals,
+        cofactor=partial(model.residual_cofactor, problem, covariance),
+        weighted_square_sum=model.weighted_square_sum(problem, residuals),
+        dof=model.degrees_of_freedom(problem),
+        way="general",
+    )
+
+
+def residual_operator(problem: BallPlateProblem) -> Callable[[Floats], Floats]:
+    """Return the function that takes deviations (n, 3) to their residuals (n, 3)."""
+    _check(problem)
+    system = _Eliminated(problem)
+
+    def residuals(observed: Floats) -> Floats:
+        fitted = system.solve(observed)[system.columns]
+        left: Floats = observed - np.einsum("nij,nj->ni", system.local, fitted)
+        return left
+
+    return residuals
+
+
+class _Eliminated:
+    """Normal equations after the table's unknowns are gone, ready for right-hand sides."""
+
+    def __init__(self, problem: BallPlateProblem) -> None:
+        self.problem = problem
+        self.at = model.offsets(problem)
+        self.local, self.columns = model.local_design(problem)
+        self.weight = np.ones_like(problem.centres)
+        if problem.std is not None:
+            self.weight = (np.median(problem.std) / problem.std) ** 2
+        self.unit = 1.0 if problem.std is None else float(np.median(problem.std)) ** 2
+        # Local columns: a, b, c, d, u, v of three each; the rest is a, b, u, v.
+        self.table = self.local[:, :, 6:12]
+        self.rest = np.concatenate([self.local[:, :, :6], self.local[:, :, 12:]], axis=2)
+        self.rest_columns, self.rest_index = _rest_columns(self.at, self.columns)
+        self._eliminate()
+
+    def _eliminate(self) -> None:
+        problem, n_rest = self.problem, len(self.rest_index)
+        weighted = self.weight[:, :, None] * self.table
+        own = np.zeros((problem.grid, 6, 6))
+        np.add.at(own, problem.table_index, weighted.swapaxes(1, 2) @ self.table)
+        self.own_inverse = np.linalg.inv(own)
+        mixed = np.zeros((problem.grid, 6, n_rest))
+        cross = weighted.swapaxes(1, 2) @ self.rest
+        where = (problem.table_index[:, None, None], np.arange(6)[None, :, None])
+        np.add.at(mixed, (*where, self.rest_columns[:, None, :]), cross)
+        normal = np.zeros((n_rest, n_rest))
+        local = (self.weight[:, :, None] * self.rest).swapaxes(1, 2) @ self.rest
+        np.add.at(normal, (self.rest_columns[:, :, None], self.rest_columns[:, None, :]), local)
+        self.back = (self.own_inverse @ mixed).reshape(6 * problem.grid, n_rest)
+        normal -= mixed.reshape(6 * problem.grid, n_rest).T @ self.back
+        self.invisible = model.null_space(problem)
+        gauge, _ = np.linalg.qr(self.invisible[self.rest_index])
+        size = np.trace(normal) / n_rest
+        self.factor = _factor(normal + size * gauge @ gauge.T, size)
+
+    def solve(self, observed: Floats) -> Floats:
+        """Return the unknowns (P,) for observations (n, 3), in the gauge of smallest norm."""
+        problem = self.problem
+        weighted = self.weight * observed
+        table = np.zeros((problem.grid, 6))
+        np.add.at(table, problem.table_index, np.einsum("nij,ni->nj", self.table, weighted))
+        rest = np.zeros(len(self.rest_index))
+        np.add.at(rest, self.rest_columns, np.einsum("nij,ni->nj", self.rest, weighted))
+        unknown = cho_solve(self.factor, rest - self.back.T @ table.ravel())
+        own = (self.own_inverse @ table[:, :, None]).ravel() - self.back @ unknown
+        vector = np.empty(self.at.total)
+        vector[self.rest_index] = unknown
+        vector[_table_index(self.at)] = own
+        return vector
+
+    def covariance(self) -> Floats:
+        """Return the covariance (P, P) of the unknowns in the same gauge."""
+        n_rest, grid = len(self.rest_index), self.problem.grid
+        rest = cho_solve(self.factor, np.eye(n_rest))
+        mixed = -self.back @ rest
+        own = -mixed @ self.back.T
+        blocks = own.reshape(grid, 6, grid, 6)
+        every = np.arange(grid)
+        blocks[every, :, every, :] += self.own_inverse
+        covariance = np.empty((self.at.total,) * 2)
+        table = _table_index(self.at)
+        covariance[np.ix_(self.rest_index, self.rest_index)] = rest
+        covariance[np.ix_(table, self.rest_index)] = mixed
+        covariance[np.ix_(self.rest_index, table)] = mixed.T
+        covariance[np.ix_(table, table)] = own
+        covariance *= self.unit
+        return covariance
+
+
+def _rest_columns(at: model.Offsets, columns: Ints) -> tuple[Ints, Ints]:
+    """Return where a, b, u, v of every row stand among themselves, and in the full vector."""
+    index = np.concatenate([np.arange(at.rotation), np.arange(at.axis_rotation, at.total)])
+    local = np.concatenate([columns[:, :6], columns[:, 12:]], axis=1)
+    return np.where(local < at.rotation, local, local - 6 * _grid(at)), index
+
+
+def _grid(at: model.Offsets) -> int:
+    return (at.translation - at.rotation) // 3
+
+
+def _table_index(at: model.Offsets) -> Ints:
+    """Return where c_i, d_i stand in the full vector, position by position, (6 N,)."""
+    own = np.arange(3 * _grid(at)).reshape(-1, 3)
+    return np.concatenate([at.rotation + own, at.translation + own], axis=1).ravel()
+
+
+def _factor(normal: Floats, size: float) -> tuple[Floats, bool]:
+    try:
+        factor: tuple[Floats, bool] = cho_factor(normal, lower=True)
+    except LinAlgError:
+        raise ObservabilityError(_NOT_DETERMINED) from None
+    if np.min(np.abs(np.diag(factor[0]))) ** 2 < CONDITION_LIMIT * size:
+        raise ObservabilityError(_NOT_DETERMINED)
+    return factor
+
+
+_NOT_DETERMINED = (
+    "the centres do not determine all errors of table, plate and CMM: measure more balls or "
+    "CMM positions, or fill the gaps"
+)
+
+
+def _to_constraints(problem: BallPlateProblem, invisible: Floats) -> Floats:
+    """Return the projector (P, P) along the invisible directions onto the constraints."""
+    constraints = model.constraint_matrix(problem)
+    step = np.linalg.solve(constraints @ invisible, constraints)
+    projector: Floats = np.eye(len(invisible)) - invisible @ step
+    return projector
+
+
+def _check(problem: BallPlateProblem) -> None:
+    unknowns = model.offsets(problem).total
+    if unknowns > MAX_UNKNOWNS:
+        raise ObservabilityError(
+            f"{unknowns} unknowns: incomplete or weighted data are solved up to {MAX_UNKNOWNS}; "
+            "use a coarser grid, or measure the missing centres (complete data have no limit)"
+        )
+    cells = np.unique(problem.table_index * problem.grid + problem.ball_step)
+    count = np.bincount(cells // problem.grid, minlength=problem.grid)
+    poor = np.flatnonzero(count < MIN_BALLS)
+    if len(poor):
+        shown = ", ".join(f"{i} ({count[i]})" for i in poor[:10])
+        raise ObservabilityError(
+            f"at {len(poor)} table positions fewer than {MIN_BALLS} balls are left, the six "
+            f"errors there are open: position (balls) {shown}; measure more balls there"
+        )

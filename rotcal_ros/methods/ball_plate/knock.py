@@ -1,0 +1,136 @@
+"""A plate that was knocked during the measurement: all later centres jump, and we say when."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import f
+
+from rotcal_ros.methods.ball_plate import model
+from rotcal_ros.methods.ball_plate.estimate import residual_operator
+from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.units import ARCSEC, MICROMETRE
+
+FALSE_ALARM = 0.001
+"""Probability that good data are said to contain a knock."""
+CANDIDATES = 3
+
+
+@dataclass(frozen=True)
+class Knock:
+    """The plate moved between the rows ``last`` and ``first`` (row numbers).
+
+    ``shift`` (3,) metres and ``rotation`` (3,) radians are its motion on the table, in the
+    table's frame at position 0, ``gain`` what it explains of w'w. Motions that the CMM's own
+    errors can imitate are found as zero: they do no harm either.
+    """
+
+    last: int
+    first: int
+    ball_step: int
+    table_index: int
+    shift: Floats
+    rotation: Floats
+    gain: float
+
+    def sentence(self) -> str:
+        """Say in words what happened and when."""
+        x, y, z = self.shift / MICROMETRE
+        a, b, c = self.rotation / ARCSEC
+        return (
+            f"the plate moved on the table between rows {self.last} and {self.first} (before "
+            f"ball step {self.ball_step} at table position {self.table_index}): all later "
+            f"centres are displaced by about ({x:.2f}, {y:.2f}, {z:.2f}) um and turned by "
+            f"({a:.2f}, {b:.2f}, {c:.2f}) arcsec; fix the plate and measure again"
+        )
+
+
+def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
+    """Look along the rows in their order of measurement for a moment when the plate moved.
+
+    The motion has six parameters from the moment on; the gain of w'w is tested against the
+    remaining scatter. None when no moment stands out.
+    """
+    order = np.argsort(problem.rows, kind="stable")
+    motion = _motion_design(problem)[order]
+    weight = np.ones_like(problem.centres) if problem.std is None else problem.std**-2
+    weighted = (weight * solution.residuals)[order]
+    later = np.cumsum(np.einsum("nij,ni->nj", motion, weighted)[::-1], axis=0)[::-1]
+    residuals = residual_operator(problem)
+    best: tuple[float, int, Floats] | None = None
+    for start in _candidates(later, motion, weight[order]):
+        gain, amount = _fit_motion(problem, residuals, order[start:], later[start])
+        if best is None or gain > best[0]:
+            best = (gain, start, amount)
+    if best is None or solution.dof <= 12:
+        return None
+    gain, start, amount = best
+    rest = max(solution.weighted_square_sum - gain, np.finfo(float).tiny)
+    if (gain / 6.0) / (rest / (solution.dof - 6)) < f.isf(
+        FALSE_ALARM / len(order), 6, solution.dof - 6
+    ):
+        return None
+    row = order[start]
+    return Knock(
+        last=int(problem.rows[order[start - 1]]),
+        first=int(problem.rows[row]),
+        ball_step=int(problem.ball_step[row]),
+        table_index=int(problem.table_index[row]),
+        shift=amount[:3],
+        rotation=amount[3:] / problem.radius,
+        gain=gain,
+    )
+
+
+def _motion_design(problem: BallPlateProblem) -> Floats:
+    """Return (n, 3, 6): displacement of a centre per unit shift, and rotation times radius."""
+    turn = model.rotations(problem.angles)[problem.table_index]
+    cross = model.cross_unit(problem.angles[problem.ball_step])
+    return np.concatenate([turn, turn @ cross], axis=2)
+
+
+def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
+    """Return the most likely moments by a bound on their gain, best first.
+
+    The bound leaves out that table and CMM absorb part of the motion; it peaks where the gain
+    does. Moments within 1 % of each other count as one.
+    """
+    own = np.einsum("nij,ni,nik->njk", motion, weight, motion)
+    information = np.cumsum(own[::-1], axis=0)[::-1]
+    total = information[0]
+    starts = np.arange(1, len(later))
+    share = information[starts] @ np.linalg.pinv(total)
+    spread = information[starts] @ (np.eye(6) - share.swapaxes(1, 2)) + 1e-9 * total
+    bound = np.einsum("nj,nj->n", later[starts], _solve(spread, later[starts]))
+    chosen: list[int] = []
+    for index in np.argsort(-bound, kind="stable"):
+        if all(abs(int(starts[index]) - other) > 0.01 * len(later) for other in chosen):
+            chosen.append(int(starts[index]))
+        if len(chosen) == CANDIDATES:
+            break
+    return chosen
+
+
+def _solve(matrices: Floats, vectors: Floats) -> Floats:
+    solved = np.linalg.solve(matrices, vectors[:, :, None])[:, :, 0]
+    return np.asarray(solved, dtype=np.float64)
+
+
+def _fit_motion(
+    problem: BallPlateProblem,
+    residuals: Callable[[Floats], Floats],
+    rows: Ints,
+    right: Floats,
+) -> tuple[float, Floats]:
+    """Return gain of w'w and the motion (6,) when the rows from a moment on have moved."""
+    moved = np.zeros((len(problem.centres), 3, 6))
+    moved[rows] = _motion_design(problem)[rows]
+    remains = np.stack([residuals(moved[:, :, c]) for c in range(6)], axis=2)
+    weight = np.ones_like(problem.centres) if problem.std is None else problem.std**-2
+    information = np.einsum("nij,ni,nik->jk", moved, weight, remains)
+    information = 0.5 * (information + information.T)
+    amount: Floats = np.linalg.pinv(information, rcond=1e-6, hermitian=True) @ right
+    return float(right @ amount), amount

@@ -1,0 +1,247 @@
+"""The linear model of the reduced three-rosette method (Eq. 12 to 19 of the paper).
+
+    m = p_k + c_i x p_k + B_i a_j + d_i + b_k + u x p_k + v,      i = k - j (mod N)
+
+The unknowns stand in one vector in the order a, b, c, d, u, v. Rotations (c, u) are multiplied
+by the radius of the ball circle, so that all unknowns are lengths of the same size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+
+N_CONSTRAINTS = 19
+FIELDS = ("plate", "cmm", "rotation", "translation", "axis_rotation", "axis_shift")
+TABLE_COMPONENTS = {
+    "EXC": ("translation", 0),
+    "EYC": ("translation", 1),
+    "EZC": ("translation", 2),
+    "EAC": ("rotation", 0),
+    "EBC": ("rotation", 1),
+    "ECC": ("rotation", 2),
+}
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Everything the method finds, or its standard deviations.
+
+    ``plate`` (R, 3) are the errors a_j of the balls at table position 0, ``cmm`` (S, 3) those
+    b_k of the CMM, ``rotation`` (N, 3) and ``translation`` (N, 3) the table's c_i and d_i,
+    ``axis_rotation`` (3,) and ``axis_shift`` (3,) the pose u, v of the axis. Radians and metres.
+    """
+
+    plate: Floats
+    cmm: Floats
+    rotation: Floats
+    translation: Floats
+    axis_rotation: Floats
+    axis_shift: Floats
+
+    def component(self, name: str) -> Floats:
+        """Return the table's component of the ISO 230-1 ``name`` (N,)."""
+        field, axis = TABLE_COMPONENTS[name]
+        column: Floats = getattr(self, field)[:, axis]
+        return column
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Least squares solution of one problem; covariances are for unit standard deviation.
+
+    ``unit_std`` and ``unit_covariance(first, second)`` (N, N), the covariance of two of the
+    table's components, belong to sigma = 1 m (or to sigma0 = 1 when the rows have their own
+    ``std``): multiply by sigma and sigma^2. ``residuals`` (n, 3), metres, are observed -
+    computed; ``cofactor()`` (n, 3, 3) is their unit covariance. ``weighted_square_sum`` is w'w.
+    """
+
+    estimate: Parameters
+    unit_std: Parameters
+    unit_covariance: Callable[[str, str], Floats]
+    residuals: Floats
+    cofactor: Callable[[], Floats]
+    weighted_square_sum: float
+    dof: int
+    way: str
+
+
+def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
+    """Return w'w: residuals in metres, or in units of ``std`` where every row has its own."""
+    scaled = residuals if problem.std is None else residuals / problem.std
+    return float(np.sum(scaled**2))
+
+
+def degrees_of_freedom(problem: BallPlateProblem) -> int:
+    """Return observations - unknowns + constraints."""
+    unknowns = 3 * len(problem.balls) + 3 * len(problem.positions) + 6 * problem.grid + 6
+    return 3 * len(problem.centres) - unknowns + N_CONSTRAINTS
+
+
+def rotations(angles: Floats) -> Floats:
+    """Return the rotation matrices about z, (n, 3, 3) (Eq. 4)."""
+    matrices = np.zeros((len(angles), 3, 3))
+    matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(angles)
+    matrices[:, 1, 0] = np.sin(angles)
+    matrices[:, 0, 1] = -matrices[:, 1, 0]
+    matrices[:, 2, 2] = 1.0
+    return matrices
+
+
+def cross_unit(angles: Floats) -> Floats:
+    """Return the matrices C with C w = w x (cos, sin, 0), (n, 3, 3)."""
+    matrices = np.zeros((len(angles), 3, 3))
+    matrices[:, 0, 2] = -np.sin(angles)
+    matrices[:, 1, 2] = np.cos(angles)
+    matrices[:, 2, 0] = np.sin(angles)
+    matrices[:, 2, 1] = -np.cos(angles)
+    return matrices
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Where the blocks a, b, c, d, u, v start in the vector of unknowns."""
+
+    plate: int
+    cmm: int
+    rotation: int
+    translation: int
+    axis_rotation: int
+    axis_shift: int
+    total: int
+
+
+def offsets(problem: BallPlateProblem) -> Offsets:
+    """Return the offsets of the blocks of unknowns."""
+    sizes = (len(problem.balls), len(problem.positions), problem.grid, problem.grid, 1, 1)
+    starts = np.concatenate([[0], np.cumsum(3 * np.array(sizes))])
+    return Offsets(*(int(start) for start in starts))
+
+
+def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
+    """Return the 18 non-zero columns of every row: (n, 3, 18) coefficients, (n, 18) indices."""
+    at = offsets(problem)
+    n = len(problem.centres)
+    turn = rotations(problem.angles)[problem.table_index]
+    cross = cross_unit(problem.angles)[problem.cmm_index]
+    one = np.broadcast_to(np.eye(3), (n, 3, 3))
+    coefficients = np.concatenate([turn, one, cross, one, cross, one], axis=2)
+    starts = np.stack(
+        [
+            at.plate + 3 * np.searchsorted(problem.balls, problem.ball_step),
+            at.cmm + 3 * np.searchsorted(problem.positions, problem.cmm_index),
+            at.rotation + 3 * problem.table_index,
+            at.translation + 3 * problem.table_index,
+            np.full(n, at.axis_rotation),
+            np.full(n, at.axis_shift),
+        ],
+        axis=1,
+    )
+    columns = (starts[:, :, None] + np.arange(3)).reshape(n, 18)
+    return coefficients, columns
+
+
+def constraint_matrix(problem: BallPlateProblem) -> Floats:
+    """Return G (19, P) of the constraints G xi = 0 (Eq. 15 to 19)."""
+    at = offsets(problem)
+    angles = problem.angles
+    matrix = np.zeros((N_CONSTRAINTS, at.total))
+    one = np.eye(3)
+    cross = cross_unit(angles[problem.positions])
+    across = angles[problem.positions]
+    radial = np.stack([np.cos(across), np.sin(across), np.zeros_like(across)], axis=1)
+    back = rotations(angles).transpose(0, 2, 1)
+    ball = rotations(angles[problem.balls])
+    cmm = slice(at.cmm, at.rotation)
+    rotation = slice(at.rotation, at.translation)
+    translation = slice(at.translation, at.axis_rotation)
+    matrix[0:3, cmm] = np.tile(one, len(problem.positions))  # Eq. 15, left
+    matrix[3:6, cmm] = -np.hstack(list(cross))  # Eq. 15, right
+    matrix[6, cmm] = radial.ravel()  # Eq. 16
+    matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(one, problem.grid)  # Eq. 17
+    matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
+    matrix[17, : at.cmm] = ball[:, :, 1].ravel()  # Eq. 19, tangential
+    matrix[18, 2 : at.cmm : 3] = 1.0  # Eq. 19, axial
+    return matrix
+
+
+def null_space(problem: BallPlateProblem) -> Floats:
+    """Return the 19 directions (P, 19) that the measurement cannot see.
+
+    What they are: a plate shifted (3) or turned (3) on a table that makes up for it; a table
+    with a constant shift (3) or rotation (3), an axis shifted (3) or turned (3), taken back by
+    the CMM; a CMM circle and a plate that are larger and smaller (1).
+    """
+    at = offsets(problem)
+    space = np.zeros((at.total, N_CONSTRAINTS))
+    one = np.eye(3)
+    turn = rotations(problem.angles).reshape(-1, 3)
+    all_cmm = np.tile(one, (len(problem.positions), 1))
+    ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.positions]
+    cross_ball = cross_unit(ball_angles).reshape(-1, 3)
+    cross_cmm = cross_unit(cmm_angles).reshape(-1, 3)
+    plate, cmm = slice(at.plate, at.cmm), slice(at.cmm, at.rotation)
+    rotation, translation = slice(at.rotation, at.translation), slice(at.translation, -6)
+    space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(one, (len(ball_angles), 1))
+    space[rotation, 3:6], space[plate, 3:6] = turn, -cross_ball
+    space[translation, 6:9], space[cmm, 6:9] = np.tile(one, (problem.grid, 1)), -all_cmm
+    space[rotation, 9:12], space[cmm, 9:12] = np.tile(one, (problem.grid, 1)), -cross_cmm
+    space[at.axis_shift :, 12:15], space[cmm, 12:15] = one, -all_cmm
+    space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = one, -cross_cmm
+    space[plate, 18] = -rotations(ball_angles)[:, :, 0].ravel()
+    space[cmm, 18] = rotations(cmm_angles)[:, :, 0].ravel()
+    return space
+
+
+def unpack(problem: BallPlateProblem, vector: Floats) -> Parameters:
+    """Split a vector (P,) of unknowns (or of their standard deviations) into its parts."""
+    at = offsets(problem)
+    parts = vector.reshape(-1, 3)
+    return Parameters(
+        plate=parts[: at.cmm // 3],
+        cmm=parts[at.cmm // 3 : at.rotation // 3],
+        rotation=parts[at.rotation // 3 : at.translation // 3] / problem.radius,
+        translation=parts[at.translation // 3 : -2],
+        axis_rotation=parts[-2] / problem.radius,
+        axis_shift=parts[-1],
+    )
+
+
+def table_covariance(
+    problem: BallPlateProblem, covariance: Floats
+) -> Callable[[str, str], Floats]:
+    """Return the function that cuts the covariance of two components out of (P, P)."""
+    at = offsets(problem)
+
+    def cut(first: str, second: str) -> Floats:
+        pick, factor = [], 1.0
+        for name in (first, second):
+            field, axis = TABLE_COMPONENTS[name]
+            start = getattr(at, field) + axis
+            pick.append(np.arange(start, start + 3 * problem.grid, 3))
+            factor /= problem.radius if field == "rotation" else 1.0
+        block: Floats = covariance[np.ix_(*pick)] * factor
+        return block
+
+    return cut
+
+
+def residuals_of(problem: BallPlateProblem, vector: Floats) -> Floats:
+    """Return observed - computed (n, 3) for a vector (P,) of unknowns."""
+    coefficients, columns = local_design(problem)
+    residuals: Floats = problem.deviations - np.einsum("nij,nj->ni", coefficients, vector[columns])
+    return residuals
+
+
+def residual_cofactor(problem: BallPlateProblem, covariance: Floats) -> Floats:
+    """Return the unit covariance (n, 3, 3) of the residuals from that of the unknowns (P, P)."""
+    coefficients, columns = local_design(problem)
+    local = covariance[columns[:, :, None], columns[:, None, :]]
+    fitted = coefficients @ local @ coefficients.transpose(0, 2, 1)
+    own = np.ones_like(problem.centres) if problem.std is None else problem.std**2
+    cofactor: Floats = own[:, :, None] * np.eye(3) - fitted
+    return cofactor

@@ -1,0 +1,88 @@
+"""Which centres do not fit: the normalised residual of every centre, and the rejection rule."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, f
+
+from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+
+FALSE_ALARM = 0.01
+"""Probability that good data lose any centre at all."""
+DETERMINED = 1e-8
+"""Residual cofactors below this part of the largest belong to coordinates without a check."""
+
+
+@dataclass(frozen=True)
+class CentreTest:
+    """Test of every centre (n,): its removal would lower w'w by ``gain``.
+
+    ``value`` is the normalised residual sqrt(gain / rank) / sigma, ``critical`` (n,) what it may
+    reach in good data, ``redundancy`` in [0, 1] how much of an error stays in the residual.
+    """
+
+    gain: Floats
+    value: Floats
+    critical: Floats
+    redundancy: Floats
+
+    @property
+    def outside(self) -> Ints:
+        """Rows beyond their critical value, the worst first."""
+        ratio = self.value / self.critical
+        rows = np.flatnonzero(ratio > 1.0)
+        return rows[np.argsort(-ratio[rows], kind="stable")]
+
+
+def judge_centres(
+    problem: BallPlateProblem, solution: Solution, sigma: float | None
+) -> CentreTest:
+    """Test each centre against all the others.
+
+    ``sigma`` is the stated standard deviation (of unit weight); without it that of the other
+    centres takes its place, so that a gross error cannot hide behind the scatter it causes.
+    """
+    own = np.ones_like(problem.centres) if problem.std is None else problem.std**2
+    cofactor = solution.cofactor()
+    values, vectors = np.linalg.eigh(cofactor / own.max(axis=1)[:, None, None])
+    values = values * own.max(axis=1)[:, None]
+    checked = values > DETERMINED * own.max(axis=1)[:, None]
+    along = np.einsum("nij,ni->nj", vectors, solution.residuals)
+    gain = np.sum(np.where(checked, along**2 / np.where(checked, values, 1.0), 0.0), axis=1)
+    rank = np.maximum(checked.sum(axis=1), 1)
+    level = FALSE_ALARM / len(gain)
+    if sigma is None:
+        others = np.maximum(solution.dof - rank, 1)
+        variance = np.maximum(solution.weighted_square_sum - gain, 0.0) / others
+        critical = np.sqrt(f.isf(level, rank, others))
+    else:
+        variance = np.full_like(gain, sigma**2)
+        critical = np.sqrt(chi2.isf(level, rank) / rank)
+    floor = np.finfo(np.float64).eps ** 2 * problem.radius**2 / own.max(axis=1)
+    return CentreTest(
+        gain=gain,
+        value=np.sqrt(gain / rank / np.maximum(variance, floor)),
+        critical=critical,
+        redundancy=np.einsum("nii,ni->n", cofactor, 1.0 / own) / 3.0,
+    )
+
+
+def choose(problem: BallPlateProblem, test: CentreTest) -> Ints:
+    """Return the rows to reject together: the worst, and others that share nothing with it.
+
+    A gross error leaks into the residuals of the same ball, table and CMM position; rows that
+    share none of the three with a worse one are guilty on their own account.
+    """
+    chosen: list[int] = []
+    for row in test.outside:
+        shares = (
+            problem.ball_step[row] == problem.ball_step[chosen],
+            problem.table_index[row] == problem.table_index[chosen],
+            problem.cmm_index[row] == problem.cmm_index[chosen],
+        )
+        if not np.any(shares):
+            chosen.append(int(row))
+    return np.array(chosen, dtype=np.int64)

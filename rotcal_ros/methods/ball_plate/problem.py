@@ -1,0 +1,190 @@
+"""What the ball plate method is given: centres of balls at table positions, nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.errors import DataError, PlanError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class BallPlateProblem:
+    """Ball centres measured on a plate that stands on a rotary table.
+
+    Row ``r`` is the centre ``centres[r]`` (n, 3), in metres, of the ball on grid step
+    ``ball_step[r]`` while the table stood at position ``table_index[r]``; the table turns
+    counter-clockwise by ``2 pi / grid`` per position. The frame is fixed to the CMM: z along
+    the table axis, origin on the axis at the height of the ball centres, ball step 0 at table
+    position 0 near the +x axis. ``radius`` is the nominal radius of the ball circle in metres.
+
+    ``sigma`` is the standard deviation of a centre coordinate in metres, None when it shall be
+    taken from the residuals. ``std`` (n, 3), in metres, gives every coordinate its own standard
+    deviation instead. ``row`` (n,) numbers the rows in the order of measurement: the numbers
+    appear in every message, and a plate that moved is looked for along them.
+    ``separate_groups`` accepts a plate whose ball steps share a factor with the grid: the groups
+    of table positions are then solved separately, each with its own zero.
+
+    Rows are kept in a canonical order (ball step, table position, row number), so that the
+    order of the table cannot change a bit of the result. Raises DataError for wrong shapes and
+    indices outside the grid.
+    """
+
+    grid: int
+    radius: float
+    table_index: Ints
+    ball_step: Ints
+    centres: Floats
+    sigma: float | None = None
+    std: Floats | None = None
+    row: Ints | None = None
+    separate_groups: bool = False
+
+    def __post_init__(self) -> None:
+        table = np.asarray(self.table_index, dtype=np.int64)
+        ball = np.asarray(self.ball_step, dtype=np.int64)
+        centres = np.asarray(self.centres, dtype=np.float64)
+        row = np.arange(len(table)) if self.row is None else np.asarray(self.row, dtype=np.int64)
+        std = None if self.std is None else np.asarray(self.std, dtype=np.float64)
+        _check_constants(self.grid, self.radius, self.sigma)
+        _check_shapes(table, ball, centres, row, std)
+        _check_indices(table, ball, row, self.grid)
+        order = np.lexsort((row, table, ball))
+        object.__setattr__(self, "table_index", table[order])
+        object.__setattr__(self, "ball_step", ball[order])
+        object.__setattr__(self, "centres", centres[order])
+        object.__setattr__(self, "row", row[order])
+        object.__setattr__(self, "std", None if std is None else std[order])
+
+    @cached_property
+    def rows(self) -> Ints:
+        """Row numbers (n,) in the order of measurement."""
+        assert self.row is not None  # set in __post_init__
+        return self.row
+
+    @cached_property
+    def cmm_index(self) -> Ints:
+        """CMM position k = table position + ball step, modulo the grid, (n,)."""
+        return (self.table_index + self.ball_step) % self.grid
+
+    @cached_property
+    def balls(self) -> Ints:
+        """The ball steps in use, ascending, (R,)."""
+        return np.unique(self.ball_step)
+
+    @cached_property
+    def positions(self) -> Ints:
+        """The CMM positions in use, ascending, (S,)."""
+        return np.unique(self.cmm_index)
+
+    @cached_property
+    def angles(self) -> Floats:
+        """Commanded table angles in radians, (grid,)."""
+        return grid_angles(self.grid)
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether every ball was measured exactly once at every table position."""
+        cells = self.ball_step * self.grid + self.table_index
+        return len(cells) == len(self.balls) * self.grid and len(np.unique(cells)) == len(cells)
+
+    @cached_property
+    def deviations(self) -> Floats:
+        """Measured minus nominal centres m - p_k, metres, (n, 3)."""
+        angle = self.angles[self.cmm_index]
+        nominal = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+        deviations: Floats = self.centres - self.radius * nominal
+        return deviations
+
+    def take(self, keep: NDArray[np.bool_] | Ints) -> BallPlateProblem:
+        """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
+        return replace(
+            self,
+            table_index=self.table_index[keep],
+            ball_step=self.ball_step[keep],
+            centres=self.centres[keep],
+            row=self.rows[keep],
+            std=None if self.std is None else self.std[keep],
+        )
+
+
+def select(
+    problem: BallPlateProblem,
+    *,
+    balls: Ints | list[int] | None = None,
+    positions: Ints | list[int] | None = None,
+    coarser: int = 1,
+) -> BallPlateProblem:
+    """Evaluate the same data with fewer balls, fewer CMM positions or a coarser grid.
+
+    ``coarser`` = 2 turns a 5 degree grid into a 10 degree grid: only balls and table positions
+    on the coarse grid stay and are renumbered. Raises PlanError when a wanted ball or position
+    was not measured, when ``coarser`` does not divide the grid, or when nothing is left.
+    """
+    if coarser < 1 or problem.grid % coarser:
+        raise PlanError(f"a grid of {problem.grid} steps cannot be made {coarser} times coarser")
+    keep = (problem.ball_step % coarser == 0) & (problem.table_index % coarser == 0)
+    for wanted, column, name in (
+        (balls, problem.ball_step, "ball steps"),
+        (positions, problem.cmm_index, "CMM positions"),
+    ):
+        if wanted is None:
+            continue
+        missing = np.setdiff1d(wanted, column)
+        if len(missing):
+            raise PlanError(f"{name} {missing.tolist()} were not measured")
+        keep &= np.isin(column, wanted)
+    if not keep.any():
+        raise PlanError("no centre is left after the selection of balls, positions and grid")
+    part = problem.take(keep)
+    return replace(
+        part,
+        grid=part.grid // coarser,
+        table_index=part.table_index // coarser,
+        ball_step=part.ball_step // coarser,
+    )
+
+
+def grid_angles(grid: int) -> Floats:
+    """Return the angles 2 pi i / grid in radians, (grid,)."""
+    angles: Floats = 2.0 * np.pi * np.arange(grid) / grid
+    return angles
+
+
+def _check_constants(grid: int, radius: float, sigma: float | None) -> None:
+    if grid < 3:
+        raise DataError(f"a grid of {grid} table positions: at least 3 are needed")
+    if not (np.isfinite(radius) and radius > 0.0):
+        raise DataError(f"radius of the ball circle is {radius} m: a positive length is needed")
+    if sigma is not None and not (np.isfinite(sigma) and sigma > 0.0):
+        raise DataError(f"stated noise of a centre is {sigma} m: a positive length is needed")
+
+
+def _check_shapes(table: Ints, ball: Ints, centres: Floats, row: Ints, std: Floats | None) -> None:
+    n = len(table)
+    shapes = {"table_index": table.shape, "ball_step": ball.shape, "row": row.shape}
+    wrong = [f"{name} {shape}" for name, shape in shapes.items() if shape != (n,)]
+    if centres.shape != (n, 3):
+        wrong.append(f"centres {centres.shape}")
+    if std is not None and (std.shape != (n, 3) or not np.all(std > 0.0)):
+        raise DataError(f"std must hold {n} x 3 positive lengths, found {std.shape}")
+    if wrong or n == 0:
+        raise DataError(f"columns do not fit together: {', '.join(wrong) or 'no rows at all'}")
+
+
+def _check_indices(table: Ints, ball: Ints, row: Ints, grid: int) -> None:
+    for name, column in (("table position", table), ("ball step", ball)):
+        outside = np.flatnonzero((column < 0) | (column >= grid))
+        if len(outside):
+            first = outside[0]
+            raise DataError(
+                f"row {row[first]}: {name} {column[first]} is outside 0..{grid - 1} "
+                f"({len(outside)} such rows); check the grid of the plate"
+            )

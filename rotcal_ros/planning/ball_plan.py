@@ -1,0 +1,177 @@
+"""The order in which a ball plate is measured: little motion, one direction, known duration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from rotcal_ros.errors import PlanError
+from rotcal_ros.planning.layout_variance import Floats, Ints
+
+Order = Literal["table_once", "probe_rests"]
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """What moves how fast: rad/s, rad/s^2, m/s, m/s^2, m, s.
+
+    ``settle`` is waited after every table move, ``touch`` is the time of one touch point with
+    its approach, ``clearance`` the height at which the probe crosses the plate.
+    """
+
+    table_velocity: float = 0.2
+    table_acceleration: float = 0.5
+    probe_velocity: float = 0.1
+    probe_acceleration: float = 0.5
+    settle: float = 1.0
+    touch: float = 2.0
+    touches_per_ball: int = 15
+    clearance: float = 0.05
+
+
+@dataclass(frozen=True)
+class BallPlan:
+    """One row per ball centre, in the order of measurement; arrays of shape (n,).
+
+    ``table_angle`` is unwrapped, in radians: the table turns to it from the row before.
+    ``table_travel`` (rad) adds up all its motion, ``reversals`` counts changes of direction,
+    ``duration`` is predicted in seconds, ``lead_in`` the angle from which the first position is
+    approached so that all are approached from the same side.
+    """
+
+    grid: int
+    table_index: Ints
+    ball_step: Ints
+    table_angle: Floats
+    lead_in: float
+    table_travel: float
+    reversals: int
+    duration: float
+
+    @property
+    def cmm_index(self) -> Ints:
+        """CMM position of every row."""
+        return (self.table_index + self.ball_step) % self.grid
+
+
+def plan_measurement(
+    grid: int,
+    balls: list[int] | Ints,
+    *,
+    positions: list[int] | Ints | None = None,
+    order: Order = "table_once",
+    backlash: bool = True,
+    radius: float = 0.185,
+    kinematics: Kinematics | None = None,
+) -> BallPlan:
+    """Order the centres of all balls at the CMM positions (all when None).
+
+    ``table_once`` turns the table once around in all and lets the probe visit the balls at
+    every position, to and fro; ``probe_rests`` keeps the probe at one CMM position and turns
+    all balls to it, as in the paper. With ``backlash`` every position is approached in the
+    positive direction: no reversals, and a lead-in of one step. ``radius`` of the ball circle
+    in metres. Raises PlanError for steps outside the grid.
+    """
+    balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
+    for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
+        if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
+            raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
+    if order == "table_once":
+        turns, ball = _table_once(grid, balls, cmm)
+    elif order == "probe_rests":
+        turns, ball = (_probe_rests if backlash else _to_and_fro)(grid, balls, cmm)
+    else:
+        raise PlanError(f"unknown order {order!r}: table_once or probe_rests")
+    step = 2.0 * np.pi / grid
+    angle = np.asarray(turns * step, dtype=np.float64)
+    lead_in = float(angle[0]) - (step if backlash else 0.0)
+    moves = np.diff(angle, prepend=lead_in)
+    directions = np.sign(moves[moves != 0.0])
+    return BallPlan(
+        grid=grid,
+        table_index=turns % grid,
+        ball_step=ball,
+        table_angle=angle,
+        lead_in=lead_in,
+        table_travel=float(np.abs(moves).sum()),
+        reversals=int(np.count_nonzero(np.diff(directions))),
+        duration=_duration(grid, turns, ball, moves, radius, kinematics or Kinematics()),
+    )
+
+
+def _table_once(grid: int, balls: Ints, cmm: Ints) -> tuple[Ints, Ints]:
+    """Table position by position; the probe sweeps around, leaving out the largest gap."""
+    wanted = np.zeros(grid, dtype=np.bool_)
+    wanted[cmm] = True
+    around = _from_largest_gap(grid, balls)
+    turns, visited = [], []
+    forward = True
+    for position in range(grid):
+        here = around[wanted[(position + around) % grid]]
+        visited.append(here if forward else here[::-1])
+        turns.append(np.full(len(here), position))
+        forward = forward != bool(len(here))
+    return np.concatenate(turns), np.concatenate(visited)
+
+
+def _from_largest_gap(grid: int, steps: Ints) -> Ints:
+    """Order steps around the circle so that the largest gap is never crossed."""
+    gaps = np.diff(steps, append=steps[0] + grid)
+    return np.roll(steps, -(int(np.argmax(gaps)) + 1))
+
+
+def _probe_rests(grid: int, balls: Ints, cmm: Ints) -> tuple[Ints, Ints]:
+    """CMM position by position, the table always onward to the next ball."""
+    turns, visited = [], []
+    now = 0
+    for position in cmm:
+        ahead = (position - balls - now) % grid  # steps onward to bring each ball there
+        order = np.argsort(ahead, kind="stable")
+        turns.append(now + ahead[order])
+        visited.append(balls[order])
+        now = int(turns[-1][-1])
+    return np.concatenate(turns), np.concatenate(visited)
+
+
+def _to_and_fro(grid: int, balls: Ints, cmm: Ints) -> tuple[Ints, Ints]:
+    """CMM position by position, the table turning back where the largest gap begins."""
+    around = _from_largest_gap(grid, balls)
+    along = around[0] + np.cumsum(np.diff(around, prepend=around[0]) % grid)  # never wraps
+    turns, visited = [], []
+    for sweep, position in enumerate(cmm):
+        order = slice(None, None, -1 if sweep % 2 == 0 else 1)
+        turns.append(position - along[order])
+        visited.append(around[order])
+    return np.concatenate(turns), np.concatenate(visited)
+
+
+def _duration(
+    grid: int,
+    turns: Ints,
+    ball: Ints,
+    moves: Floats,
+    radius: float,
+    kinematics: Kinematics,
+) -> float:
+    """Add up table moves with settling, probe moves over the clearance, and touches."""
+    k = kinematics
+    table = _move_time(np.abs(moves), k.table_velocity, k.table_acceleration)
+    settling = k.settle * np.count_nonzero(moves)
+    place = 2.0 * np.pi * (turns + ball) / grid
+    across = 2.0 * radius * np.abs(np.sin(0.5 * np.diff(place)))
+    crossing = _move_time(across, k.probe_velocity, k.probe_acceleration)
+    lift = _move_time(np.array([k.clearance]), k.probe_velocity, k.probe_acceleration)[0]
+    # the probe lifts whenever the table turns or it goes to another place
+    lifts = 1 + np.count_nonzero((np.abs(moves[1:]) > 0.0) | (across > 1e-9 * radius))
+    touching = len(ball) * k.touches_per_ball * k.touch
+    return float(table.sum() + settling + crossing.sum() + 2.0 * lift * lifts + touching)
+
+
+def _move_time(distance: Floats, velocity: float, acceleration: float) -> Floats:
+    """Time of moves from rest to rest with limited acceleration and velocity."""
+    ramp = velocity**2 / acceleration
+    long = distance / velocity + velocity / acceleration
+    times: Floats = np.where(distance >= ramp, long, 2.0 * np.sqrt(distance / acceleration))
+    return times

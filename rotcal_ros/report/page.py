@@ -1,0 +1,168 @@
+"""The HTML report: one self-contained page, a pure function of a result and its inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from rotcal_ros import __version__
+from rotcal_ros.observations import Observation
+from rotcal_ros.report import figures
+from rotcal_ros.results import COMPONENTS, Result
+from rotcal_ros.units import ARCSEC, DEGREE
+
+
+@dataclass(frozen=True)
+class ReportInput:
+    """What a report is made of.
+
+    ``inputs`` pairs the name of every input with its SHA-256, ``versions`` names the software,
+    ``truth`` is the injected deviation of a simulation in the form of truth.json, ``extra``
+    holds further sections as (title, HTML) pairs.
+    """
+
+    result: Result
+    title: str
+    method_title: str
+    observations: Sequence[Observation] = ()
+    configuration_text: str = ""
+    inputs: Sequence[tuple[str, str]] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+    truth: Mapping[str, Any] | None = None
+    notes: Sequence[str] = ()
+    extra: Sequence[tuple[str, str]] = ()
+
+
+def render_report(report: ReportInput) -> str:
+    """Return the report as one HTML page without any reference to other files."""
+    result = report.result
+    environment = Environment(
+        loader=PackageLoader("rotcal_ros.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(
+        report=report,
+        result=result,
+        version=__version__,
+        figures=_figures(report),
+        columns=_columns(result),
+        rows=_deviation_rows(result),
+        summary=_summary(result),
+        sections=_detail_sections(result.details),
+        attempts=[o for o in report.observations if not o.accepted],
+    )
+
+
+def write_report(report: ReportInput, path: Path) -> None:
+    """Write the page to ``path``; the text is complete or the file is not there."""
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(render_report(report), encoding="utf-8")
+    temporary.replace(path)
+
+
+def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
+    """Return (title, caption, SVG) of all figures that the result can fill."""
+    result = report.result
+    candidates = [
+        (
+            "Deviations",
+            "Deviation = actual − commanded, cumulative from the first angle. The band is the "
+            "expanded uncertainty (k = 2).",
+            figures.deviations(result, report.truth),
+        ),
+        (
+            "Adjacent deviations",
+            "Deviation of each step between neighbouring angles. These are not the positioning "
+            "deviations: a controller needs the cumulative curve above.",
+            figures.adjacent(result),
+        ),
+        (
+            "Residuals",
+            "Observed − computed. A pattern by table position or by target points to an error "
+            "that the model does not hold.",
+            figures.residuals(result),
+        ),
+        (
+            "Normalised residuals",
+            "Residual divided by its own standard deviation, by table position and target.",
+            figures.residual_map(result),
+        ),
+        (
+            "Stations in plan view",
+            "Solved stations on their circle with strongly exaggerated errors.",
+            figures.stations(result),
+        ),
+        (
+            "Temperature",
+            "Temperature at each observation.",
+            figures.temperature(report.observations),
+        ),
+    ]
+    return [candidate for candidate in candidates if candidate[2]]
+
+
+def _columns(result: Result) -> list[str]:
+    return [
+        f"{name} / {figures.unit_of(name)[1]}" for name in COMPONENTS if name in result.deviations
+    ]
+
+
+def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
+    """Return one row per angle: the angle and 'value ± expanded uncertainty' per component."""
+    rows = []
+    for i, angle in enumerate(result.angles):
+        cells = []
+        for name in COMPONENTS:
+            if name in result.deviations:
+                factor, _ = figures.unit_of(name)
+                value = result.deviations[name][i] / factor
+                band = figures.COVERAGE_FACTOR * result.std[name][i] / factor
+                cells.append(f"{value:+.3f} ± {band:.3f}")
+        rows.append((f"{angle / DEGREE:.4f}", cells))
+    return rows
+
+
+def _summary(result: Result) -> list[tuple[str, str]]:
+    summary = [
+        ("Verdict", result.verdict),
+        ("Observations", f"{result.n_observations}, of these {len(result.rejected)} rejected"),
+        ("Degrees of freedom", str(result.dof)),
+        ("σ₀ (1 = the stated noise fits)", f"{result.sigma0:.3f}"),
+    ]
+    if "ECC" in result.deviations:
+        ecc = result.deviations["ECC"] / ARCSEC
+        band = figures.COVERAGE_FACTOR * result.std["ECC"].max() / ARCSEC
+        summary.append(("ECC, range", f"{ecc.min():+.3f} to {ecc.max():+.3f} arcsec"))
+        summary.append(("ECC, largest uncertainty (k = 2)", f"{band:.3f} arcsec"))
+    return summary
+
+
+def _detail_sections(details: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the short entries of the method's details as (name, text), without long arrays."""
+    sections = []
+    for name, value in details.items():
+        text = _short(value)
+        if text:
+            sections.append((name.replace("_", " "), text))
+    return sections
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, Mapping):
+        parts = [(key, _short(item)) for key, item in value.items()]
+        return "; ".join(f"{key.replace('_', ' ')} {text}" for key, text in parts if text)
+    if isinstance(value, bool | str):
+        return str(value)
+    if isinstance(value, int | float):
+        return f"{value:.6g}"
+    items = list(value) if hasattr(value, "__iter__") else []
+    if 0 < len(items) <= 4 and all(isinstance(item, int | float) for item in items):
+        return "(" + ", ".join(f"{item:.6g}" for item in items) + ")"
+    return ""

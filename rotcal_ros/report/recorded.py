@@ -1,0 +1,51 @@
+"""The report of a recording: result, observations, fingerprints and versions in one place."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any
+
+from rotcal_ros import __version__
+from rotcal_ros.bags import names
+from rotcal_ros.bags.replay import Recording
+from rotcal_ros.report.page import ReportInput
+from rotcal_ros.results import Result
+
+
+def report_of(
+    recording: Recording, result: Result, truth: Mapping[str, Any] | None = None
+) -> ReportInput:
+    """Return what the page shows of a recording and the result that was solved from it."""
+    configuration = recording.calibration.configuration
+    return ReportInput(
+        result=result,
+        title="Calibration of a rotary table",
+        method_title=recording.calibration.method.title,
+        observations=recording.observations,
+        configuration_text=configuration.text,
+        inputs=[*recording.sha256.items(), ("plan and configuration", configuration.plan_id)],
+        versions={**_recorded_versions(recording.attachments), **_own_versions()},
+        truth=truth,
+        notes=recording.warnings(),
+    )
+
+
+def _own_versions() -> dict[str, str]:
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "mcap"))
+    return {
+        "solved with": f"rotcal_ros {__version__}, {packages}, Python {platform.python_version()}"
+    }
+
+
+def _recorded_versions(attachments: Mapping[str, bytes]) -> dict[str, str]:
+    """Return the versions that the recorder noted; none where the bag holds none."""
+    try:
+        noted = json.loads(attachments.get(names.VERSIONS, b"{}"))
+    except ValueError:
+        return {"recorded with": "the bag's note of versions is damaged"}
+    if not isinstance(noted, dict) or not noted:
+        return {}
+    return {"recorded with": ", ".join(f"{name} {text}" for name, text in noted.items())}

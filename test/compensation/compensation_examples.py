@@ -1,0 +1,55 @@
+"""Tables and results for the tests of the compensation feed: known curves, nothing measured."""
+
+import numpy as np
+
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC
+
+TAU = 2.0 * np.pi
+
+
+def even(n):
+    return np.arange(n) * TAU / n
+
+
+def result_of(angles, deviation, std=0.1 * ARCSEC, verdict="ok", **components):
+    """A result whose ECC counts from its first angle, as all methods give it."""
+    n = len(angles)
+    to_first = np.eye(n)
+    to_first[:, 0] -= 1.0
+    covariance = to_first @ to_first.T * std**2
+    deviations = {"ECC": np.asarray(deviation, dtype=float), **components}
+    return Result(
+        method="simulated",
+        angles=np.asarray(angles, dtype=float),
+        deviations=deviations,
+        std={name: np.sqrt(np.diag(covariance)) for name in deviations},
+        covariance=dict.fromkeys(deviations, covariance),
+        sigma0=1.0,
+        dof=10,
+        n_observations=100,
+        verdict=verdict,
+    )
+
+
+def wavy(t, amplitudes=((1, 10.0, 0.3), (2, 3.0, 1.0), (5, 1.0, 2.0))):
+    """A smooth deviation curve in radians; amplitudes (order, arcsec, phase)."""
+    return sum(a * ARCSEC * np.sin(k * np.asarray(t) + p) for k, a, p in amplitudes)
+
+
+def d4_table():
+    """The four-row example with both directions that can be checked by hand, in degrees."""
+    up = np.deg2rad([0.0, 0.0050, -0.0030, 0.0010])
+    down = np.deg2rad([-0.0020, 0.0030, -0.0050, -0.0010])
+    return CompensationTable(
+        axis="C1",
+        method="example",
+        angles=even(4),
+        correction_forward=-up,
+        correction_reverse=-down,
+        std=np.zeros(4),
+        period=TAU,
+        reference_angle=0.0,
+        verdict="ok",
+    )

@@ -1,0 +1,222 @@
+"""Dense, spectral, general and closed form: one model, one answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plate_data import PAPER_PLATE, RADIUS, simulated
+from scipy.optimize import lsq_linear
+
+from rotcal_ros.errors import ObservabilityError, PlanError
+from rotcal_ros.methods.ball_plate import model
+from rotcal_ros.methods.ball_plate.closed_form import closed_form
+from rotcal_ros.methods.ball_plate.dense import design_matrix, solve_dense
+from rotcal_ros.methods.ball_plate.general import solve_general
+from rotcal_ros.methods.ball_plate.model import FIELDS, TABLE_COMPONENTS
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, select
+from rotcal_ros.methods.ball_plate.separability import separability
+from rotcal_ros.methods.ball_plate.spectral import solve_spectral
+
+AGREE = 1e-9
+
+
+def random_balls(grid, count, seed):
+    rng = np.random.default_rng(seed)
+    while True:
+        balls = np.sort(rng.choice(grid, count, replace=False))
+        found = separability(grid, balls)
+        if found.separable and not found.weak:
+            return balls.tolist()
+
+
+def assert_same(first, second, covariance=True):
+    for field in FIELDS:
+        for part in ("estimate", "unit_std"):
+            a, b = getattr(getattr(first, part), field), getattr(getattr(second, part), field)
+            np.testing.assert_allclose(b, a, rtol=0, atol=AGREE * np.abs(a).max(), err_msg=field)
+    scale = np.abs(first.residuals).max()
+    np.testing.assert_allclose(second.residuals, first.residuals, rtol=0, atol=AGREE * scale)
+    size = np.abs(first.cofactor()).max()
+    np.testing.assert_allclose(second.cofactor(), first.cofactor(), rtol=0, atol=AGREE * size)
+    assert second.dof == first.dof
+    assert second.weighted_square_sum == pytest.approx(first.weighted_square_sum, rel=AGREE)
+    if not covariance:
+        return
+    for one in TABLE_COMPONENTS:
+        for other in TABLE_COMPONENTS:
+            a, b = first.unit_covariance(one, other), second.unit_covariance(one, other)
+            unit = np.sqrt(
+                np.abs(first.unit_covariance(one, one)).max()
+                * np.abs(first.unit_covariance(other, other)).max()
+            )
+            np.testing.assert_allclose(b, a, rtol=0, atol=AGREE * unit, err_msg=one + other)
+
+
+@pytest.mark.parametrize(
+    ("grid", "count"),
+    [(12, 5), (12, 8), (12, 12), (24, 5), (24, 9), (24, 24), (36, 5), (36, 12), (72, 5), (72, 12)],
+)
+def test_three_ways_agree_on_complete_data(grid, count):
+    problem, _ = simulated(grid, random_balls(grid, count, grid + count), seed=count)
+    dense = solve_dense(problem)
+    assert_same(dense, solve_spectral(problem))
+    assert_same(dense, solve_general(problem), covariance=grid < 72)
+
+
+@pytest.mark.parametrize(("grid", "count", "positions"), [(12, 12, 7), (24, 9, 19), (36, 8, 30)])
+def test_general_agrees_with_dense_on_reduced_positions_and_gaps(grid, count, positions):
+    problem, _ = simulated(grid, random_balls(grid, count, 3), seed=grid)
+    rng = np.random.default_rng(grid)
+    part = select(problem, positions=np.sort(rng.choice(grid, positions, replace=False)))
+    keep = np.ones(len(part.centres), dtype=bool)
+    keep[rng.choice(len(keep), 4, replace=False)] = False
+    assert_same(solve_dense(part), solve_general(part))
+    assert_same(solve_dense(part.take(keep)), solve_general(part.take(keep)))
+
+
+def test_general_agrees_with_dense_on_unequal_weights_and_repeated_centres():
+    problem, _ = simulated(24, random_balls(24, 8, 1), seed=5)
+    rng = np.random.default_rng(2)
+    twice = problem.take(np.concatenate([np.arange(len(problem.centres)), [3, 50, 51]]))
+    weighted = replace(
+        twice, row=None, std=rng.uniform(0.3, 3.0, twice.centres.shape) * 1e-7
+    )
+    assert_same(solve_dense(weighted), solve_general(weighted))
+
+
+def test_dense_minimises_what_an_independent_solver_minimises():
+    problem, _ = simulated(12, [0, 1, 3, 7, 8, 10], seed=9)
+    design, constraints = design_matrix(problem), model.constraint_matrix(problem)
+    stacked = np.vstack([design, 1e4 * constraints])
+    target = np.concatenate([problem.deviations.ravel(), np.zeros(19)])
+    expected = lsq_linear(stacked, target * 1e6, method="bvls").x * 1e-6
+    found = solve_dense(problem).estimate
+    reference = model.unpack(problem, expected)
+    for field in FIELDS:
+        np.testing.assert_allclose(
+            getattr(found, field), getattr(reference, field), atol=1e-12, err_msg=field
+        )
+
+
+def test_noise_free_data_return_the_injected_table_errors():
+    problem, truth = simulated(72, PAPER_PLATE, seed=4, noise=0.0)
+    for solution in (solve_spectral(problem), solve_dense(problem)):
+        np.testing.assert_allclose(solution.estimate.translation, truth.translation, atol=1e-15)
+        np.testing.assert_allclose(solution.estimate.rotation, truth.rotation, atol=1e-14)
+        assert np.abs(solution.residuals).max() < 1e-15
+
+
+def test_solutions_obey_the_constraints_of_the_paper():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], seed=2)
+    angle = problem.angles
+    radial = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    tangential = np.column_stack([-np.sin(angle), np.cos(angle), 0 * angle])
+    found = solve_spectral(problem).estimate
+    phase = np.exp(-1j * angle)
+    size = 1e-6
+    assert np.abs(found.cmm.sum(axis=0)).max() < 1e-10 * size  # Eq. 15
+    assert np.abs(np.cross(radial, found.cmm).sum(axis=0)).max() < 1e-10 * size
+    assert abs(np.sum(radial * found.cmm)) < 1e-10 * size  # Eq. 16
+    for field in (found.translation, found.rotation):
+        assert np.abs(field.sum(axis=0)).max() < 1e-9 * size  # Eq. 17
+        assert abs(np.sum((field[:, 0] + 1j * field[:, 1]) * phase)) < 1e-9 * size  # Eq. 18
+    assert abs(np.sum(tangential[problem.balls] * found.plate)) < 1e-10 * size  # Eq. 19
+    assert abs(found.plate[:, 2].sum()) < 1e-10 * size
+
+
+def test_invisible_directions_are_nineteen_and_invisible():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14], seed=1)
+    design, space = design_matrix(problem), model.null_space(problem)
+    assert np.abs(design @ space).max() < 1e-14
+    assert np.linalg.matrix_rank(space) == 19
+    assert design.shape[1] - np.linalg.matrix_rank(design) == 19
+
+
+def test_paper_plate_has_the_papers_uncertainties():
+    """k = 2, 0.1 um per centre: 0.03 um, 0.23 urad (tilts) and 0.16 urad are printed."""
+    problem, _ = simulated(72, PAPER_PLATE)
+    for solution in (solve_spectral(problem), solve_dense(problem)):
+        expanded = {
+            name: 0.1e-6 * np.sqrt(np.mean(solution.unit_std.component(name) ** 2))
+            for name in TABLE_COMPONENTS
+        }
+        assert round(expanded["EXC"] * 1e6, 3) == round(expanded["EYC"] * 1e6, 3) == 0.030
+        assert round(expanded["EZC"] * 1e6, 2) == 0.03
+        assert round(expanded["EAC"] * 1e6, 3) == round(expanded["EBC"] * 1e6, 3) == 0.231
+        assert round(expanded["ECC"] * 1e6, 3) == 0.163
+
+
+def test_closed_form_equals_least_squares():
+    problem, _ = simulated(12, range(12), seed=6)
+    exact = solve_spectral(problem)
+    found = closed_form(problem, nominal_radius=True)
+    np.testing.assert_allclose(found.translation, exact.estimate.translation, atol=1e-17)
+    np.testing.assert_allclose(found.rotation, exact.estimate.rotation, atol=1e-16)
+    for at, name in enumerate(TABLE_COMPONENTS):
+        np.testing.assert_allclose(exact.unit_std.component(name), found.unit_std[at], rtol=1e-12)
+
+
+def test_closed_form_divides_by_the_mean_measured_radius():
+    problem, _ = simulated(12, range(12), seed=6)
+    measured, nominal = closed_form(problem), closed_form(problem, nominal_radius=True)
+    angle = problem.angles[problem.cmm_index]
+    expected = np.mean(
+        problem.centres[:, 0] * np.cos(angle) + problem.centres[:, 1] * np.sin(angle)
+    )
+    assert measured.radius == pytest.approx(expected, rel=1e-14)
+    np.testing.assert_allclose(
+        measured.rotation * measured.radius, nominal.rotation * RADIUS, rtol=0, atol=1e-19
+    )
+
+
+def test_closed_form_refuses_an_incomplete_grid():
+    problem, _ = simulated(12, [0, 1, 3, 5, 8])
+    with pytest.raises(PlanError, match="12 balls at 12 table positions"):
+        closed_form(problem)
+
+
+def test_general_names_the_table_positions_that_have_too_few_balls():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14])
+    part = problem.take((problem.table_index != 7) | (problem.ball_step < 4))
+    with pytest.raises(ObservabilityError, match=r"position \(balls\) 7 \(2\)"):
+        solve_general(part)
+
+
+def test_spectral_takes_thousands_of_positions_within_little_memory():
+    problem, truth = simulated(3600, [50 * b + b % 7 for b in PAPER_PLATE], seed=3)
+    solution = solve_spectral(problem)
+    error = solution.estimate.component("ECC") - truth.component("ECC")
+    expected = 5e-8 * solution.unit_std.component("ECC")
+    assert np.sqrt(np.mean((error / expected) ** 2)) == pytest.approx(1.0, abs=0.05)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31), st.integers(5, 9))
+def test_the_order_of_the_rows_does_not_change_a_bit(seed, count):
+    problem, _ = simulated(12, random_balls(12, count, seed), seed=seed)
+    shuffle = np.random.default_rng(seed).permutation(len(problem.centres))
+    mixed = BallPlateProblem(
+        12,
+        RADIUS,
+        problem.table_index[shuffle],
+        problem.ball_step[shuffle],
+        problem.centres[shuffle],
+        row=problem.rows[shuffle],
+    )
+    first, second = solve_spectral(problem), solve_spectral(mixed)
+    for field in FIELDS:
+        assert (getattr(first.estimate, field) == getattr(second.estimate, field)).all()
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 23))
+def test_turning_the_plate_by_whole_steps_keeps_the_uncertainty(seed, shift):
+    balls = np.array(random_balls(24, 6, seed))
+    first, _ = simulated(24, balls)
+    second, _ = simulated(24, np.sort((balls + shift) % 24))
+    for name in TABLE_COMPONENTS:
+        a = np.mean(solve_spectral(first).unit_std.component(name) ** 2)
+        b = np.mean(solve_spectral(second).unit_std.component(name) ** 2)
+        assert a == pytest.approx(b, rel=1e-9)

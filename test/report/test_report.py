@@ -1,0 +1,104 @@
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotcal_ros.report.page import ReportInput, render_report, write_report
+from rotcal_ros.results import Rejection, Residuals, Result
+from rotcal_ros.units import ARCSEC, DEGREE
+
+
+def tracer_result() -> Result:
+    angles = np.arange(4) * 30.0 * DEGREE
+    ecc = np.array([0.0, 5.9, 6.6, 6.2]) * ARCSEC
+    return Result(
+        method="tracer_multistation",
+        angles=angles,
+        deviations={"ECC": ecc},
+        std={"ECC": np.array([0.0, 0.4, 0.4, 0.4]) * ARCSEC},
+        covariance={},
+        sigma0=1.02,
+        dof=100,
+        n_observations=8,
+        rejected=(Rejection(3, "normalised residual 5.1 > 3.3"),),
+        verdict="suspect",
+        warnings=("more than 3 % <rejected>",),
+        adjacent_deviations=np.diff(ecc),
+        adjacent_std=np.full(3, 0.5) * ARCSEC,
+        residuals=Residuals(
+            table_index=np.tile(np.arange(4), 2),
+            target=np.repeat(np.arange(2), 4),
+            residual=np.linspace(-1e-6, 1e-6, 8),
+            redundancy=np.full(8, 0.8),
+            test_value=np.linspace(-2, 2, 8),
+            used=np.arange(8) != 3,
+        ),
+        details={
+            "stations": np.column_stack([np.cos(angles), np.sin(angles), np.zeros(4)]) * 0.065,
+            "circle": {"centre": np.zeros(3), "radius": 0.065},
+            "tilt": 2.5e-5,
+        },
+    )
+
+
+REPORT = ReportInput(
+    result=tracer_result(),
+    title="Rotary table C",
+    method_title="Laser tracer, multi-station",
+    inputs=[("bag_0.mcap", "ab" * 32)],
+    versions={"numpy": "2.0"},
+    truth={"angles_rad": [0.0, 1.0], "deviations": {"ECC": [0.0, 1e-5]}},
+)
+
+
+class References(HTMLParser):
+    """Collects everything a page would fetch from elsewhere."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        for name, value in attrs:
+            if (
+                name in ("src", "href", "xlink:href")
+                and value
+                and not value.startswith(("#", "data:"))
+            ):
+                self.found.append(f"{tag} {value}")
+
+
+def test_page_is_self_contained_and_says_the_numbers() -> None:
+    page = render_report(REPORT)
+    references = References()
+    references.feed(page)
+    assert references.found == []
+    assert "+6.600 ± 0.800" in page
+    assert "Verdict: suspect" in page
+    assert "normalised residual 5.1 &gt; 3.3" in page
+    assert "&lt;rejected&gt;" in page
+    assert "ab" * 32 in page
+    assert page.count("<svg") == 5
+
+
+def test_equal_inputs_give_the_equal_page() -> None:
+    assert render_report(REPORT) == render_report(REPORT)
+
+
+def test_figures_that_have_nothing_to_show_are_left_out() -> None:
+    bare = Result(
+        method="m", angles=np.arange(3.0), deviations={"EXC": np.zeros(3)},
+        std={"EXC": np.ones(3) * 1e-6}, covariance={}, sigma0=1.0, dof=1, n_observations=3,
+    )  # fmt: skip
+    page = render_report(ReportInput(result=bare, title="t", method_title="m"))
+    assert re.findall(r"<h2>(.*?)</h2>", page)[:2] == ["Summary", "Deviations"]
+    assert page.count("<svg") == 1
+
+
+def test_a_page_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = tmp_path / "report.html"
+    write_report(REPORT, target)
+    assert target.read_text().endswith("</html>\n") or target.read_text().endswith("</html>")
+    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]

@@ -1,0 +1,70 @@
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.results import Rejection, Residuals, Result
+
+finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
+
+
+def result(values: np.ndarray) -> Result:
+    n = len(values)
+    return Result(
+        method="some_method",
+        angles=np.arange(n, dtype=float),
+        deviations={"ECC": values},
+        std={"ECC": np.abs(values)},
+        covariance={"ECC": np.diag(np.abs(values))},
+        sigma0=1.25,
+        dof=3,
+        n_observations=n,
+        rejected=(Rejection(1, "too far"),),
+        verdict="suspect",
+        warnings=("careful",),
+        adjacent_deviations=np.diff(values),
+        residuals=Residuals(
+            table_index=np.arange(n),
+            target=np.zeros(n, dtype=np.int64),
+            residual=values,
+            redundancy=np.ones(n),
+            test_value=values,
+            used=np.arange(n) != 1,
+        ),
+        details={"circle": {"centre": np.array([1.0, 2.0])}, "note": ("a", np.float64(2.5))},
+    )
+
+
+@given(arrays(np.float64, 4, elements=st.floats(-1e300, 1e300)))
+def test_json_keeps_every_bit(values: np.ndarray) -> None:
+    original = result(values)
+    again = Result.from_dict(json.loads(original.to_json()))
+    assert again.deviations["ECC"].tobytes() == values.tobytes()
+    assert again.to_json() == original.to_json()
+    assert again.residuals is not None
+    np.testing.assert_array_equal(again.residuals.used, [True, False, True, True])
+
+
+def test_form_follows_the_published_schema() -> None:
+    data = result(np.array([0.0, 1e-5, 2e-5])).to_dict()
+    assert data["schema"] == 1
+    assert data["n_rejected"] == 1
+    assert data["rejected"] == [{"index": 1, "why": "too far"}]
+    assert data["adjacent_deviations_rad"] == [1e-5, 1e-5]
+    assert set(data["deviations"]) == {"ECC"}
+    assert data["details"] == {"circle": {"centre": [1.0, 2.0]}, "note": ["a", 2.5]}
+
+
+def test_nan_never_reaches_a_file() -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        result(np.array([0.0, np.nan])).to_json()
+
+
+@pytest.mark.parametrize("data", [{}, {"schema": 2}, {"schema": 1, "method": "x"}, []])
+def test_something_else_is_refused(data: object) -> None:
+    with pytest.raises(DataError, match="rotcal result"):
+        Result.from_dict(data)  # type: ignore[arg-type]
