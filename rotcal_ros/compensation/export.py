@@ -85,6 +85,10 @@ def prepare_export(
         "spacing_deg": None if spacing is None else spacing / DEGREE,
         "reference_angle_deg": shifted.reference_angle / DEGREE,
         **_left(residual),
+        "blind_to": (
+            f"what repeats more than {len(table.angles) // 2} times in the range of the "
+            f"{len(table.angles)} angles that the table came with"
+        ),
         "warnings": list(warnings),
     }
     text = json.dumps({"schema": SCHEMA, **side}, indent=1, allow_nan=False) + "\n"

@@ -137,11 +137,13 @@ def read(files: Mapping[str, str], settings: FanucSettings) -> PitchTable:
     reference, low, high, magnification = (
         integer(said[k], f"{name}, parameter {k}") for k in (3620, 3621, 3622, 3623)
     )
-    turn = number(said[3625], f"{name}, 3625") / number(said[3624], f"{name}, 3624")
+    turn, interval = (number(said[k], f"{name}, parameter {k}") for k in (3625, 3624))
     slots = range(reference, high + 1)
-    if low != reference or high - reference != round(turn) or abs(turn - round(turn)) > 1e-3:
+    n = high - reference
+    if low != reference or n < 2 or turn != 360.0 or abs(n * interval - turn) > 1e-3:
         raise BagError(
-            f"{name}: slots {low} .. {high} from {reference}, and {turn:g} intervals in a turn"
+            f"{name}: slots {low} .. {high} from {reference}, {interval:g} deg apart in a turn of "
+            f"{turn:g} deg; expected the first to be the reference and the rest to make 360 deg"
         )
     if any(PITCH_DATA + k not in said for k in slots):
         raise BagError(f"{name}: not all slots {reference} .. {high} are there")

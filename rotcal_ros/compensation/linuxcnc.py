@@ -124,6 +124,9 @@ def read(files: Mapping[str, str], settings: LinuxCncSettings) -> LoadedComp:
             f"{name}: {lines} lines, of which LinuxCNC uses {len(loaded.nominal_deg)}; expected "
             f"all; {'; '.join(loaded.messages) or 'a line is not three numbers'}"
         )
+    numbers = (loaded.nominal_deg, loaded.forward_deg, loaded.reverse_deg)
+    if not all(np.all(np.isfinite(column)) for column in numbers):
+        raise BagError(f"{name}: a number is too large")
     return loaded
 
 

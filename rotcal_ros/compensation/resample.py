@@ -25,6 +25,8 @@ def resample(
     the bound that holds for any: sum of |weight| * std. To keep it sharp, give the spacing to
     ``table_from_result`` instead, which knows the covariance.
     """
+    if spacing is None and reference_angle is None:
+        return table
     rows = table.angles if spacing is None else row_angles(table.angles, table.period, spacing)
     reference = table.reference_angle if reference_angle is None else float(reference_angle)
     at = np.append(rows, wrapped(reference) if table.closed else reference)

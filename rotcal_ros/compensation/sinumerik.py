@@ -23,6 +23,7 @@ from rotcal_ros.compensation.controller import (
     columns_deg,
     even_interval_deg,
     fixed,
+    integer,
     mean_deg,
     number,
     only_file,
@@ -171,17 +172,22 @@ def _assignments(files: Mapping[str, str]) -> dict[tuple[str, ...], str]:
 
 def _rows(said: Mapping[tuple[str, ...], str], variable: str, first: str) -> tuple[Floats, Floats]:
     """Return rows and values (deg) of the table ``first`` of ``variable``, checked for closure."""
-    points = {int(k[2]): v for k, v in said.items() if k[:2] == (variable, first)}
+    points = {
+        integer(k[2], f"${variable} index"): v
+        for k, v in said.items()
+        if k[:2] == (variable, first) and len(k) > 2
+    }
     single = {k[0].removeprefix(variable): v for k, v in said.items() if k[1] == first}
     step, low, high = (
         number(single.get(name, "nothing"), f"${variable}{name}")
         for name in ("_STEP", "_MIN", "_MAX")
     )
-    count = round((high - low) / step) + 1
-    if sorted(points) != list(range(count)) or (low, high) != (0.0, 360.0):
+    count = len(points)
+    whole = abs(step * (count - 1) - 360.0) < 1e-3 and (low, high) == (0.0, 360.0)
+    if count < 3 or sorted(points) != list(range(count)) or not whole:
         raise BagError(
-            f"${variable}: {len(points)} points from {low:g} to {high:g} deg every {step:g}, "
-            f"expected the points 0 .. {count - 1} from 0 to 360 deg"
+            f"${variable}: {count} points from {low:g} to {high:g} deg every {step:g}, "
+            "expected all points 0, 1, ... from 0 to 360 deg"
         )
     value = np.array([number(points[k], f"${variable} point {k}") for k in range(count)])
     if single.get("_IS_MODULO") != "1" or value[0] != value[-1]:

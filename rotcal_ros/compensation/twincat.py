@@ -89,10 +89,10 @@ def read(files: Mapping[str, str], settings: TwinCatSettings) -> SsfkTable:
         said[match.group(1)] = integer(match.group(2), f"{name}, line {row}")
     n = said.get("kw_nr_max", 0)
     turn = said.get("interval", 0) * n
-    if (said.get("unit"), said.get("modulo"), turn) != (1, 1, TURN_UNITS):
+    if n < 2 or (said.get("unit"), said.get("modulo"), turn) != (1, 1, TURN_UNITS):
         raise BagError(
             f"{name}: unit {said.get('unit')}, modulo {said.get('modulo')} and {n} intervals that "
-            f"make {turn} x 0.0001 deg; expected 1, 1 and {TURN_UNITS}"
+            f"make {turn} x 0.0001 deg; expected 1, 1 and at least 2 that make {TURN_UNITS}"
         )
     try:
         pos = [said[f"table[{k}].pos"] for k in range(n)]

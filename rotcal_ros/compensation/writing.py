@@ -20,9 +20,12 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
     """
     for name in files:
         check_file_name(name)
-    done: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BagError(f"cannot make the folder {folder}: {error.strerror}") from error
+    done: list[Path] = []
+    try:
         with _staged(files, folder) as staged:
             for name, temporary in staged.items():
                 os.link(temporary, folder / name)

@@ -42,9 +42,7 @@ EVEN_ONLY = {"sinumerik", "fanuc", "twincat", "pmac"}
 
 
 def export(table, name, spacing=None, **more):
-    return prepare_export(
-        table, name, now=NOW, spacing=spacing, accept_unverified=True, **more
-    )
+    return prepare_export(table, name, now=NOW, spacing=spacing, accept_unverified=True, **more)
 
 
 def example(name, table=None, **values):
@@ -118,7 +116,9 @@ def test_fanuc_slots_by_hand():
 
 def test_fanuc_step_above_seven_is_refused_with_the_numbers():
     table = table_from_result(result_of(even(4), np.deg2rad([0, 0.005, -0.003, 0.001])))
-    with pytest.raises(ConfigurationError, match=r"step to 180 deg is 8 at magnification 1.*least 2"):
+    with pytest.raises(
+        ConfigurationError, match=r"step to 180 deg is 8 at magnification 1.*least 2"
+    ):
         example("fanuc", table, magnification=1)
 
 
@@ -174,16 +174,14 @@ def deviation_curves(draw):
     """Amplitudes (order, arcsec, phase) of a forward curve and of the reversal."""
     phase = st.floats(0.0, 6.28)
     terms = draw(
-        st.lists(
-            st.tuples(st.integers(1, 4), st.floats(2.0, 25.0), phase), min_size=1, max_size=3
-        )
+        st.lists(st.tuples(st.integers(1, 4), st.floats(2.0, 25.0), phase), min_size=1, max_size=3)
     )
     reversal = draw(st.tuples(st.floats(-3.0, 3.0), st.floats(0.0, 2.0), phase))
     return terms, reversal
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     curve=deviation_curves(),
     rows=st.sampled_from([36, 40, 72, 80]),
@@ -202,7 +200,7 @@ def test_what_is_left_is_below_the_stated_residual(variant, curve, rows, referen
 
     if name in ("fanuc", "pmac"):
         reference = 0.0
-    angles = even(360)
+    angles = even(180)
     table = table_from_result(
         result_of(angles, up(angles)),
         reverse=result_of(angles, down(angles)),
@@ -213,9 +211,9 @@ def test_what_is_left_is_below_the_stated_residual(variant, curve, rows, referen
         done = export(table, name, TAU / rows, settings=values)
     except DataError as error:
         # A control with 3.6 arcsec steps may not be able to help; it then must say so.
-        assert name == "fanuc"
-        assert "too coarse" in str(error)
-        return
+        if name == "fanuc" and "too coarse" in str(error):
+            return
+        raise
     kind, made = controller(name), make_settings(name, values)
     said = kind.read(done.files, made)
     low, high = kind.travel(made)
@@ -225,7 +223,7 @@ def test_what_is_left_is_below_the_stated_residual(variant, curve, rows, referen
         added = kind.correction(said, command, approach)
         moved = command + added
         left = added + deviation(moved) - up(reference)
-        # The spline through one-degree points follows these curves to 1e-5 arcsec.
+        # The spline through points two degrees apart follows these curves to 3e-5 arcsec.
         assert np.max(np.abs(left)) <= done.residual.stated + 1e-4 * ARCSEC
         before = deviation(command) - up(reference)
         assert np.max(np.abs(left)) < np.max(np.abs(before)) + 4.0 * ARCSEC
@@ -242,9 +240,7 @@ def test_a_turned_sign_does_not_pass(name, monkeypatch):
     kind = controller(name)
     angles = even(36)
     table = table_from_result(result_of(angles, wavy(angles)))
-    wrong = type(kind)(
-        **{**vars(kind), "correction": lambda *given: -kind.correction(*given)}
-    )
+    wrong = type(kind)(**{**vars(kind), "correction": lambda *given: -kind.correction(*given)})
     monkeypatch.setattr("rotcal_ros.compensation.export.controller", lambda _: wrong)
     with pytest.raises(DataError, match="by the control's rule, the file leaves"):
         export(table, name)
@@ -347,7 +343,7 @@ def test_settings_of_the_wrong_name_type_or_range_are_refused():
         ("linuxcnc", {"file_type": 2}),
         ("linuxcnc", {"turns": 0}),
         ("sinumerik", {"tables": "leak"}),
-                ("fanuc", {"magnification": 101}),
+        ("fanuc", {"magnification": 101}),
         ("fanuc", {"slots": 5000}),
         ("heidenhain", {"backlash": "both"}),
         ("fagor", {"max_points": 1001}),
@@ -362,18 +358,24 @@ def test_settings_of_the_wrong_name_type_or_range_are_refused():
 # Damaged files: the reader says what and where, whatever was done to them.
 
 
+GOOD_FILES = {
+    name: CONTROLLERS[name].write(
+        table_from_result(result_of(even(12), wavy(even(12)))), make_settings(name, {}), "t"
+    )
+    for name in CONTROLLERS
+}
+
+
 @pytest.mark.parametrize("name", CONTROLLERS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(data=st.data())
 def test_damaged_files_raise_our_error_or_read_as_numbers(name, data):
-    angles = even(12)
-    done = export(table_from_result(result_of(angles, wavy(angles))), name)
     kind, made = controller(name), make_settings(name, {})
-    files = {k: v for k, v in done.files.items() if not k.endswith(".json")}
+    files = dict(GOOD_FILES[name])
     victim = data.draw(st.sampled_from(sorted(files)))
     lines = files[victim].splitlines()
     row = data.draw(st.integers(0, len(lines) - 1))
-    damage = data.draw(st.sampled_from(["drop", "blank", "text", "nan", "twice", "cut"]))
+    damage = data.draw(st.sampled_from(["drop", "blank", "text", "nan", "twice", "cut", "slip"]))
     if damage == "drop":
         del lines[row]
     elif damage == "twice":
@@ -381,7 +383,14 @@ def test_damaged_files_raise_our_error_or_read_as_numbers(name, data):
     elif damage == "cut":
         lines = lines[:row]
     else:
-        texts = {"blank": "", "text": "# note", "nan": lines[row].replace("0", "nan")}
+        place = data.draw(st.integers(0, len(lines[row])))
+        slip = data.draw(st.text("0189.,;-+e[]$#PA ", max_size=3))
+        texts = {
+            "blank": "",
+            "text": "# note",
+            "nan": lines[row].replace("0", "nan"),
+            "slip": lines[row][:place] + slip + lines[row][place + 1 :],
+        }
         lines[row] = texts[damage]
     files[victim] = "\n".join(lines) + "\n"
     try:

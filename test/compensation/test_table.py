@@ -109,15 +109,15 @@ def test_both_directions_keep_the_reversal():
 def test_runs_with_a_zero_each_have_lost_the_reversal_and_say_so():
     angles = even(18)
     values = wavy(angles) - wavy(0.0)
-    table = table_from_result(
-        result_of(angles, values), reverse=result_of(angles, values * 1.1)
-    )
+    table = table_from_result(result_of(angles, values), reverse=result_of(angles, values * 1.1))
     assert any("reversal at the reference angle is not in the table" in w for w in table.warnings)
 
 
 def test_reverse_run_at_other_angles_is_refused():
     with pytest.raises(DataError, match="same angles"):
-        table_from_result(result_of(even(12), np.zeros(12)), reverse=result_of(even(9), np.zeros(9)))
+        table_from_result(
+            result_of(even(12), np.zeros(12)), reverse=result_of(even(9), np.zeros(9))
+        )
 
 
 def test_worse_verdict_of_both_runs_counts():
