@@ -1,8 +1,9 @@
-"""What a finished calibration leaves beside its bag: truth, controller files."""
+"""What a finished calibration leaves beside its bag: truth, report, controller files."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from datetime import datetime, timezone
 from hashlib import sha256
 from pathlib import Path
@@ -30,9 +31,7 @@ def write_products(session: Session, *, report: bool) -> dict[str, str]:
     if session.simulated:
         paths["truth"] = _write_truth(session)
     if report:
-        page = _write_report(session)
-        if page is not None:
-            paths["report"] = page
+        paths |= _write_report(session, result_file, paths)
     folder = _write_compensation(session, result_file)
     if folder is not None:
         paths["compensation"] = folder
@@ -48,9 +47,30 @@ def _write_truth(session: Session) -> Path:
     return path
 
 
-def _write_report(session: Session) -> Path | None:
-    """Write the page of the recording; a report that fails never spoils the calibration."""
-    return None
+def _write_report(
+    session: Session, result_file: Path, paths: Mapping[str, Path]
+) -> dict[str, Path]:
+    """Solve the bag again, compare with the live result, and write the page of the recording.
+
+    A failing report never spoils a calibration: it is told and left out.
+    """
+    # Figures take a second to load, which a run without report should not wait for.
+    from rotcal_ros.bags.replay import read_recording
+    from rotcal_ros.report.page import write_report
+    from rotcal_ros.report.recorded import report_of
+
+    page = session.folder / "report.html"
+    try:
+        recording = read_recording(paths["bag"])
+        result = recording.solve()
+        if result.to_dict() != json.loads(result_file.read_text(encoding="utf-8")):
+            say("warning: the bag solved again gives another result than live; see 'rotcal solve'")
+        truth = json.loads(paths["truth"].read_text()) if "truth" in paths else None
+        write_report(report_of(recording, result, truth), page)
+    except (RotcalError, OSError) as error:
+        say(f"no report: {error}")
+        return {}
+    return {"report": page}
 
 
 def _write_compensation(session: Session, result_file: Path) -> Path | None:
