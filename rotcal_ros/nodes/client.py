@@ -1,7 +1,7 @@
 """A client of the action ``calibrate`` that speaks JSON lines, for programs without ROS.
 
 It reads the configuration from a file, sends one goal and prints one JSON object per line:
-``waiting``, ``refused``, ``started``, ``feedback``, ``result``. SIGINT or SIGTERM cancels the
+``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``result``. SIGINT or SIGTERM cancels the
 goal; the result is waited for.
 """
 
@@ -26,6 +26,7 @@ from rotcal_ros.nodes.running import run_node
 
 CANCEL_TIMEOUT_S: Final = 15.0
 PERIOD_S: Final = 0.1
+ALIVE_PERIOD_S: Final = 1.0
 
 
 class Client(Node):
@@ -38,6 +39,7 @@ class Client(Node):
         self._start_index = self.declare_parameter("start_index", 0).value
         timeout = self.declare_parameter("server_timeout_s", 30.0).value
         self._deadline = time.monotonic() + timeout
+        self._spoken_s = time.monotonic()
         self._handle: Any = None
         self._sent = False
         self._done = False
@@ -70,6 +72,9 @@ class Client(Node):
         """Send the goal once the server is there; give up when it is not or falls silent."""
         if self._done:
             return
+        if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
+            self._spoken_s = time.monotonic()
+            _say("alive", planner=self._planner_state())
         if not self._sent and self._client.server_is_ready() and self._planner_state() == "ready":
             self._send()
         elif "planner" in self._health.lost:

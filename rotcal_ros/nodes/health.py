@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.nodes.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.rollcall import RollCall
 
 BEAT_PERIOD_S: Final = 0.2
@@ -50,8 +51,8 @@ class Health:
         self.errors: Counter[str] = Counter()
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
-        self._heard = node.create_subscription(
-            DiagnosticStatus, "heartbeat", self.guarded(self._hear), QoSProfile(depth=50)
+        self._heard = DrainedSubscription(
+            node, DiagnosticStatus, "heartbeat", QoSProfile(depth=100), self.guarded(self._hear)
         )
         self._timers = (
             node.create_timer(BEAT_PERIOD_S, self.guarded(self._beat)),
@@ -100,15 +101,14 @@ class Health:
         """Tell the others that this node ends on purpose."""
         self._beats.publish(self._status(LEAVING, {}))
 
-    def _hear(self, status: DiagnosticStatus) -> None:
-        if status.name == self._node.get_name():
-            return
-        if status.message == LEAVING:
-            self._roll.leave(status.name)
-            self.others.pop(status.name, None)
-            return
-        self._roll.beat(status.name, time.monotonic())
-        self.others[status.name] = status
+    def _hear(self, batch: Batch) -> None:
+        for status, _ in batch:
+            if status.message == LEAVING:
+                self._roll.leave(status.name)
+                self.others.pop(status.name, None)
+            elif status.name != self._node.get_name():
+                self._roll.beat(status.name, time.monotonic())
+                self.others[status.name] = status
 
     def _beat(self) -> None:
         self._beats.publish(self._status(*self._report()))

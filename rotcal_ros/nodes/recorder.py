@@ -29,7 +29,7 @@ from rotcal_ros.nodes.goal_run import BAG
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings
 from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.recording import Attachment, Channel, Message, Receipt, Recording
+from rotcal_ros.nodes.recording import Attachment, Channel, Messages, Receipt, Recording
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_topics
 from rotcal_ros.nodes.versions import versions_json
@@ -133,25 +133,26 @@ class RecorderNode(Node):
     def _take(self, topic: RecordedTopic, batch: Batch) -> None:
         topic.received += len(batch)
         topic.latest = batch[-1][0]
-        for _, info in batch:
-            self._count_gap(topic, info)
-        recording = self._recording
-        if recording is not None:
-            for data, info in batch:
-                received = info["received_timestamp"] or time.time_ns()
-                published = info["source_timestamp"] or received
-                recording.put(Message(topic.channel, data, received, published))
+        self._count_gaps(topic, batch)
+        if self._recording is not None:
+            now_ns = time.time_ns()
+            times = (
+                (d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch
+            )
+            items = [(data, received, sent or received) for data, received, sent in times]
+            self._recording.put(Messages(topic.channel, items))
 
-    def _count_gap(self, topic: RecordedTopic, info: Any) -> None:
-        """Count messages that the middleware numbered but never delivered."""
-        number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
-        if not number or publisher is None:
-            return
-        gid = bytes(publisher["data"]) if isinstance(publisher, dict) else bytes(publisher)
-        last = topic.sequences.get(gid)
-        if last is not None and number > last + 1:
-            self._losses[f"gap {topic.channel.topic}"] += number - last - 1
-        topic.sequences[gid] = number
+    def _count_gaps(self, topic: RecordedTopic, batch: Batch) -> None:
+        """Count messages that the middleware numbered but never delivered, per publisher."""
+        for _, info in batch:
+            number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
+            if not number or publisher is None:
+                return
+            gid = bytes(publisher["data"])
+            last = topic.sequences.get(gid, number - 1)
+            if number > last + 1:
+                self._losses[f"gap {topic.channel.topic}"] += number - last - 1
+            topic.sequences[gid] = number
 
     def _expect_receipts(self, batch: Batch) -> None:
         for data, _ in batch:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
@@ -33,13 +33,15 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
-    """One serialised message with its times in ns."""
+class Messages:
+    """Serialised messages of one topic with their times of reception and origin in ns."""
 
     channel: Channel
-    data: bytes
-    received_ns: int
-    published_ns: int
+    items: Sequence[tuple[bytes, int, int]]
+
+    def size(self) -> int:
+        """Return the number of payload bytes."""
+        return sum(len(data) for data, _, _ in self.items)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,14 +98,15 @@ class Recording:
         """Whether the bag is closed."""
         return not self._thread.is_alive()
 
-    def put(self, item: Message | Attachment | Receipt) -> None:
-        """Queue ``item``; a message that finds the queue full is lost and counted."""
-        if isinstance(item, Message):
+    def put(self, item: Messages | Attachment | Receipt) -> None:
+        """Queue ``item``; messages that find the queue full are lost and counted."""
+        if isinstance(item, Messages):
+            size = item.size()
             with self._lock:
-                if self.error or self._waiting + len(item.data) > self._limit:
-                    self.losses[f"queue {item.channel.topic}"] += 1
+                if self.error or self._waiting + size > self._limit:
+                    self.losses[f"queue {item.channel.topic}"] += len(item.items)
                     return
-                self._waiting += len(item.data)
+                self._waiting += size
         self._queue.put(item)
 
     def close(self) -> None:
@@ -135,7 +138,7 @@ class Recording:
                 return
 
     def _handle(self, item: object) -> None:
-        if isinstance(item, Message):
+        if isinstance(item, Messages):
             self._write(item)
         elif isinstance(item, Receipt):
             self._writer.sync()
@@ -144,17 +147,17 @@ class Recording:
             self._writer.attach(item.name, item.media_type, item.data)
         self._writer.tick(time.monotonic_ns())
 
-    def _write(self, message: Message) -> None:
+    def _write(self, messages: Messages) -> None:
         with self._lock:
-            self._waiting -= len(message.data)
-        number = self._channels.get(message.channel)
+            self._waiting -= messages.size()
+        number = self._channels.get(messages.channel)
         if number is None:
-            number = self.add_channel(message.channel)
-        self._writer.write(number, message.data, message.received_ns, message.published_ns)
-        self.messages += 1
+            number = self._add_channel(messages.channel)
+        for data, received_ns, published_ns in messages.items:
+            self._writer.write(number, data, received_ns, published_ns)
+        self.messages += len(messages.items)
 
-    def add_channel(self, channel: Channel) -> int:
-        """Register a channel; only before the first message or from the thread."""
+    def _add_channel(self, channel: Channel) -> int:
         number = self._writer.channel(
             channel.topic,
             channel.type_name,
@@ -166,10 +169,7 @@ class Recording:
         return number
 
     def _finish(self) -> None:
-        self.note_losses(self.losses)
+        """Keep the loss counters in the bag and close it."""
+        if self.losses and not self._writer.closed:
+            self._writer.note(names.LOSSES, dict(self.losses))
         self._writer.close()
-
-    def note_losses(self, losses: Mapping[str, int]) -> None:
-        """Keep the loss counters in the bag."""
-        if losses and not self._writer.closed:
-            self._writer.note(names.LOSSES, dict(losses))

@@ -1,0 +1,178 @@
+"""``rotcal run``: all nodes of one cell in one command, from the first step to the verdict."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from queue import Empty
+from types import FrameType
+from typing import Any, Final, NoReturn
+
+import click
+
+from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, print_json, progress_bar, say
+from rotcal_ros.cli.main import INTERRUPTED
+from rotcal_ros.cli.session import Session, prepare_session, require_ros
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.units import ARCSEC
+
+SILENCE_TIMEOUT_S: Final = 60.0
+"""The client tells something every second; after this silence it hangs."""
+CANCEL_TIMEOUT_S: Final = 25.0
+_POLL_S: Final = 0.2
+_USAGE_ERRORS: Final = (601, 602)
+"""Error codes of the action that the user cures before the next start: bad configuration,
+topic missing."""
+
+path_type = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.option(
+    "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."
+)
+@click.option(
+    "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
+)
+@click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
+@click.option("--no-report", is_flag=True, help="Write no report.")
+@json_option
+def command(
+    configuration: Path,
+    output: Path | None,
+    changes: tuple[str, ...],
+    keep_previous: bool,
+    no_report: bool,
+    as_json: bool,
+) -> int:
+    """Start the nodes of the cell that CONFIG describes, calibrate, end them.
+
+    With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
+    running. Ctrl-C cancels: the bag stays valid.
+    """
+    require_ros()
+    started = time.monotonic()
+    folder = output or Path("out") / configuration.stem
+    session = prepare_session(configuration, folder, changes, keep_previous=keep_previous)
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        outcome = _calibrate(session)
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    if outcome.get("interrupted"):
+        say(f"interrupted; the bag is closed: {outcome.get('bag_folder') or 'none was begun'}")
+        return INTERRUPTED
+    if outcome["error_code"]:
+        _fail(session, outcome)
+    from rotcal_ros.cli.products import write_products
+
+    files = write_products(session, report=not no_report)
+    outcome |= {"seconds": round(time.monotonic() - started, 1), "files": files}
+    if as_json:
+        print_json(outcome)
+    else:
+        _conclude(outcome, files)
+    return VERDICT_EXIT_CODES[outcome["verdict"]]
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _calibrate(session: Session) -> dict[str, Any]:
+    """Run the nodes until the client tells the result."""
+    with session.start() as running:
+        try:
+            return _follow(running, SILENCE_TIMEOUT_S)
+        except KeyboardInterrupt:
+            say("canceling: the bag is being closed")
+            running.cancel()
+            outcome = _last_words(running)
+            return {**outcome, "interrupted": True}
+
+
+def _last_words(running: Any) -> dict[str, Any]:
+    """Return the result of a canceled goal, empty when none comes."""
+    deadline = time.monotonic() + CANCEL_TIMEOUT_S
+    while time.monotonic() < deadline:
+        try:
+            event = running.events.get(timeout=_POLL_S)
+        except Empty:
+            continue
+        if event["event"] in ("result", "end"):
+            return dict(event)
+    return {}
+
+
+def _follow(running: Any, silence_timeout_s: float) -> dict[str, Any]:
+    """Show the progress; return the result event."""
+    with progress_bar() as bar:
+        task = bar.add_task("starting the nodes", total=None)
+        heard, decile, begun = time.monotonic(), 0, False
+        while True:
+            try:
+                event = running.events.get(timeout=_POLL_S)
+            except Empty:
+                _check(running, begun, time.monotonic() - heard, silence_timeout_s)
+                continue
+            heard = time.monotonic()
+            kind = event["event"]
+            if kind == "result":
+                return dict(event)
+            if kind == "refused":
+                raise ConfigurationError(f"the goal was refused: {event['reason']}")
+            if kind == "end":
+                raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
+            begun = begun or kind == "started"
+            if kind == "feedback":
+                text = describe(event)
+                bar.update(task, completed=event["step"], total=event["total"], description=text)
+                if bar.disable and event["step"] * 10 // event["total"] > decile:
+                    decile = event["step"] * 10 // event["total"]
+                    say(f"{event['step']} of {event['total']} steps, {text}")
+
+
+def describe(feedback: Mapping[str, Any]) -> str:
+    """Return what a feedback says in words: activity, standard deviation, time left."""
+    words = [str(feedback["activity"])]
+    if feedback["current_std_rad"] is not None:
+        words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
+    if feedback["time_left_s"] is not None:
+        words.append(f"{feedback['time_left_s']:.0f} s left")
+    return ", ".join(words)
+
+
+def _check(running: Any, begun: bool, silence_s: float, silence_timeout_s: float) -> None:
+    """Raise when a node could not start, or the client hangs."""
+    ended = running.ended()
+    if ended and not begun:
+        name, code = next(iter(ended.items()))
+        raise ConfigurationError(
+            f"node {name} ended at its start (exit code {code}):\n{running.log_tail(name)}"
+        )
+    if silence_s > silence_timeout_s:
+        raise DataError(f"the client has said nothing for {silence_s:.0f} s: it hangs")
+
+
+def _fail(session: Session, outcome: Mapping[str, Any]) -> NoReturn:
+    """Raise the error that ended the calibration, with what is left to use."""
+    text = str(outcome["error_msg"])
+    if outcome.get("bag_folder"):
+        text += f"; everything up to there is in {outcome['bag_folder']}"
+    text += f"; logs: {session.log_folder}"
+    raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)
+
+
+def _conclude(outcome: Mapping[str, Any], files: Mapping[str, str]) -> None:
+    """Print the verdict in one line and where everything is."""
+    skipped = len(outcome["skipped_steps"])
+    click.secho(
+        f"verdict {outcome['verdict']}: {outcome['n_used']} steps used, {skipped} skipped, "
+        f"{outcome['n_rejected']} attempts rejected, {outcome['seconds']:.0f} s",
+        fg="green" if outcome["verdict"] == "ok" else "red",
+    )
+    for name, path in files.items():
+        click.echo(f"{name + ':':<14}{path}")

@@ -1,0 +1,234 @@
+"""One run of a cell: its folder, its configuration, its processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from importlib.util import find_spec
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
+from types import TracebackType
+from typing import Any, Final
+
+import yaml
+
+from rotcal_ros.bags.recorder_settings import RecorderSettings
+from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.catalogue import Calibration, prepare
+from rotcal_ros.cli.processes import Processes
+from rotcal_ros.configuration import (
+    Configuration,
+    dump_configuration,
+    parse_configuration,
+    read_configuration,
+)
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.simulation import SimulationSettings
+
+NODES: Final = ("planner", "capture", "solver", "recorder")
+SIMULATION: Final = "simulation"
+CLIENT: Final = "client"
+_PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
+
+
+@dataclass(frozen=True)
+class Session:
+    """A checked configuration and the new folder that takes everything."""
+
+    calibration: Calibration
+    folder: Path
+
+    @property
+    def configuration(self) -> Configuration:
+        """The configuration with all changes, as it stands in the folder."""
+        return self.calibration.configuration
+
+    @property
+    def configuration_file(self) -> Path:
+        """The configuration in the folder: also the parameter file of the nodes."""
+        return self.folder / "configuration.yaml"
+
+    @property
+    def log_folder(self) -> Path:
+        """Where the nodes' output goes."""
+        return self.folder / "log"
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the cell is a simulated one."""
+        return SIMULATION in self.configuration.groups
+
+    def start(self) -> RunningSession:
+        """Start the nodes and the client; a context manager that ends them."""
+        return RunningSession(self)
+
+
+class RunningSession:
+    """The processes of a session; ``events`` holds what the client tells, then ``end``."""
+
+    def __init__(self, session: Session) -> None:
+        self._processes = Processes(session.log_folder, node_environment())
+        self.events: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        nodes = [*NODES, "simulated_cell"] if session.simulated else [*NODES]
+        try:
+            for name in nodes:
+                self._processes.start(name, _node_command(session, name))
+            self._processes.start(CLIENT, _client_command(session), piped=True)
+        except BaseException:
+            self._processes.end()
+            raise
+        Thread(target=self._read, name="client reader", daemon=True).start()
+
+    def ended(self) -> dict[str, int]:
+        """Return the exit codes of nodes that have ended."""
+        ended = self._processes.ended()
+        ended.pop(CLIENT, None)
+        return ended
+
+    def cancel(self) -> None:
+        """Ask the client to cancel its goal."""
+        self._processes.signal(CLIENT, signal.SIGINT)
+
+    def log_tail(self, name: str) -> str:
+        """Return the last lines of a process's log."""
+        return self._processes.log_tail(name)
+
+    def _read(self) -> None:
+        stream = self._processes.children[CLIENT].stdout
+        assert stream is not None
+        for line in stream:
+            self.events.put(json.loads(line))
+        self.events.put({"event": "end"})
+
+    def __enter__(self) -> RunningSession:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._processes.end()
+
+
+def require_ros() -> None:
+    """Raise ConfigurationError when the nodes cannot run here."""
+    missing = [name for name in ("rclpy", "rotcal_msgs") if find_spec(name) is None]
+    if missing:
+        raise ConfigurationError(
+            f"live calibration needs ROS 2, not found: {', '.join(missing)}; run it from the "
+            "project's environment (make setup) or source a ROS 2 workspace; recorded bags are "
+            "solved without ROS: rotcal solve BAG"
+        )
+
+
+def prepare_session(
+    source: Path, folder: Path, changes: Sequence[str], *, keep_previous: bool = False
+) -> Session:
+    """Check the whole configuration, then make the folder; nothing is ever overwritten.
+
+    ``changes`` are ``group.name=value`` with the value in YAML. With ``keep_previous`` an
+    existing folder is moved aside to the first free ``<folder>-<number>``.
+    """
+    configuration = changed(read_configuration(source), changes)
+    calibration = prepare(configuration)
+    for group, cls in (
+        ("cell", CellSettings),
+        ("capture", CaptureSettings),
+        ("planner", PlannerSettings),
+        ("recorder", RecorderSettings),
+        (SIMULATION, SimulationSettings),
+    ):
+        configuration.group(group, cls)
+    folder = folder.absolute()
+    if folder.exists():
+        if not keep_previous:
+            raise ConfigurationError(
+                f"{folder} exists already and nothing is overwritten; choose another --output, "
+                "or --keep-previous to move it aside"
+            )
+        folder.rename(free_name(folder))
+    session = Session(calibration, folder)
+    session.log_folder.mkdir(parents=True)
+    session.configuration_file.write_text(configuration.text, encoding="utf-8")
+    return session
+
+
+def free_name(folder: Path) -> Path:
+    """Return ``<folder>-<number>`` with the first number that is not taken."""
+    number = 1
+    while (candidate := folder.with_name(f"{folder.name}-{number}")).exists():
+        number += 1
+    return candidate
+
+
+def changed(configuration: Configuration, changes: Sequence[str]) -> Configuration:
+    """Return the configuration with ``group.name=value`` changes; unchanged text without any."""
+    if not changes:
+        return configuration
+    parameters: dict[str, Any] = {"method": configuration.method}
+    parameters |= yaml.safe_load(
+        yaml.safe_dump({k: dict(v) for k, v in configuration.groups.items()})
+    )
+    for change in changes:
+        name, equals, text = change.partition("=")
+        *groups, last = name.split(".")
+        if not equals or not last:
+            raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
+        place = parameters
+        for group in groups:
+            place = place.setdefault(group, {})
+            if not isinstance(place, dict):
+                raise ConfigurationError(f"--set {change}: {group} is a value, not a group")
+        try:
+            place[last] = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ConfigurationError(f"--set {change}: not a YAML value: {error}") from error
+    method = parameters.pop("method")
+    text = dump_configuration(str(method), parameters)
+    return parse_configuration(text, f"{configuration.source} with --set")
+
+
+def node_environment() -> dict[str, str]:
+    """Return the variables for the nodes: a domain and a middleware for this machine alone.
+
+    What the user has set stays.
+    """
+    environment = {
+        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        _PROFILES: str(files("rotcal_ros") / "nodes" / "fastdds.xml"),
+        "PYTHONUNBUFFERED": "1",
+        "OMP_NUM_THREADS": "1",
+    }
+    environment = {name: os.environ.get(name) or value for name, value in environment.items()}
+    return environment | {"ROTCAL_SUPERVISOR": str(os.getpid())}
+
+
+def _node_command(session: Session, name: str) -> list[str]:
+    command = [*_start(session, name), "--params-file", str(session.configuration_file)]
+    if name == "recorder":
+        # In quotes, so that a folder called 2024 does not become a number.
+        command += ["-p", f"recorder.folder:={json.dumps(str(session.folder.parent))}"]
+        command += ["-p", f"recorder.session:={json.dumps(session.folder.name)}"]
+    return command
+
+
+def _client_command(session: Session) -> list[str]:
+    file = json.dumps(str(session.configuration_file))
+    return [*_start(session, CLIENT), "-p", f"configuration_file:={file}"]
+
+
+def _start(session: Session, name: str) -> list[str]:
+    namespace = session.configuration.group("cell", CellSettings).namespace
+    module = f"rotcal_ros.nodes.{name}"
+    return [sys.executable, "-m", module, "--ros-args", "-r", f"__ns:={namespace}"]
