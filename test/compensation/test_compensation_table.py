@@ -159,7 +159,7 @@ def test_closure_knows_correlations():
     assert table_from_result(loose).closed
     common = (np.full((17, 17), 0.99) + 0.01 * np.eye(17)) * ARCSEC**2
     tight = type(free)(**{**vars(free), "covariance": {"ECC": common}})
-    with pytest.raises(DataError, match="standard uncertainty of 0.141 arcsec"):
+    with pytest.raises(DataError, match=r"standard uncertainty of 0\.141 arcsec"):
         table_from_result(tight)
 
 
