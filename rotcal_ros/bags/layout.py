@@ -58,9 +58,11 @@ class Layout:
 
     def fits(self, rows: Rows, template: Rows) -> NDArray[np.bool_]:
         """Tell which rows have the shape of ``template``, of which this is the layout."""
-        same = np.ones(len(rows), np.bool_)
-        for begin, end in self.fixed:
-            same &= (rows[:, begin:end] == template[begin:end]).all(axis=1)
+        common = np.r_[tuple(slice(begin, end) for begin, end in self.fixed)]
+        wrong = rows[:, common] != template[common]
+        if not wrong.any():
+            return np.ones(len(rows), np.bool_)
+        same: NDArray[np.bool_] = ~wrong.any(axis=1)
         return same
 
 
