@@ -105,11 +105,9 @@ def test_repair(cut: Path, tmp_path: Path) -> None:
     assert run("bag", "check", tmp_path / "cut_repaired").exit_code == 0
 
 
-@pytest.mark.parametrize(
-    "verb", [("bag", "info"), ("bag", "check"), ("bag", "repair"), ("solve",)]
-)
+@pytest.mark.parametrize("verb", ["bag info", "bag check", "bag repair", "solve"])
 @pytest.mark.parametrize("content", [None, b"", b"text"])
-def test_unreadable_input(verb: tuple[str, ...], content: bytes | None, tmp_path: Path) -> None:
+def test_unreadable_input(verb: str, content: bytes | None, tmp_path: Path) -> None:
     path = tmp_path / "thing.mcap"
     if content is not None:
         path.write_bytes(content)
