@@ -9,6 +9,7 @@ from math import dist, isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rotcal_ros.capture.attempt import (
     Attempt,
@@ -23,7 +24,7 @@ from rotcal_ros.capture.length import decide_length
 from rotcal_ros.capture.plausibility import LengthCheck
 from rotcal_ros.capture.points import decide_points
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts, Values
+from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts
 from rotcal_ros.capture.window import TracerStream
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import (
@@ -53,7 +54,8 @@ class Capture:
     time) behind another, equal streams give equal observations to the last bit. A stream that
     falls further behind rejects the attempt: it is silent, or stamped by another clock.
 
-    Commands are only compared with the plan: what counts is what the machine did.
+    Nor does it matter how long before the first attempt the capture began to listen. Commands
+    are only compared with the plan: what counts is what the machine did.
     """
 
     def __init__(self, plan: Plan, settings: CaptureSettings) -> None:
@@ -72,6 +74,7 @@ class Capture:
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
         self._probe_stamp: int | None = None
+        self._run_begin_ns: int | None = None
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
         self._waiting: Wait | None = None
@@ -90,15 +93,16 @@ class Capture:
         return self._takers[type(record)](record)
 
     def feed_tracer(
-        self, stamp_ns: Stamps, sequence: Values, length: Values, status: Values
+        self,
+        stamp_ns: Stamps,
+        sequence: NDArray[Any],
+        length: NDArray[Any],
+        status: NDArray[Any],
     ) -> Observations:
         """Take many tracer readings at once, all arrays (n,); same answer as one by one."""
-        self._streams.tracer.flush()
-        self._streams.tracer.admit(
-            np.asarray(stamp_ns, dtype=np.int64),
-            np.column_stack([sequence, length, status]).astype(np.float64),
-        )
-        return self._decide()
+        stamps = np.asarray(stamp_ns, dtype=np.int64)
+        due = self._streams.tracer.stage_many(stamps, (sequence, length, status))
+        return self._decide() if due else ()
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
@@ -122,11 +126,11 @@ class Capture:
         """What the oldest undecided attempt waits for, in words; empty: none is undecided."""
         if not self._pending or self._waiting is None:
             return ""
-        attempt = self._pending[0]
-        lag = seconds(self._newest_ns(attempt) - self._reached(self._waiting.stream, attempt))
+        attempt, wait = self._pending[0], self._waiting
         return (
             f"step {attempt.step.index}, attempt {attempt.number}: waiting for "
-            f"{self._name(self._waiting.stream)}, now {lag:.3g} s behind the other streams"
+            f"{self._name(wait.stream)}, now {self._lag_s(attempt, wait):.3g} s behind the other "
+            "streams"
         )
 
     def remarks(self) -> tuple[str, ...]:
@@ -192,7 +196,15 @@ class Capture:
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        attempt = Attempt(step, sample.attempt, [sample], search_ns=sample.stamp_ns)
+        if self._run_begin_ns is None:
+            self._run_begin_ns = sample.stamp_ns
+        attempt = Attempt(
+            step,
+            sample.attempt,
+            [sample],
+            search_ns=sample.stamp_ns,
+            run_begin_ns=self._run_begin_ns,
+        )
         attempt.points_seen.add(sample.point)
         attempt.refusal = self._refusal(attempt, sample)
         self._pending.append(attempt)
@@ -249,19 +261,26 @@ class Capture:
         """Return the observation of an attempt, or what it waits for."""
         if attempt.refusal:
             return attempt.rejection(attempt.refusal)
-        wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
+        outcome = self._judge(attempt)
+        if isinstance(outcome, Wait) and self._too_far_behind(attempt, outcome):
+            return attempt.rejection(
+                f"{self._name(outcome.stream)} are {self._lag_s(attempt, outcome):.3g} s behind "
+                f"the other streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or "
+                "stamped by another clock"
+            )
+        if isinstance(outcome, Wait) and len(self._pending) > _MAX_PENDING:
+            return attempt.rejection(f"undecided while {_MAX_PENDING} later attempts were begun")
+        return outcome
+
+    def _judge(self, attempt: Attempt) -> Observation | Wait:
+        """Judge an attempt by the streams; a temperature too far behind is done without."""
+        wait = missing_temperature(self._streams, attempt, self._settings)
         if wait is not None and not self._too_far_behind(attempt, wait):
             return wait
         decide = decide_length if attempt.step.kind == PointKind.REFLECTOR else decide_points
         outcome = decide(attempt, self._streams, self._settings)
-        if isinstance(outcome, Wait) and self._too_far_behind(attempt, outcome):
-            lag = seconds(self._newest_ns(attempt) - self._reached(outcome.stream, attempt))
-            return attempt.rejection(
-                f"{self._name(outcome.stream)} are {lag:.3g} s behind the other streams, allowed "
-                f"{self._settings.clock_tolerance_s:g} s: silent, or stamped by another clock"
-            )
-        if isinstance(outcome, Wait) and len(self._pending) > _MAX_PENDING:
-            return attempt.rejection(f"undecided while {_MAX_PENDING} later attempts were begun")
+        if wait is not None and isinstance(outcome, Observation):
+            self._remarks.append(f"step {attempt.step.index}: no temperature came in time")
         return outcome
 
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:
@@ -273,8 +292,14 @@ class Capture:
         wait.stream.wait(wait.stamp_ns, wait.samples, wait.latest_ns)
 
     def _too_far_behind(self, attempt: Attempt, wait: Wait) -> bool:
-        behind = self._newest_ns(attempt) - self._reached(wait.stream, attempt)
-        return behind > self._tolerance_ns
+        return self._lag_ns(attempt, wait) > self._tolerance_ns
+
+    def _lag_s(self, attempt: Attempt, wait: Wait) -> float:
+        return seconds(self._lag_ns(attempt, wait))
+
+    def _lag_ns(self, attempt: Attempt, wait: Wait) -> int:
+        """Return how far the awaited stream is behind the others."""
+        return self._newest_ns(attempt) - self._reached(wait.stream, attempt)
 
     def _newest_ns(self, attempt: Attempt) -> int:
         """Return the newest stamp of probe, tracer and table."""

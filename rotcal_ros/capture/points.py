@@ -17,9 +17,10 @@ from rotcal_ros.capture.attempt import (
     temperature_at,
 )
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.table import departure, mean_angle
+from rotcal_ros.capture.table import departure, farthest, mean_angle
 from rotcal_ros.capture.window import Reduced, mean_and_scatter
 from rotcal_ros.observations import Observation, PointKind, ProbeSample
+from rotcal_ros.units import ARCSEC
 
 PointReducer = Callable[[Sequence[ProbeSample]], Reduced]
 
@@ -50,14 +51,17 @@ def decide_points(
     angle = attempt.step.table_angle
     reduced = REDUCERS[attempt.step.kind](samples)
     if departure(table, begin_ns, end_ns, angle, settings) is not None:
-        off = abs(mean_angle(table, begin_ns, end_ns, angle) - angle)
-        reduced = Reduced(reason=f"table not at rest in position at a probe point: {off:.3g} rad")
+        off = farthest(table, begin_ns, end_ns, angle) / ARCSEC
+        reduced = Reduced(
+            reason=f"table not at rest in position during the probe points: up to {off:.4g} "
+            f"arcsec off (allowed {settings.position_tolerance_arcsec:g})"
+        )
     return attempt.observation(
         reduced,
         n_samples=len(samples),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(table, begin_ns, end_ns, angle),
-        temperature_c=temperature_at(streams, begin_ns, settings),
+        temperature_c=temperature_at(streams, attempt, settings),
     )
 
 

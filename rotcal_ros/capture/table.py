@@ -73,6 +73,12 @@ def mean_angle(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> f
     return commanded + fsum(offsets) / len(offsets)
 
 
+def farthest(table: Stream, begin_ns: int, end_ns: int, commanded: float) -> float:
+    """Return how far off (rad) the table was at most from ``begin_ns`` to past the end."""
+    rows = table.values[table.index(begin_ns) : table.index(end_ns) + 1]
+    return float(np.abs(offset(rows[:, ANGLE], commanded)).max())
+
+
 def why_not_at_rest(
     table: Stream, begin_ns: int, end_ns: int, commanded: float, settings: CaptureSettings
 ) -> str:

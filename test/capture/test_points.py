@@ -1,0 +1,91 @@
+"""Steps that only the probe measures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+from capture_scenes import MS, SETTINGS, make_plan, make_scene, probe_sample, replay, table_off
+
+from rotcal_ros.capture.points import REDUCERS
+from rotcal_ros.capture.window import Reduced
+from rotcal_ros.observations import PointKind
+
+KINDS = [PointKind.CENTRE, PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_point_is_its_own_mean(kind):
+    plan = make_plan(kind)
+    (observation,) = replay(plan, make_scene(plan, 1).by_stamp())
+    assert observation.accepted, observation.reason
+    assert observation.mean == plan.steps[0].position
+    assert observation.std == (1e-6, 2e-6, 3e-6)
+    assert (observation.n_samples, observation.n_used, observation.kind) == (1, 1, kind)
+    assert observation.table_angle_measured == 0.0
+
+
+def scene_of_points(plan, n=4):
+    scene = make_scene(plan, 1)
+    rng = np.random.default_rng(3)
+    offsets = 1e-6 * rng.standard_normal((n, 3))
+    scene.probe = []
+    for point in range(n):
+        sample = probe_sample(plan.steps[0], (150 + 20 * point) * MS, point=point)
+        position = tuple(np.array(plan.steps[0].position) + offsets[point])
+        scene.probe.append(replace(sample, position=position))
+    return scene, np.array(plan.steps[0].position) + offsets
+
+
+def test_repeated_points_give_mean_and_deviation():
+    plan = make_plan(PointKind.CENTRE, n_points=4)
+    scene, positions = scene_of_points(plan)
+    (observation,) = replay(plan, scene.by_stamp())
+    assert observation.accepted
+    assert observation.mean == pytest.approx(positions.mean(axis=0), abs=1e-15)
+    scatter = positions.std(axis=0, ddof=1)
+    assert observation.scatter == pytest.approx(scatter, rel=1e-9)
+    assert observation.std == pytest.approx(scatter / 2, rel=1e-9)
+    assert observation.n_used == 4
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))))
+def test_points_do_not_depend_on_the_order_of_arrival(order):
+    plan = make_plan(PointKind.CENTRE, n_points=4)
+    scene, _ = scene_of_points(plan)
+    expected = replay(plan, scene.by_stamp())
+    streams = scene.streams()
+    assert replay(plan, [r for number in order for r in streams[number]]) == expected
+
+
+def test_surface_points_need_a_fit(monkeypatch):
+    plan = make_plan(PointKind.SURFACE, n_points=4)
+    scene, _ = scene_of_points(plan)
+    (observation,) = replay(plan, scene.by_stamp())
+    assert observation.reason == "4 surface points, but no sphere fit to reduce them"
+    seen = []
+    monkeypatch.setitem(REDUCERS, PointKind.SURFACE, lambda s: seen.extend(s) or Reduced((1.0,)))
+    (observation,) = replay(plan, scene.by_stamp())
+    assert observation.mean == (1.0,)
+    assert seen == scene.probe
+
+
+def test_missing_points_are_rejected_after_the_deadline():
+    plan = make_plan(PointKind.CENTRE, n_points=5)
+    scene, _ = scene_of_points(plan, n=4)
+    settings = replace(SETTINGS, clock_tolerance_s=0.2)
+    (observation,) = replay(plan, scene.by_stamp(), settings)
+    assert observation.reason == "only 4 of 5 probe points within 0.6 s"
+
+
+def test_table_off_at_a_point_is_rejected():
+    plan = make_plan(PointKind.CENTRE, n_points=4)
+    scene, _ = scene_of_points(plan)
+    scene.edit("table", table_off(30.0), 175 * MS, 185 * MS)
+    (observation,) = replay(plan, scene.by_stamp())
+    assert not observation.accepted
+    assert observation.reason == (
+        "table not at rest in position during the probe points: up to 30 arcsec off (allowed 20)"
+    )
