@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ from bag_samples import CONFIGURATION, START_NS, TYPES, open_writer, serialised
 from rotcal_ros.bags import names
 from rotcal_ros.bags.durable import DurableFile
 from rotcal_ros.bags.mcap_scan import McapScan
-from rotcal_ros.bags.reader import bag_files, check_files
+from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
 from rotcal_ros.errors import BagError
@@ -77,10 +79,13 @@ def test_existing_folder_is_refused_and_untouched(tmp_path: Path) -> None:
 
 def test_resumed_session_goes_on_in_a_new_file(tmp_path: Path) -> None:
     writer, channels = open_writer(tmp_path / "bag")
-    with writer:
-        fill(writer, channels, 4)
+    fill(writer, channels, 4)
+    writer.sync()  # and never closed
     first = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
-    earlier = [FileInfo("bag_0.mcap", START_NS, START_NS + 3_000_000, {"/cell/tracer_length": 4})]
+    earlier = session_files(tmp_path / "bag")
+    assert earlier == (
+        FileInfo("bag_0.mcap", START_NS, START_NS + 3_000_000, {"/cell/tracer_length": 4}),
+    )
     with BagWriter(tmp_path / "bag", WriterSettings(min_free_bytes=0), earlier=earlier) as again:
         assert again.path.name == "bag_1.mcap"
     assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == first
@@ -88,6 +93,7 @@ def test_resumed_session_goes_on_in_a_new_file(tmp_path: Path) -> None:
     information = metadata["rosbag2_bagfile_information"]
     assert information["relative_file_paths"] == ["bag_0.mcap", "bag_1.mcap"]
     assert information["message_count"] == 4
+    assert [file["message_count"] for file in information["files"]] == [4, 0]
 
 
 def test_metadata_is_there_from_the_start_and_complete_at_the_end(tmp_path: Path) -> None:
@@ -224,3 +230,50 @@ def test_channel_without_definition_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="no definition of x_msgs/msg/Y"):
         writer.channel("/topic", "x_msgs/msg/Y", "")
     writer.close()
+
+
+CHILD = """
+import resource, sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+import test_writer
+folder, limit = Path(sys.argv[2]), int(sys.argv[3])
+settings = test_writer.WriterSettings(min_free_bytes=0, chunk_bytes=1024)
+writer, channels = test_writer.open_writer(folder, settings)
+if limit:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+try:
+    for start in range(0, 100_000, 100):
+        test_writer.fill(writer, channels, 100, start)
+        writer.sync()
+        print(start + 100, flush=True)
+except test_writer.BagError as error:
+    print(error, flush=True)
+"""
+
+
+def start_child(folder: Path, limit: int) -> subprocess.Popen[str]:
+    arguments = [sys.executable, "-c", CHILD, str(Path(__file__).parent), str(folder), str(limit)]
+    return subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize("syncs", [1, 7])
+def test_killed_process_leaves_everything_that_was_synced(tmp_path: Path, syncs: int) -> None:
+    with start_child(tmp_path / "bag", 0) as child:
+        assert child.stdout is not None
+        synced = [int(child.stdout.readline()) for _ in range(syncs)][-1]
+        child.kill()
+    (verdict,) = check_files(bag_files(tmp_path / "bag"))
+    assert verdict.state in ("truncated", "complete")
+    assert verdict.messages >= synced
+    assert (tmp_path / "bag" / "metadata.yaml").exists()
+
+
+def test_real_size_limit_of_the_system(tmp_path: Path) -> None:
+    with start_child(tmp_path / "bag", 40_000) as child:
+        assert child.stdout is not None
+        *counts, last = child.stdout.read().splitlines()
+    assert "has reached the size" in last
+    (verdict,) = check_files(bag_files(tmp_path / "bag"))
+    assert verdict.messages >= int(counts[-1]) > 0
+    assert verdict.damages[0].offset == verdict.size <= 40_000
