@@ -22,8 +22,6 @@ setup(
     name=NAME,
     version=version,
     description="Calibration of rotary tables: six small errors at every angle",
-    long_description=Path("README.md").read_text(encoding="utf-8"),
-    long_description_content_type="text/markdown",
     maintainer="rotcal maintainers",
     maintainer_email="maintainers@rotcal.invalid",
     license="Apache-2.0",
