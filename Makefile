@@ -9,7 +9,7 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 .PHONY: demo test bench lint setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2; results in out/demo
-	@$(BIN)/rotcal run config/demo.yaml --output out/demo --keep-previous
+	@$(BIN)/rotcal run config/tracer_demo.yaml --output out/demo --keep-previous
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 	@$(BIN)/python -m pytest $(PYTEST_ARGS)
