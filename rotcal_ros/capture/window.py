@@ -141,7 +141,7 @@ def _mark_spikes(length: Values, faults: NDArray[np.int64], settings: CaptureSet
     if not good.any():
         return
     distance = np.abs(length[good] - np.median(length[good]))
-    limit = settings.spike_limit * float(np.median(distance))
+    limit = settings.spike_limit * _MAD_TO_STD * float(np.median(distance))
     faults[np.flatnonzero(good)[distance > max(limit, settings.spike_floor_m)]] = Fault.SPIKE
 
 
