@@ -173,7 +173,7 @@ def test_nan_is_set_aside_with_its_row():
             "looks like millimetres, metres are expected",
         ),
         (
-            replace(at(lambda b: b), centres=at(lambda b: b).centres + [0.01, 0, 0]),
+            replace(at(lambda b: b), centres=at(lambda b: b).centres + np.array([0.01, 0, 0])),
             r"\(10.000, .*\) mm off the origin",
         ),
     ],
@@ -237,7 +237,7 @@ def test_contradictory_data_are_refused_not_trimmed():
 
 def test_unseparable_plate_is_refused_in_words():
     problem, _ = simulated(24, range(0, 24, 2))
-    with pytest.raises(ObservabilityError, match="share the factor 2.*harmonic 12 of ECC"):
+    with pytest.raises(ObservabilityError, match=r"share the factor 2.*harmonic 12 of ECC"):
         solve(problem)
 
 
