@@ -140,6 +140,15 @@ def test_dirt_is_rejected_and_the_result_stays_right():
     assert np.abs(error / result.std["ECC"]).max() < 4.5
 
 
+@pytest.mark.parametrize("size", [1e-5, 1e-3])
+def test_a_gross_error_costs_no_other_centre(size):
+    problem, _ = simulated(72, PAPER_PLATE, seed=6)
+    centres = problem.centres.copy()
+    centres[200] += size
+    result = solve(replace(problem, centres=centres))
+    assert [r.index for r in result.rejected] == [200]
+
+
 def test_nan_is_set_aside_with_its_row():
     problem, _ = simulated(72, PAPER_PLATE)
     centres = problem.centres.copy()
