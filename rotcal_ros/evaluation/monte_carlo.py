@@ -135,9 +135,10 @@ def compare_with_linear(
     low = np.abs(value - cover * std - result.low)
     high = np.abs(value + cover * std - result.high)
     return [
-        f"{names[i] if names else f'output {i}'}: the linear standard uncertainty is {std[i]:.3g}, the trials say "
-        f"{result.std[i]:.3g} (mean shifted by {result.mean[i] - value[i]:.2g}); trust the trials"
-        for i in np.flatnonzero((low > tolerance) | (high > tolerance))
+        f"{names[i] if names else f'output {i}'}: the linear standard uncertainty is "
+        f"{std[i]:.3g}, the trials say {result.std[i]:.3g} (mean shifted by "
+        f"{result.mean[i] - value[i]:.2g}); trust the trials"
+        for i in np.flatnonzero((low > tolerance) | (high > tolerance)).tolist()
     ]
 
 
@@ -158,9 +159,7 @@ def _stable(figures: Floats, digits: int) -> bool:
     return bool(np.all(2.0 * spread <= tolerance))
 
 
-def _blocks(
-    model: Model, seed: int, block: int, n_blocks: int, workers: int
-) -> Blocks:
+def _blocks(model: Model, seed: int, block: int, n_blocks: int, workers: int) -> Blocks:
     """Trials of block after block, in order, computed ahead by the workers."""
     if workers == 1:
         for index in range(n_blocks):

@@ -52,7 +52,9 @@ def test_exact_points_give_exact_deviations(way, lean_deg):
 @pytest.mark.parametrize("way", MIRROR_WAYS)
 def test_any_overlap_any_positions_any_sense(way):
     """Unequal steps, a table turned backwards over two turns, stations that see what they like."""
-    angles = -np.radians([0, 17, 40, 61, 90, 117, 150, 176, 205, 233, 262, 290, 321, 345, 361, 725])
+    angles = -np.radians(
+        [0, 17, 40, 61, 90, 117, 150, 176, 205, 233, 262, 290, 321, 345, 361, 725]
+    )
     visits = ((0, 1, 2, 14, 15), (2, 3, 4, 5), (4, 5, 6, 7), (7, 8, 9), (9, 10, 11, 12),
               (12, 13, 14))  # fmt: skip
     stations = ring_cell(np.abs(angles), visits).stations
