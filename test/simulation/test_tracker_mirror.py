@@ -69,5 +69,5 @@ def test_noise_has_the_stated_covariance():
 def test_mirror_turned_away_is_refused():
     angles = np.radians([0.0, 180.0])
     cell = replace(ring_cell(angles, ((0, 1),)), stations=paper_cell().stations[:1])
-    with pytest.raises(PlanError, match="position 1: the beam misses the mirror"):
+    with pytest.raises(PlanError, match="table at 180 deg, tracker station 0: the beam misses"):
         measure(cell, still(2))

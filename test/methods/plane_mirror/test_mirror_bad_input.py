@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.errors import DataError, GeometryError
-from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
+from rotcal_ros.methods.plane_mirror import TrackerNoise, check_nests, solve
 from rotcal_ros.observations import PointKind
 from rotcal_ros.simulation.tracker_mirror import measure, measure_direct, paper_cell, ring_cell
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -167,6 +167,17 @@ def test_nest_seated_badly_once_is_found_and_named():
     result = solve(with_points(problem, {row: problem.xyz[row] + np.array([0.0, 2e-4, 0.0])}))
     assert "nest 3 stood elsewhere at station 2 (by 0.2" in result.warnings[0]
     assert np.abs(result.deviations["ECC"] - truth()).max() < 5 * ARCSEC
+
+
+def test_nests_alone_are_checked_while_measuring():
+    """As after moving the tracker to its third place: nests only, nothing of the mirror yet."""
+    problem = simulated()
+    problem = without(problem, np.flatnonzero((problem.kind != NEST) | (problem.station > 2)))
+    assert check_nests(problem) == []
+    row = rows(problem, nest=6, station=2)[0]
+    moved = with_points(problem, {row: problem.xyz[row] + np.array([0.0, 0.0, 1.5e-4])})
+    assert "nest 6 moved between tracker stations 1 and 2 (by 0.1" in check_nests(moved)[0]
+    assert check_nests(without(problem, np.flatnonzero(problem.station > 0))) == []
 
 
 def test_no_false_alarm_in_a_hundred_good_registrations():
