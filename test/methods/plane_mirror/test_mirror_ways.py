@@ -75,6 +75,22 @@ def test_any_overlap_any_positions_any_sense(way):
 
 
 @pytest.mark.parametrize("way", ["direct", *MIRROR_WAYS])
+def test_covariance_is_the_noise_sent_through_the_numerical_derivative(way):
+    """Every coordinate of every row moved by a micrometre, both ways; a mirror that leans much."""
+    problem = measured(way, paper_cell(lean=0.15), table(17)[0], tilt_std=1e-8)
+    n, step = problem.xyz.size, 1e-6
+    moved = problem.xyz + step * np.eye(n).reshape(n, *problem.xyz.shape)
+    prepared = prepare(problem).prepared
+    ahead = estimate(prepared, moved)
+    behind = estimate(prepared, 2.0 * problem.xyz - moved)
+    derivative = ((ahead - behind) / (2.0 * step)).reshape(-1, 3, 17)
+    noise = problem.noise.covariance(problem.xyz)
+    expected = np.einsum("rik,rij,rjl->kl", derivative, noise, derivative)
+    covariance = solve(problem).covariance["ECC"]
+    np.testing.assert_allclose(covariance, expected, atol=2e-4 * expected.max())
+
+
+@pytest.mark.parametrize("way", ["direct", *MIRROR_WAYS])
 def test_result_survives_json_and_accounts_for_every_row(way):
     problem = measured(way, paper_cell(), table(17)[0], rng=np.random.default_rng(2))
     result = solve(problem)
