@@ -30,11 +30,16 @@ class Wait:
 
 @dataclass
 class Streams:
-    """The streams that an attempt is judged by; temperature holds one column (degC)."""
+    """The streams that an attempt is judged by; temperature holds one column (degC).
+
+    ``since_ns`` is the stamp of the first probe sample. Temperatures before it are not used:
+    how many of them there are depends on when somebody began to listen.
+    """
 
     tracer: TracerStream
     table: Stream
     temperature: Stream
+    since_ns: int | None = None
 
     def all(self) -> tuple[Stream, ...]:
         """Return the streams, fastest first."""
@@ -112,13 +117,13 @@ def temperature_at(streams: Streams, begin_ns: int, settings: CaptureSettings) -
     """Return the temperature (degC) that goes with an attempt; None: there is none.
 
     It is the last reading stamped ``temperature_lag_s`` or more before the probe reached its
-    target, else the first one after: a choice that later readings do not change.
+    target, else the first one of the calibration: a choice that later readings do not change.
     """
     stream = streams.temperature
-    wanted = begin_ns - nanoseconds(settings.temperature_lag_s)
+    wanted = _temperature_stamp(streams, begin_ns, settings)
     if not (settings.temperature_expected and stream.knows(wanted)):
         return None
-    row = max(stream.index(wanted + 1) - 1, 0)
+    row = max(stream.index(wanted + 1) - 1, stream.index(streams.since_ns or 0))
     if abs(int(stream.stamps[row]) - wanted) > nanoseconds(settings.clock_tolerance_s):
         return None
     return float(stream.values[row, 0])
@@ -126,10 +131,16 @@ def temperature_at(streams: Streams, begin_ns: int, settings: CaptureSettings) -
 
 def missing_temperature(streams: Streams, begin_ns: int, settings: CaptureSettings) -> Wait | None:
     """Return what to wait for before :func:`temperature_at` is known for good."""
-    wanted = begin_ns - nanoseconds(settings.temperature_lag_s)
+    wanted = _temperature_stamp(streams, begin_ns, settings)
     if not settings.temperature_expected or streams.temperature.knows(wanted):
         return None
     return Wait(streams.temperature, wanted)
+
+
+def _temperature_stamp(streams: Streams, begin_ns: int, settings: CaptureSettings) -> int:
+    """Return the stamp at which an attempt that began at ``begin_ns`` reads the temperature."""
+    wanted = begin_ns - nanoseconds(settings.temperature_lag_s)
+    return wanted if streams.since_ns is None else max(wanted, streams.since_ns)
 
 
 def forgotten(stream: Stream, stamp_ns: int) -> bool:

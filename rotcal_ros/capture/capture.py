@@ -191,6 +191,8 @@ class Capture:
 
     def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
         step = self._plan.steps[sample.step]
+        if self._streams.since_ns is None:
+            self._streams.since_ns = sample.stamp_ns
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns

@@ -52,16 +52,23 @@ def test_window_is_the_first_readings_after_rest_and_settling():
 
 def test_temperature_is_the_last_one_a_lag_before_the_probe_arrived():
     scene = make_scene(PLAN, 2)
-    first, second = replay(PLAN, scene.by_stamp())
-    assert first.temperature_c == pytest.approx(19 + 0.8)  # at -200 ms: the last before -150 ms
-    assert second.temperature_c == pytest.approx(20 + 0.8)
+    _, second = replay(PLAN, scene.by_stamp())
+    assert second.temperature_c == pytest.approx(20 + 0.8)  # at 800 ms: the last before 850 ms
+
+
+def test_temperatures_from_before_the_first_probe_sample_change_nothing():
+    scene = make_scene(PLAN, 2)
+    found = replay(PLAN, scene.by_stamp())
+    assert found[0].temperature_c == pytest.approx(20.2)  # the first one after 150 ms
+    scene.temperature = [t for t in scene.temperature if t.stamp_ns >= 150 * MS]
+    assert replay(PLAN, scene.by_stamp()) == found
 
 
 def test_without_an_early_temperature_the_first_one_is_taken():
     scene = make_scene(PLAN, 1)
-    scene.temperature = [t for t in scene.temperature if t.stamp_ns >= 200 * MS]
+    scene.temperature = [t for t in scene.temperature if t.stamp_ns >= 300 * MS]
     (observation,) = replay(PLAN, scene.by_stamp())
-    assert observation.temperature_c == pytest.approx(20.2)
+    assert observation.temperature_c == pytest.approx(20.3)
 
 
 def test_feedback_a_full_turn_away_is_the_same_place():
