@@ -61,6 +61,10 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
         "definitions.json",
     } <= recording.attachments.keys()
     assert recording.attachments["configuration.yaml"].decode() == live.file.read_text()
+    parameters = json.loads(recording.attachments["parameters.json"])
+    assert parameters["simulated_cell"]["simulation.time_scale"] == 20.0
+    assert parameters["planner"]["plan.box_points"] == [3, 2, 2]
+    assert parameters.keys() >= {*SUITE, "simulated_cell"}
     metadata = (live.session / "bag" / "metadata.yaml").read_text()
     assert "durability: transient_local" in metadata
     assert "RIHS01_" in metadata

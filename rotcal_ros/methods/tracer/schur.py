@@ -53,9 +53,7 @@ class Reduced:
                 "singular; measure more targets from more stations, or use the datum 'prior'"
             ) from None
         reduced = self.scale * (kept - self.transfer @ other)
-        both = cho_solve(
-            factor, np.column_stack([reduced, self.constraints]), check_finite=False
-        )
+        both = cho_solve(factor, np.column_stack([reduced, self.constraints]), check_finite=False)
         x = self.scale * (both[:, 0] - self._violation(both[:, 1:], both[:, :1])[:, 0])
         q, t, _ = self.inverse.shape
         y = (self.inverse @ other.reshape(q, t, 1)).ravel() - self.transfer.T @ x
@@ -73,9 +71,7 @@ class Reduced:
 
         ``response`` is the inverse of :meth:`regular` times the constraints (Lagrange).
         """
-        multipliers = np.linalg.solve(
-            self.constraints.T @ response, self.constraints.T @ columns
-        )
+        multipliers = np.linalg.solve(self.constraints.T @ response, self.constraints.T @ columns)
         return np.asarray(response @ multipliers, dtype=np.float64)
 
     def other_blocks(self, covariance: Floats) -> Floats:
