@@ -6,10 +6,13 @@ BIN := .venv/bin
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo test bench lint setup clean help
+.PHONY: demo resume test bench lint setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2; results in out/demo
 	@$(BIN)/rotcal run config/tracer_demo.yaml --output out/demo --keep-previous
+
+resume: setup  ## continue a demo that was interrupted
+	@$(BIN)/rotcal run config/tracer_demo.yaml --resume out/demo
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 	@$(BIN)/python -m pytest $(PYTEST_ARGS)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 from pathlib import Path
+
+from rotcal_ros.errors import BagError
 
 
 class DurableFile:
@@ -49,6 +52,27 @@ class DurableFile:
         if not self._closed:
             self._closed = True
             os.close(self._descriptor)
+
+
+class FolderLock:
+    """The right to write in ``folder``; the system takes it back when the process dies.
+
+    Raises BagError when another process holds it.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(self._descriptor)
+            raise BagError(f"another recorder still writes in {folder}; end it first") from None
+
+    def release(self) -> None:
+        """Give the right back; a second call does nothing."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
 
 
 def write_atomically(path: Path, text: str) -> None:

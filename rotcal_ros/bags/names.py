@@ -13,6 +13,8 @@ DEFINITIONS: Final = "definitions.json"
 
 LOSSES: Final = "rotcal_losses"
 """Metadata record: loss counters by name, the last one counts."""
+RUN: Final = "rotcal_run"
+"""Metadata record: ``number`` of the run of an interrupted plan that the file belongs to."""
 REPAIR: Final = "rotcal_repair"
 """Metadata record of a repaired bag: the verdict on each original file."""
 ROSBAG2: Final = "rosbag2"

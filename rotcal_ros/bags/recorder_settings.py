@@ -18,6 +18,13 @@ class RecorderSettings:
     session: str = setting(
         "", doc="name of the session folder; empty: UTC time and the start of the plan's hash"
     )
+    run: int = setting(
+        0,
+        doc="run of an interrupted session that this one is; 0 begins a session, later runs "
+        "continue its bag in a new file",
+        minimum=0,
+        maximum=1_000_000,
+    )
     queue_bytes: int = setting(
         67_108_864,
         doc="bytes waiting for the disk at most; beyond that messages are lost and counted",

@@ -59,8 +59,8 @@ class Recording:
     @property
     def same_as_recorded(self) -> bool:
         """Tell whether the final observations equal those of the live capture."""
-        final = catalogue.final_observations
-        return final(self.observations) == final(self.recorded)
+        last = catalogue.last_accepted
+        return last(self.observations) == last(self.recorded)
 
     def warnings(self) -> tuple[str, ...]:
         """Return what the reader of a result must know about the bag."""
@@ -92,15 +92,19 @@ def read_recording(
     if configuration is None:
         configuration = find_configuration(files, topics)
     calibration = catalogue.prepare(configuration)
-    capture = Capture(calibration.plan, configuration.group("capture", CaptureSettings))
-    feeder = StreamFeeder(capture, joint_name(configuration))
+    settings = configuration.group("capture", CaptureSettings)
+    feeder = StreamFeeder(lambda: Capture(calibration.plan, settings), joint_name(configuration))
     recorded: list[Observation] = []
     scans: list[Scan] = []
     decoders: Decoders = {}
+    run = "0"
     for scan, block in read_blocks(files, progress):
         if block is None:
             scans.append(scan)
             continue
+        before, run = run, scan.metadata.get(names.RUN, {}).get("number", run)
+        if run != before:
+            feeder.begin_run()
         parts = topics.split(block, scan.channels, decoders)
         for part in parts:
             if part.role == names.OBSERVATION:
@@ -116,7 +120,7 @@ def read_recording(
         observations=tuple(feeder.observations if source == "streams" else recorded),
         recorded=tuple(recorded),
         verdicts=verdicts,
-        counts=capture.counts if source == "streams" else {},
+        counts=feeder.counts if source == "streams" else {},
         broken={c.topic: d.broken for c, d in decoders.items() if d.broken},
         sha256={file.name: sha256_of(file) for file in files},
         attachments={n: a.data for scan in scans for n, a in scan.attachments.items()},

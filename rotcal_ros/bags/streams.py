@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -26,6 +27,10 @@ Numbered = tuple[int, Any]
 class Capture(Protocol):
     """What is needed of rotcal_ros.capture.Capture."""
 
+    @property
+    def counts(self) -> Mapping[str, Mapping[str, int]]:
+        """What each stream delivered."""
+
     def feed(self, record: Any) -> tuple[Observation, ...]:
         """Take one record."""
 
@@ -43,13 +48,14 @@ class StreamFeeder:
     """Feeds blocks of messages to a capture and collects the observations.
 
     Tracer readings go in many at once, so they run ahead of the other streams, by one second
-    of their stamps at most; the capture's answer does not depend on that. ``joint`` names the
-    table among the joint states; empty means the first one.
+    of their stamps at most; the capture's answer does not depend on that. ``make`` returns a new
+    capture for each run. ``joint`` names the table among the joint states; empty means the first.
     """
 
-    def __init__(self, capture: Capture, joint: str = "") -> None:
+    def __init__(self, make: Callable[[], Capture], joint: str = "") -> None:
         self.observations: list[Observation] = []
-        self._capture = capture
+        self._make = make
+        self._captures = [make()]
         self._joint = joint
         self._half_orders: dict[tuple[str, int, int], Any] = {}
         self._makers: dict[str, Callable[[Any], Any]] = {
@@ -58,6 +64,24 @@ class StreamFeeder:
             names.TABLE_ANGLE: lambda message: self._order(names.TABLE_ANGLE, message),
             names.PROBE_TARGET: lambda message: self._order(names.PROBE_TARGET, message),
         }
+
+    def begin_run(self) -> None:
+        """Start afresh: what was undecided when a run was interrupted stays undecided."""
+        self._captures.append(self._make())
+        self._half_orders.clear()
+
+    @property
+    def counts(self) -> dict[str, dict[str, int]]:
+        """What the captures of all runs counted, by stream."""
+        total: dict[str, Counter[str]] = {}
+        for capture in self._captures:
+            for stream, counts in capture.counts.items():
+                total.setdefault(stream, Counter()).update(counts)
+        return {stream: dict(counts) for stream, counts in total.items()}
+
+    @property
+    def _capture(self) -> Capture:
+        return self._captures[-1]
 
     def feed(self, block: Block, parts: list[Part]) -> None:
         """Feed one block that ``parts`` splits into the topics of the cell."""

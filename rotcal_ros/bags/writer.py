@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions
-from rotcal_ros.bags.durable import DurableFile, sync_folder, write_atomically
+from rotcal_ros.bags.durable import DurableFile, FolderLock, sync_folder, write_atomically
 from rotcal_ros.bags.rosbag2_metadata import (
     FileInfo,
     TopicInfo,
@@ -69,7 +69,8 @@ class BagWriter:
     """One recording session: a new folder with ``<name>_0.mcap`` and ``metadata.yaml``.
 
     The folder must not exist; with ``earlier`` (the files of an interrupted session, from
-    reader.session_files) the session in an existing folder is continued in a new file.
+    reader.session_files, or none) the session in an existing folder is continued in a new
+    file. One writer at a time holds the lock on its folder.
     Data are on disk after :meth:`sync`; :meth:`tick` calls it when the interval has passed.
     When the disk fails, the file is closed at its last whole record and BagError is raised.
     The caller serialises the calls.
@@ -80,12 +81,12 @@ class BagWriter:
         folder: Path,
         settings: WriterSettings | None = None,
         *,
-        earlier: Sequence[FileInfo] = (),
+        earlier: Sequence[FileInfo] | None = None,
         ros_distro: str = "",
     ) -> None:
         self.folder = folder.absolute()
         self.settings = settings or WriterSettings()
-        self.files: list[FileInfo] = list(earlier)
+        self.files: list[FileInfo] = list(earlier or ())
         self.closed = False
         self._ros_distro = ros_distro
         self._channels: dict[int, _Channel] = {}
@@ -96,7 +97,8 @@ class BagWriter:
         self._undescribed: dict[int, _Channel] = {}
         self._last_sync_ns: int | None = None
         self._file: DurableFile | None = None
-        self._guarded(lambda: self._prepare_folder(resume=bool(earlier)))
+        self._guarded(lambda: self._prepare_folder(resume=earlier is not None))
+        self._lock = self._guarded(lambda: FolderLock(self.folder))
         self._guarded(self._open_file)
 
     @property
@@ -206,6 +208,7 @@ class BagWriter:
         if not self.closed:
             self._guarded(self._finish)
             self.closed = True
+            self._lock.release()
 
     def __enter__(self) -> BagWriter:
         return self
@@ -357,6 +360,7 @@ class BagWriter:
                 self._file.sync()
             with suppress(OSError):
                 self._file.close()
+            self._lock.release()
         reason = {
             errno.ENOSPC: "the disk is full",
             errno.EFBIG: "the file has reached the size that this system allows",

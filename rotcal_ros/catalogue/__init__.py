@@ -9,13 +9,31 @@ are equal to the last bit.
 from __future__ import annotations
 
 from rotcal_ros.catalogue.calibration import Calibration, Method, final_observations
+from rotcal_ros.catalogue.runs import (
+    ATTEMPTS_PER_RUN,
+    Continuation,
+    continued,
+    last_accepted,
+    run_of,
+)
 from rotcal_ros.catalogue.tracer import TRACER_MULTISTATION
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError
 
 METHODS: dict[str, Method] = {method.name: method for method in (TRACER_MULTISTATION,)}
 
-__all__ = ["METHODS", "Calibration", "Method", "final_observations", "prepare"]
+__all__ = [
+    "ATTEMPTS_PER_RUN",
+    "METHODS",
+    "Calibration",
+    "Continuation",
+    "Method",
+    "continued",
+    "final_observations",
+    "last_accepted",
+    "prepare",
+    "run_of",
+]
 
 
 def prepare(configuration: Configuration) -> Calibration:

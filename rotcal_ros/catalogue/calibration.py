@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from rotcal_ros.catalogue.runs import last_accepted
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
@@ -18,7 +19,8 @@ class Method:
     ``settings`` names its own groups of settings, from which nodes declare parameters;
     ``plan`` builds the plan from a configuration; ``solve`` turns a configuration, its plan
     and accepted observations into a result; ``topics`` are the instrument topics that must
-    have delivered before the first motion.
+    have delivered before the first motion. A method whose values are relative to a zero that an
+    interruption changes brings ``join``, which solves accepted observations of several runs.
     """
 
     name: str
@@ -27,6 +29,7 @@ class Method:
     settings: Mapping[str, type]
     plan: Callable[[Configuration], Plan]
     solve: Callable[[Configuration, Plan, Sequence[Observation]], Result]
+    join: Callable[[Configuration, Plan, Sequence[Observation]], Result] | None = None
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,11 @@ class Calibration:
 
     def solve(self, observations: Iterable[Observation]) -> Result:
         """Solve with the observations that count; see :func:`final_observations`."""
-        return self.method.solve(self.configuration, self.plan, final_observations(observations))
+        accepted = last_accepted(observations)
+        if self.method.join is not None and len({run for run, _ in accepted}) > 1:
+            return self.method.join(self.configuration, self.plan, tuple(accepted.values()))
+        final = final_observations(accepted.values())
+        return self.method.solve(self.configuration, self.plan, final)
 
 
 def final_observations(observations: Iterable[Observation]) -> tuple[Observation, ...]:

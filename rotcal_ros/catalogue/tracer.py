@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.catalogue.calibration import Method
+from rotcal_ros.catalogue.runs import run_of
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
+from rotcal_ros.methods.tracer.joins import Pairs, solve_joined
 from rotcal_ros.methods.tracer.problem import TracerProblem, TracerSettings
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
@@ -82,6 +84,38 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     return tracer.solve(problem(settings, plan, observations))
 
 
+def join(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
+    """Solve the accepted observations of several runs; what was measured twice joins them."""
+    settings = configuration.group("solver", TracerSolverSettings)
+    row_of: dict[int, int] = {}
+    kept: list[Observation] = []
+    repeated: dict[int, list[Observation]] = {}
+    for o in sorted(observations, key=lambda o: (run_of(o), o.step)):
+        if o.step in row_of:
+            repeated.setdefault(run_of(o), []).append(o)
+        else:
+            row_of[o.step] = len(kept)
+            kept.append(o)
+    posed = problem(settings, plan, kept)
+    place = posed.targets[posed.target]
+    run = np.array([run_of(o) for o in kept], dtype=np.int64)
+    pairs = []
+    for number in np.unique(run)[1:].tolist():
+        again = repeated.get(number, [])
+        row = np.array([row_of[o.step] for o in again], dtype=np.int64)
+        twin = problem(settings, plan, again) if again else posed
+        pairs.append(
+            Pairs(
+                run=number,
+                row=row,
+                length=twin.length[: len(again)],
+                length_std=twin.length_std[: len(again)],
+                shift=_positions(again) - place[row],
+            )
+        )
+    return solve_joined(posed, run, _positions(kept) - place, pairs)
+
+
 def problem(
     settings: TracerSolverSettings, plan: Plan, observations: Sequence[Observation]
 ) -> TracerProblem:
@@ -101,7 +135,7 @@ def problem(
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
     target = np.array([o.target for o in observations], dtype=np.int64)
-    reported = np.array([o.probe_position for o in observations]).reshape(-1, 3)
+    reported = _positions(observations)
     targets = _reported_targets(np.array(plan.targets), target, reported)
     distance = np.linalg.norm(targets, axis=1)[target]
     window_std = np.array([o.std[0] for o in observations])
@@ -124,6 +158,11 @@ def problem(
     )
 
 
+def _positions(observations: Sequence[Observation]) -> NDArray[np.float64]:
+    """Return where the machine says the probe was, shape (k, 3)."""
+    return np.array([o.probe_position for o in observations]).reshape(-1, 3)
+
+
 def _reported_targets(
     nominal: NDArray[np.float64], target: NDArray[np.int64], reported: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -144,4 +183,5 @@ TRACER_MULTISTATION = Method(
     settings={"plan": TracerPlanSettings, "solver": TracerSolverSettings},
     plan=plan,
     solve=solve,
+    join=join,
 )

@@ -14,7 +14,8 @@ import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, print_json, progress_bar, say
 from rotcal_ros.cli.main import INTERRUPTED
-from rotcal_ros.cli.session import Session, prepare_session, require_ros
+from rotcal_ros.cli.resume import resume_session
+from rotcal_ros.cli.session import BAG, Session, prepare_session, require_ros
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import ARCSEC
 
@@ -37,6 +38,12 @@ path_type = click.Path(path_type=Path)
 @click.option(
     "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
 )
+@click.option(
+    "--resume",
+    type=path_type,
+    metavar="FOLDER",
+    help="Continue the interrupted calibration in FOLDER at its first missing step.",
+)
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @json_option
@@ -44,6 +51,7 @@ def command(
     configuration: Path,
     output: Path | None,
     changes: tuple[str, ...],
+    resume: Path | None,
     keep_previous: bool,
     no_report: bool,
     as_json: bool,
@@ -51,19 +59,25 @@ def command(
     """Start the nodes of the cell that CONFIG describes, calibrate, end them.
 
     With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
-    running. Ctrl-C cancels: the bag stays valid.
+    running. Ctrl-C cancels: the bag stays valid, and --resume continues it.
     """
     require_ros()
     started = time.monotonic()
-    folder = output or Path("out") / configuration.stem
-    session = prepare_session(configuration, folder, changes, keep_previous=keep_previous)
+    if resume is not None:
+        if output is not None or keep_previous:
+            raise click.UsageError("--resume continues in its own FOLDER, without --output")
+        session = resume_session(configuration, resume, changes)
+    else:
+        folder = output or Path("out") / configuration.stem
+        session = prepare_session(configuration, folder, changes, keep_previous=keep_previous)
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        outcome = _calibrate(session)
+        outcome = _calibrate(session) if session.something_left else _solve_bag(session)
     finally:
         signal.signal(signal.SIGTERM, previous)
     if outcome.get("interrupted"):
         say(f"interrupted; the bag is closed: {outcome.get('bag_folder') or 'none was begun'}")
+        say(f"to go on: rotcal run {session.configuration_file} --resume {session.folder}")
         return INTERRUPTED
     if outcome["error_code"]:
         _fail(session, outcome)
@@ -92,6 +106,24 @@ def _calibrate(session: Session) -> dict[str, Any]:
             running.cancel()
             outcome = _last_words(running)
             return {**outcome, "interrupted": True}
+
+
+def _solve_bag(session: Session) -> dict[str, Any]:
+    """Solve the bag of a session that was interrupted behind its last step."""
+    from rotcal_ros.bags.durable import write_atomically
+    from rotcal_ros.bags.replay import read_recording
+
+    recording = read_recording(session.folder / BAG)
+    result = recording.solve()
+    write_atomically(session.folder / "result.json", result.to_json())
+    accepted = {o.step for o in recording.observations if o.accepted}
+    return {
+        "error_code": 0,
+        "verdict": result.verdict,
+        "n_used": len(accepted),
+        "n_rejected": sum(not o.accepted for o in recording.observations),
+        "skipped_steps": sorted({o.step for o in recording.observations} - accepted),
+    }
 
 
 def _last_words(running: Any) -> dict[str, Any]:
@@ -162,6 +194,7 @@ def _fail(session: Session, outcome: Mapping[str, Any]) -> NoReturn:
     text = str(outcome["error_msg"])
     if outcome.get("bag_folder"):
         text += f"; everything up to there is in {outcome['bag_folder']}"
+        text += f"; go on with: rotcal run {session.configuration_file} --resume {session.folder}"
     text += f"; logs: {session.log_folder}"
     raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)
 

@@ -20,7 +20,7 @@ import yaml
 
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.catalogue import Calibration, prepare
+from rotcal_ros.catalogue import Calibration, Continuation, prepare
 from rotcal_ros.cli.processes import Processes
 from rotcal_ros.configuration import (
     Configuration,
@@ -36,15 +36,21 @@ from rotcal_ros.simulation import SimulationSettings
 NODES: Final = ("planner", "capture", "solver", "recorder")
 SIMULATION: Final = "simulation"
 CLIENT: Final = "client"
+BAG: Final = "bag"
+"""Folder of the bag inside the session folder."""
 _PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
 
 
 @dataclass(frozen=True)
 class Session:
-    """A checked configuration and the new folder that takes everything."""
+    """A checked configuration and the folder that takes everything.
+
+    ``continuation`` says what is left of an interrupted plan.
+    """
 
     calibration: Calibration
     folder: Path
+    continuation: Continuation | None = None
 
     @property
     def configuration(self) -> Configuration:
@@ -59,7 +65,19 @@ class Session:
     @property
     def log_folder(self) -> Path:
         """Where the nodes' output goes."""
-        return self.folder / "log"
+        run = f"_{self.continuation.run}" if self.continuation else ""
+        return self.folder / f"log{run}"
+
+    @property
+    def continuation_file(self) -> Path:
+        """Where the nodes read what is left of the plan."""
+        assert self.continuation is not None
+        return self.folder / f"continuation_{self.continuation.run}.json"
+
+    @property
+    def something_left(self) -> bool:
+        """Whether there are steps to measure."""
+        return self.continuation is None or bool(self.continuation.steps)
 
     @property
     def simulated(self) -> bool:
@@ -139,6 +157,23 @@ def prepare_session(
     ``changes`` are ``group.name=value`` with the value in YAML. With ``keep_previous`` an
     existing folder is moved aside to the first free ``<folder>-<number>``.
     """
+    calibration = checked_calibration(source, changes)
+    folder = folder.absolute()
+    if folder.exists():
+        if not keep_previous:
+            raise ConfigurationError(
+                f"{folder} exists already and nothing is overwritten; choose another --output, "
+                "--keep-previous to move it aside, or --resume to continue what is in it"
+            )
+        folder.rename(free_name(folder))
+    session = Session(calibration, folder)
+    session.log_folder.mkdir(parents=True)
+    session.configuration_file.write_text(calibration.configuration.text, encoding="utf-8")
+    return session
+
+
+def checked_calibration(source: Path, changes: Sequence[str]) -> Calibration:
+    """Read a configuration with ``changes`` and check all of its groups."""
     configuration = changed(read_configuration(source), changes)
     calibration = prepare(configuration)
     for group, cls in (
@@ -149,18 +184,7 @@ def prepare_session(
         (SIMULATION, SimulationSettings),
     ):
         configuration.group(group, cls)
-    folder = folder.absolute()
-    if folder.exists():
-        if not keep_previous:
-            raise ConfigurationError(
-                f"{folder} exists already and nothing is overwritten; choose another --output, "
-                "or --keep-previous to move it aside"
-            )
-        folder.rename(free_name(folder))
-    session = Session(calibration, folder)
-    session.log_folder.mkdir(parents=True)
-    session.configuration_file.write_text(configuration.text, encoding="utf-8")
-    return session
+    return calibration
 
 
 def free_name(folder: Path) -> Path:
@@ -220,12 +244,20 @@ def _node_command(session: Session, name: str) -> list[str]:
         # In quotes, so that a folder called 2024 does not become a number.
         command += ["-p", f"recorder.folder:={json.dumps(str(session.folder.parent))}"]
         command += ["-p", f"recorder.session:={json.dumps(session.folder.name)}"]
+        if session.continuation is not None:
+            command += ["-p", f"recorder.run:={session.continuation.run}"]
+    if name in ("planner", "solver") and session.continuation is not None:
+        file = json.dumps(str(session.continuation_file))
+        command += ["-p", f"continuation_file:={file}"]
     return command
 
 
 def _client_command(session: Session) -> list[str]:
     file = json.dumps(str(session.configuration_file))
-    return [*_start(session, CLIENT), "-p", f"configuration_file:={file}"]
+    command = [*_start(session, CLIENT), "-p", f"configuration_file:={file}"]
+    if session.continuation is not None:
+        command += ["-p", f"start_index:={session.continuation.start_index}"]
+    return command
 
 
 def _start(session: Session, name: str) -> list[str]:

@@ -13,7 +13,7 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros.bags.durable import write_atomically
-from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue import ATTEMPTS_PER_RUN, Calibration, Continuation
 from rotcal_ros.nodes import conversions, preflight
 from rotcal_ros.nodes.cell_links import TABLE_FRAME, CellLinks
 from rotcal_ros.nodes.health import Health
@@ -45,13 +45,14 @@ class Progress:
     skipped: list[int] = field(default_factory=list)
     rejected: int = 0
     done: int = 0
+    left: int = 0
     started_s: float = field(default_factory=time.monotonic)
 
     def time_left(self) -> float:
         """Return the estimated seconds to the last step; NaN before the first is done."""
         if not self.done:
             return float("nan")
-        return (time.monotonic() - self.started_s) / self.done * (self.total - self.step)
+        return (time.monotonic() - self.started_s) / self.done * self.left
 
 
 class GoalRun:
@@ -64,7 +65,7 @@ class GoalRun:
         links: CellLinks,
         health: Health,
         *,
-        start_index: int,
+        continuation: Continuation,
         show: Callable[[Progress], None],
         canceled: Callable[[], bool],
     ) -> None:
@@ -72,14 +73,18 @@ class GoalRun:
         self._settings = settings
         self._links = links
         self._health = health
-        self._start = start_index
+        self._continuation = continuation
         self._show = show
         self._canceled = canceled
         self._watched: set[str] = set()
         self._stream_beat: object = None
         self._session = Path()
         self.stopping = ""
-        self.progress = Progress(total=len(calibration.plan.steps), step=start_index)
+        self.progress = Progress(
+            total=len(calibration.plan.steps),
+            step=continuation.start_index,
+            left=len(continuation.steps),
+        )
         self.outcome = Outcome()
 
     async def execute(self) -> Outcome:
@@ -100,7 +105,8 @@ class GoalRun:
         if recording:
             await self._close_after_failure()
         progress = self.progress
-        self.outcome.n_used = len(progress.accepted)
+        earlier = {o.step for o in self._continuation.observations}
+        self.outcome.n_used = len(earlier.union(progress.accepted))
         self.outcome.n_rejected = progress.rejected
         self.outcome.skipped_steps = progress.skipped
         return self.outcome
@@ -142,7 +148,7 @@ class GoalRun:
                 method=configuration.method,
                 configuration=configuration.text,
                 total_steps=self.progress.total,
-                start_index=self._start,
+                start_index=self._continuation.start_index,
             )
         )
         run = f"{configuration.plan_id}@{now_ns}"
@@ -151,22 +157,24 @@ class GoalRun:
     async def _measure(self) -> None:
         progress = self.progress
         progress.started_s = time.monotonic()
-        for index in range(self._start, progress.total):
+        for index in self._continuation.steps:
             progress.step = index
             if await self._step(index):
                 progress.accepted.append(index)
             else:
                 progress.skipped.append(index)
             progress.done += 1
+            progress.left -= 1
         progress.step = progress.total
 
     async def _step(self, index: int) -> bool:
         """Measure one step; False when all attempts failed."""
         step = self._calibration.plan.steps[index]
         limits = self._settings
-        for attempt in range(limits.max_attempts):
+        first = self._continuation.run * ATTEMPTS_PER_RUN
+        for attempt in range(first, first + limits.max_attempts):
             key = (index, attempt)
-            again = f" (attempt {attempt + 1})" if attempt else ""
+            again = f" (attempt {attempt - first + 1})" if attempt > first else ""
             self._tell(f"table position {step.table_index}, target {step.target}{again}")
             self._links.order(step.command(attempt))
             arrived = await self._wait(
@@ -199,7 +207,7 @@ class GoalRun:
             self._links.finish_calibration, request, self._settings.solve_timeout_s
         )
         if not answer.success:
-            few = not self.progress.accepted
+            few = not self.progress.accepted and not self._continuation.observations
             code = Outcome.TOO_FEW_OBSERVATIONS if few else Outcome.SOLVER_FAILED
             raise GoalError(code, f"no result: {answer.message}")
         self.outcome.verdict = answer.verdict

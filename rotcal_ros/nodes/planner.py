@@ -18,10 +18,11 @@ from rclpy.node import Node
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.catalogue import METHODS, Calibration, prepare
+from rotcal_ros.catalogue import METHODS, Calibration, Continuation, prepare
 from rotcal_ros.configuration import Configuration, dump_configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.continuing import read_continuation
 from rotcal_ros.nodes.goal_run import GoalRun, Outcome, Progress
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings, read_settings, settings_mapping
@@ -43,6 +44,7 @@ class Planner(LifecycleNode):
         self._stopping = False
         self._shown_s = -math.inf
         self._groups = self._declare()
+        self._continuation = read_continuation(self)
         self._health = Health(self, self._report)
         self._links = CellLinks(self, self._health.guarded)
         self._server = ActionServer(
@@ -144,7 +146,7 @@ class Planner(LifecycleNode):
     def _prepare(self, handle: ServerGoalHandle) -> GoalRun:
         configuration = self._configuration(handle.request)
         calibration: Calibration = prepare(configuration)
-        calibration.plan.step(handle.request.start_index)
+        continuation = self._continuation_of(calibration, handle.request.start_index)
         if handle.request.configuration:
             settings = configuration.group("planner", PlannerSettings)
         else:
@@ -154,9 +156,20 @@ class Planner(LifecycleNode):
             settings,
             self._links,
             self._health,
-            start_index=handle.request.start_index,
+            continuation=continuation,
             show=lambda progress: self._show(handle, progress),
             canceled=lambda: handle.is_cancel_requested,
+        )
+
+    def _continuation_of(self, calibration: Calibration, start_index: int) -> Continuation:
+        """Return what is to be measured: the rest of an interrupted plan, or from an index on."""
+        plan_id, plan = calibration.configuration.plan_id, calibration.plan
+        known, self._continuation = self._continuation, None
+        if known is not None and (known.plan_id, known.start_index) == (plan_id, start_index):
+            return known
+        plan.step(start_index)
+        return Continuation(
+            plan_id, 0, start_index, (), tuple(range(start_index, len(plan.steps))), ()
         )
 
     def _end(self, handle: ServerGoalHandle, outcome: Outcome) -> None:

@@ -20,7 +20,9 @@ from rotcal_msgs.msg import RecordedObservation
 from rotcal_msgs.srv import StartRecording, StopRecording
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.reader import session_files
 from rotcal_ros.bags.recorder_settings import RecorderSettings
+from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.conversions import stamp_ns
@@ -65,6 +67,7 @@ class RecorderNode(Node):
     def __init__(self) -> None:
         super().__init__("recorder")
         self._settings = declare_settings(self, "recorder", RecorderSettings)
+        self._earlier = self._earlier_files()
         self._recording: Recording | None = None
         self._topics: dict[str, RecordedTopic] = {}
         self._drained: list[DrainedSubscription] = []
@@ -191,14 +194,26 @@ class RecorderNode(Node):
             response.message = str(error)
         return response
 
+    def _session_folder(self, session: str) -> Path:
+        return (Path(self._settings.folder).expanduser() / session).absolute()
+
+    def _earlier_files(self) -> tuple[FileInfo, ...] | None:
+        """Read the files that this run continues; None when it begins a session."""
+        if not self._settings.run:
+            return None
+        folder = self._session_folder(self._settings.session) / BAG
+        return session_files(folder) if any(folder.glob("*.mcap")) else ()
+
     def _open(self, request: StartRecording.Request) -> Path:
         if self._recording is not None and not self._recording.finished:
             raise BagError(f"the recorder is writing {self._recording.file}; stop it first")
         settings = self._settings
         now = datetime.now(timezone.utc)
         session = settings.session or f"{now:%Y%m%dT%H%M%SZ}_{request.plan_id[:8]}"
-        folder = (Path(settings.folder).expanduser() / session).absolute()
-        writer = BagWriter(folder / BAG, settings.writer)
+        folder = self._session_folder(session)
+        writer = BagWriter(folder / BAG, settings.writer, earlier=self._earlier)
+        self._earlier = None
+        writer.note(names.RUN, {"number": settings.run})
         self._pending.clear()
         self._losses.clear()
         self._recording = Recording(writer, settings.queue_bytes, self._confirm)

@@ -13,11 +13,12 @@ from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
 
-from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue import Calibration, run_of
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_links import TABLE_FRAME
+from rotcal_ros.nodes.continuing import read_continuation
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.plan_message import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
@@ -27,6 +28,8 @@ from rotcal_ros.observations import Observation
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.results import Result
 
+RunStep = tuple[int, int]
+"""Number of the run, step."""
 ARRIVAL_TIMEOUT_S = 10.0
 SOLVE_TIMEOUT_S = 3600.0
 
@@ -37,10 +40,12 @@ class SolverNode(Node):
     def __init__(self) -> None:
         super().__init__("solver")
         period = self.declare_parameter("preliminary_period_s", 3.0).value
+        self._continuation = read_continuation(self)
         self._calibration: Calibration | None = None
         self._run = ""
         self._state = "waiting for a plan"
-        self._observations: dict[int, Observation] = {}
+        self._observations: dict[RunStep, Observation] = {}
+        self._run_number = 0
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
         self._solving: Future[Result] | None = None
         self._solved_count = 0
@@ -71,9 +76,13 @@ class SolverNode(Node):
         except RotcalError as error:
             self._state = f"plan refused: {error}"
             raise
-        kept: dict[int, Observation] = {}
+        kept: dict[RunStep, Observation] = {}
+        known, self._continuation = self._continuation, None
         if old is not None and old.configuration.plan_id == message.plan_id:
-            kept = {s: o for s, o in self._observations.items() if s < message.start_index}
+            kept = {k: o for k, o in self._observations.items() if k[1] < message.start_index}
+        elif known is not None and known.plan_id == message.plan_id:
+            kept = {(run_of(o), o.step): o for o in known.observations}
+            self._run_number = known.run
         self._observations = kept
         self._solved_count = 0
         self._run = run_name(message)
@@ -81,7 +90,8 @@ class SolverNode(Node):
 
     def _take(self, message: ObservationMsg) -> None:
         if self._calibration is not None and message.accepted:
-            self._observations[message.step] = conversions.observation(message)
+            observation = conversions.observation(message)
+            self._observations[run_of(observation), observation.step] = observation
 
     def _preliminary(self) -> None:
         """Begin a solution of what is there, unless one is running or nothing is new."""
@@ -132,13 +142,13 @@ class SolverNode(Node):
         calibration = self._calibration
         if calibration is None or calibration.configuration.plan_id != request.plan_id:
             raise DataError(f"the solver has no plan {request.plan_id}: announce the plan first")
-        steps = set(request.steps)
+        steps = {(self._run_number, step) for step in request.steps}
         await until(lambda: steps <= self._observations.keys(), ARRIVAL_TIMEOUT_S)
         missing = sorted(steps - self._observations.keys())
         if missing:
             raise DataError(
                 f"the observations of {len(missing)} accepted steps did not arrive at the solver "
-                f"(first: {missing[0]}); solve the bag instead, it holds them all"
+                f"(first: {missing[0][1]}); solve the bag instead, it holds them all"
             )
         self._state = "solving"
         future = self._begin(calibration)

@@ -29,6 +29,12 @@ class PlannerSettings:
     stream_timeout_s: float = setting(
         1.5, doc="s, silence of an instrument after which it is lost", minimum=0.1, maximum=3600.0
     )
+    join_steps: int = setting(
+        8,
+        doc="done steps that a resumed plan measures again, to find the zero of the lengths",
+        minimum=1,
+        maximum=1000,
+    )
     solve_timeout_s: float = setting(
         120.0, doc="s, time for the final solution", minimum=1.0, maximum=86_400.0
     )

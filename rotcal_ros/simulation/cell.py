@@ -64,7 +64,7 @@ class SimulatedCell:
         seed = settings.seed
         self._table = SimulatedTable(settings.table, seed, start_ns)
         self._probe = SimulatedProbe(settings.probe, seed, start_ns)
-        self._tracer = SimulatedTracer(settings.tracer, settings.faults, seed)
+        self._tracer = SimulatedTracer(settings.tracer, settings.faults, seed, start_ns)
         self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)
         self._tracer_ticks = Ticks(start_ns, settings.tracer.rate_hz)
         self._table_ticks = Ticks(start_ns, settings.table.feedback_rate_hz)

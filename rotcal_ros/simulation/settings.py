@@ -78,6 +78,10 @@ class TracerSettings:
     dead_distance_m: float = setting(
         1.0, doc="m, distance at which the tracer reads zero", minimum=0.0
     )
+    zero_shift_um: float = setting(
+        0.0, doc="um, standard deviation of the zero from one start of the tracer to the next",
+        minimum=0.0,
+    )  # fmt: skip
     rate_hz: float = setting(1000.0, doc="Hz, rate of readings", minimum=0.1, maximum=10_000.0)
     noise_um: float = setting(0.2, doc="um, noise of one reading at distance 0", minimum=0.0)
     noise_um_per_m: float = setting(

@@ -19,8 +19,12 @@ Stamps = NDArray[np.int64]
 class SimulatedTracer:
     """Turns true distances into readings; reading k depends on k, never on earlier calls."""
 
-    def __init__(self, settings: TracerSettings, faults: FaultSettings, seed: int) -> None:
+    def __init__(
+        self, settings: TracerSettings, faults: FaultSettings, seed: int, start_ns: int = 0
+    ) -> None:
         self.settings, self._faults = settings, faults
+        shift_um = settings.zero_shift_um * np.random.default_rng([seed, start_ns]).normal()
+        self._dead_distance_m = settings.dead_distance_m + shift_um * MICROMETRE
         self._noise = IndexedNoise(seed, Source.TRACER)
         self._spike = IndexedNoise(seed, Source.SPIKE)
         self._spike_sign = IndexedNoise(seed, Source.SPIKE_SIGN)
@@ -46,7 +50,7 @@ class SimulatedTracer:
         """
         count, faults = len(stamps), self._faults
         std = (self.settings.noise_um + self.settings.noise_um_per_m * distances) * MICROMETRE
-        length = distances - self.settings.dead_distance_m + drifts
+        length = distances - self._dead_distance_m + drifts
         length += std * self._noise.normal(first, count)
         if faults.spike_probability > 0:
             hit = self._spike.uniform(first, count) < faults.spike_probability

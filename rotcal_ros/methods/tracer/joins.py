@@ -1,0 +1,218 @@
+"""Joining runs: after an interruption the zero of the lengths is another one.
+
+A relative length is the distance less the zero of its run. Steps that were measured in both runs
+tell the difference of the zeros; their scatter tests whether anything else moved in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi_squared
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.solve import solve
+from rotcal_ros.results import Result, Verdict
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Lengths of run number ``run`` that were measured before, one row per pair, shape (k,).
+
+    ``row``: row of the problem that holds the earlier length; ``length``, ``length_std``: what
+    the later run read there (m); ``shift`` (k, 3): how much further along x, y, z the machine
+    says the target stood then (m).
+    """
+
+    run: int
+    row: Ints
+    length: Floats
+    length_std: Floats
+    shift: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Join:
+    """The zero of a run against the runs before it.
+
+    ``offset``: length of the later run less that of the earlier ones at the same place (m), with
+    its standard deviation ``std``; ``disagreement`` (k,): what each pair leaves of its difference
+    (m). ``sigma0`` and ``probability``: chi-squared test that nothing but the zero has changed.
+    """
+
+    run: int
+    offset: float
+    std: float
+    disagreement: Floats
+    sigma0: float
+    probability: float
+
+
+def join_of(run: int, difference: Floats, std: Floats) -> Join:
+    """Return the join that differences (k,) of lengths with standard deviations (k,) tell.
+
+    The weighted mean; with one pair there is nothing left to test, and the probability is 1.
+    """
+    weights = std**-2
+    offset = float((weights * difference).sum() / weights.sum())
+    left = difference - offset
+    chi2, dof = float((weights * left**2).sum()), len(difference) - 1
+    return Join(
+        run=run,
+        offset=offset,
+        std=float(weights.sum() ** -0.5),
+        disagreement=left,
+        sigma0=float(np.sqrt(chi2 / dof)) if dof else 0.0,
+        probability=float(chi_squared.sf(chi2, dof)) if dof else 1.0,
+    )
+
+
+def solve_joined(
+    problem: TracerProblem, run: Ints, shift: Floats, pairs: Sequence[Pairs]
+) -> Result:
+    """Solve lengths of several runs as those of one.
+
+    ``run`` (k,): run of each row of ``problem``. ``shift`` (k, 3): where the machine says the
+    target stood at this row less where ``problem.targets`` has it (m); a probe that came twice
+    does not stand at the same place. ``pairs``: one per later run, in order.
+
+    Each later run is reduced to the zero of the first: offsets from the pairs, with the lengths
+    first reduced to equal places of the targets along the beams of a first solution. What the
+    result owes to an offset is found by moving it by its standard deviation, and joins the
+    covariance. The joins are in ``details["joins"]`` and in the warnings; one that fails its
+    test (``test_significance``) makes the verdict suspect.
+
+    Raises DataError when a later run has no pair.
+    """
+    for later in pairs:
+        if not len(later.row):
+            raise DataError(
+                f"no step of the runs before was measured again in run {later.run}: nothing tells "
+                "its zero of the lengths; resume once more, or measure from the start"
+            )
+    still = np.zeros((len(run), 3))
+    joins = _joins(problem, run, still, pairs, still)
+    first = solve(_reduced(problem, run, joins, np.zeros(len(run))))
+    beams = _beams(problem, first)
+    along = np.einsum("ka,ka->k", beams, shift)
+    joins = _joins(problem, run, shift, pairs, beams)
+    result = solve(_reduced(problem, run, joins, along))
+    sensitivity = [_sensitivity(problem, run, joins, along, n, result) for n in range(len(joins))]
+    return _concluded(result, joins, sensitivity, problem.settings.test_significance)
+
+
+def _joins(
+    problem: TracerProblem, run: Ints, shift: Floats, pairs: Sequence[Pairs], beams: Floats
+) -> list[Join]:
+    """Return the joins, each against the lengths that the joins before have reduced."""
+    joins: list[Join] = []
+    for later in pairs:
+        reduced = _reduced(problem, run, joins, np.einsum("ka,ka->k", beams, shift))
+        along = np.einsum("ka,ka->k", beams[later.row], later.shift)
+        difference = later.length - along - reduced.length[later.row]
+        std = np.hypot(later.length_std, problem.length_std[later.row])
+        joins.append(join_of(later.run, difference, std))
+    return joins
+
+
+def _reduced(
+    problem: TracerProblem, run: Ints, joins: Sequence[Join], along: Floats
+) -> TracerProblem:
+    """Return the problem with lengths less the offsets of their runs and less ``along`` (k,)."""
+    length = problem.length - along
+    for join in joins:
+        length = length - join.offset * (run == join.run)
+    return replace(problem, length=length)
+
+
+def _beams(problem: TracerProblem, result: Result) -> Floats:
+    """Return unit vectors (k, 3) from station to target; zero where a station was not solved."""
+    place = {int(j): p for j, p in zip(*_solved(result), strict=True)}
+    beams = np.zeros((len(problem.station), 3))
+    for row, (station, target) in enumerate(zip(problem.station, problem.target, strict=True)):
+        if int(station) in place:
+            beam = problem.targets[target] - place[int(station)]
+            beams[row] = beam / np.linalg.norm(beam)
+    return beams
+
+
+def _solved(result: Result) -> tuple[Ints, Floats]:
+    return result.details["station_ids"], result.details["stations"]
+
+
+def _sensitivity(
+    problem: TracerProblem,
+    run: Ints,
+    joins: Sequence[Join],
+    along: Floats,
+    number: int,
+    result: Result,
+) -> dict[str, Floats]:
+    """Return by how much the deviations move when join ``number`` moves by its std."""
+    moved = list(joins)
+    moved[number] = replace(joins[number], offset=joins[number].offset + joins[number].std)
+    other = solve(_reduced(problem, run, moved, along))
+    if len(other.angles) != len(result.angles):
+        return {}
+    return {name: other.deviations[name] - result.deviations[name] for name in result.deviations}
+
+
+def _concluded(
+    result: Result,
+    joins: Sequence[Join],
+    sensitivity: Sequence[dict[str, Floats]],
+    significance: float,
+) -> Result:
+    """Return the result with the joins in its covariance, verdict, warnings and details."""
+    covariance = dict(result.covariance)
+    for moves in sensitivity:
+        for name, move in moves.items():
+            covariance[name] = covariance[name] + np.outer(move, move)
+    failed = [join for join in joins if join.probability < significance]
+    verdict: Verdict = "suspect" if failed and result.verdict == "ok" else result.verdict
+    adjacent = _adjacent_std(result, sensitivity)
+    return replace(
+        result,
+        covariance=covariance,
+        std={name: np.sqrt(np.diagonal(c)) for name, c in covariance.items()},
+        adjacent_std=adjacent,
+        verdict=verdict,
+        warnings=(*result.warnings, *(_sentence(join, join in failed) for join in joins)),
+        details={**result.details, "joins": [_plain(join) for join in joins]},
+    )
+
+
+def _adjacent_std(result: Result, sensitivity: Sequence[dict[str, Floats]]) -> Floats | None:
+    if result.adjacent_std is None:
+        return None
+    steps = [np.diff(moves["ECC"]) for moves in sensitivity if "ECC" in moves]
+    return np.asarray(np.sqrt(result.adjacent_std**2 + sum(s**2 for s in steps)))
+
+
+def _sentence(join: Join, failed: bool) -> str:
+    worst = float(np.abs(join.disagreement).max())
+    text = (
+        f"run {join.run} was joined by {len(join.disagreement)} steps measured again: its lengths "
+        f"were {join.offset:+.3g} m off (standard deviation {join.std:.2g} m); the steps agree "
+        f"within {worst:.2g} m, {join.sigma0:.2f} times what is expected"
+    )
+    return text + (": something moved during the interruption" if failed else "")
+
+
+def _plain(join: Join) -> dict[str, Any]:
+    return {
+        "run": join.run,
+        "offset_m": join.offset,
+        "offset_std_m": join.std,
+        "disagreement_m": join.disagreement,
+        "sigma0": join.sigma0,
+        "probability": join.probability,
+    }
