@@ -1,0 +1,78 @@
+"""What is left of an interrupted plan."""
+
+import math
+
+import pytest
+
+from rotcal_ros.catalogue import ATTEMPTS_PER_RUN, Continuation, continued, last_accepted, run_of
+from rotcal_ros.errors import DataError
+from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.planning.tracer_plan import TracerPlanSettings, tracer_plan
+
+
+def plan(order):
+    return tracer_plan(
+        TracerPlanSettings(table_positions=4, box_points=(3, 1, 1), order=order)
+    )  # 12 steps
+
+
+def observed(step, attempt=0, accepted=True, table_index=0):
+    return Observation(
+        step=step, attempt=attempt, table_index=table_index, table_angle=0.1, target=0, station=0,
+        kind=PointKind.REFLECTOR, mean=(1 / 3,), std=(1e-7,), scatter=(math.pi,),
+        probe_position=(0.1, 0.2, 0.3), n_samples=5, n_used=5, accepted=accepted, reason="",
+        table_angle_measured=0.1, temperature_c=None, window_start_ns=1, window_end_ns=2,
+    )  # fmt: skip
+
+
+def go_on(observations, order="stations_per_target", join_steps=3):
+    return continued(plan(order), "id", 2, observations, max_attempts=3, join_steps=join_steps)
+
+
+def test_it_goes_on_at_the_first_missing_step_after_a_spread_of_done_ones():
+    left = go_on([observed(step) for step in range(7)])
+    assert left.start_index == 7
+    assert left.again == (0, 3, 6)
+    assert left.steps == (0, 3, 6, 7, 8, 9, 10, 11)
+
+
+def test_a_step_that_was_given_up_is_not_missing_but_an_undecided_one_is():
+    tried = [observed(1, attempt, accepted=False) for attempt in range(3)]
+    once = [observed(2, 0, accepted=False)]
+    left = go_on([observed(0), *tried, *once, observed(3)])
+    assert left.start_index == 2
+    assert left.steps == (0, 3, 2, 4, 5, 6, 7, 8, 9, 10, 11)
+
+
+def test_attempts_of_several_runs_do_not_add_up_to_giving_up():
+    tried = [observed(1, run * ATTEMPTS_PER_RUN, accepted=False) for run in range(3)]
+    assert 1 in go_on([observed(0), *tried]).steps
+
+
+def test_with_all_targets_at_each_station_the_open_station_is_measured_again():
+    left = go_on([observed(step) for step in range(5)], "targets_per_station")
+    assert left.again == (3, 4)  # of station 1: step 5 is missing there
+    whole = go_on([observed(step) for step in range(6)], "targets_per_station")
+    assert whole.again == (0, 2, 5)  # no station is open: any done step tests the join
+
+
+def test_nothing_measured_and_everything_measured():
+    assert go_on([]).steps == tuple(range(12))
+    done = go_on([observed(step) for step in range(12)])
+    assert done.steps == ()
+    assert done.start_index == 12
+
+
+def test_the_file_round_trips_to_the_last_bit():
+    left = go_on([observed(step) for step in range(7)])
+    assert Continuation.from_json(left.to_json()) == left
+    with pytest.raises(DataError, match="not a continuation"):
+        Continuation.from_json("[1, 2")
+
+
+def test_the_last_accepted_attempt_of_each_run_counts():
+    first, second = observed(3, 0), observed(3, 1)
+    later = observed(3, ATTEMPTS_PER_RUN)
+    refused = observed(4, 2 * ATTEMPTS_PER_RUN, accepted=False)
+    assert run_of(later) == 1
+    assert last_accepted([later, first, second, refused]) == {(0, 3): second, (1, 3): later}

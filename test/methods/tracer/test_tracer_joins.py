@@ -1,0 +1,93 @@
+"""Runs with another zero: found, tested, and paid for in the uncertainty."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tracer_scene import arc, low_ring, simulate
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.methods.tracer.joins import Pairs, join_of, solve_joined
+from rotcal_ros.methods.tracer.solve import solve
+
+STD = 2e-7
+OFFSET = 37e-6
+
+
+def interrupted(seed=0, again=8, moved=0.0, variant="station"):
+    """A scene whose second half has another zero, and pairs that were measured in both runs."""
+    scene = simulate(seed=seed, angles=arc(11), n=24, layout=low_ring, length_std=STD)
+    problem = scene.problem(length_std=STD, target_std=1e-7, variant=variant)
+    rng = np.random.default_rng(1000 + seed)
+    run = (problem.target >= 12).astype(np.int64)  # all stations at each target, half of them
+    row = np.flatnonzero(run == 0)[:: max(1, 132 // again)][:again]
+    noise = rng.normal(scale=STD, size=len(row)) - rng.normal(scale=STD, size=len(row))
+    length = problem.length[row] + OFFSET + noise
+    length[: len(row) // 2] += moved
+    pairs = Pairs(1, row, length, np.full(len(row), STD), np.zeros((len(row), 3)))
+    changed = replace(problem, length=problem.length + OFFSET * run)
+    return scene, problem, changed, run, pairs
+
+
+def test_the_weighted_mean_and_its_test():
+    join = join_of(3, np.array([1.0, 2.0, 4.0]), np.array([1.0, 1.0, 0.5]))
+    assert join.offset == pytest.approx((1 + 2 + 16) / 6)
+    assert join.std == pytest.approx(6**-0.5)
+    left = np.array([1.0, 2.0, 4.0]) - 19 / 6
+    assert join.sigma0**2 == pytest.approx((left[0] ** 2 + left[1] ** 2 + 4 * left[2] ** 2) / 2)
+    assert join_of(1, np.array([5.0]), np.array([1.0])).probability == 1.0
+
+
+@pytest.mark.parametrize("variant", ["station", "joint"])
+def test_another_zero_is_found_and_leaves_no_trace(variant):
+    _, whole, changed, run, pairs = interrupted(variant=variant)
+    result = solve_joined(changed, run, np.zeros((len(run), 3)), [pairs])
+    undisturbed = solve(whole)
+    join = result.details["joins"][0]
+    assert abs(join["offset_m"] - OFFSET) < 4 * join["offset_std_m"]
+    assert result.verdict == undisturbed.verdict == "ok"
+    # What is left of the offset moves the angles by less than the std that was added for it.
+    moved = np.abs(result.deviations["ECC"] - undisturbed.deviations["ECC"])
+    added = np.sqrt(result.std["ECC"] ** 2 - undisturbed.std["ECC"] ** 2)
+    assert np.all(moved <= 4 * added + 1e-10)
+    assert "joined by 8 steps measured again" in " ".join(result.warnings)
+    # Without the join the other zero is seen.
+    assert solve(changed).verdict != "ok"
+
+
+def test_the_stated_uncertainty_holds_over_many_interruptions():
+    scores = []
+    for seed in range(40):
+        scene, _, changed, run, pairs = interrupted(seed)
+        result = solve_joined(changed, run, np.zeros((len(run), 3)), [pairs])
+        error = result.deviations["ECC"] - scene.deviation
+        scores.append(error[1:] / result.std["ECC"][1:])
+    # std also holds the targets' prior of 1e-7, which the simulation does not use: at most 1.
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.1
+
+
+def test_something_that_moved_makes_the_result_suspect():
+    _, _, changed, run, pairs = interrupted(moved=20 * STD)
+    result = solve_joined(changed, run, np.zeros((len(run), 3)), [pairs])
+    assert result.verdict == "suspect"
+    assert "something moved during the interruption" in " ".join(result.warnings)
+
+
+def test_a_probe_that_came_back_elsewhere_is_reduced_along_the_beam():
+    scene, _, changed, run, pairs = interrupted()
+    station, target = np.divmod(pairs.row, 24)
+    beam = scene.targets[target] - scene.stations[station]
+    beam /= np.linalg.norm(beam, axis=1)[:, None]
+    shift = np.random.default_rng(5).normal(scale=1e-5, size=beam.shape)
+    there = replace(pairs, length=pairs.length + np.einsum("ka,ka->k", beam, shift), shift=shift)
+    still = np.zeros((len(run), 3))
+    plain = solve_joined(changed, run, still, [pairs]).details["joins"][0]
+    reduced = solve_joined(changed, run, still, [there]).details["joins"][0]
+    assert reduced["offset_m"] == pytest.approx(plain["offset_m"], abs=2e-9)
+
+
+def test_without_anything_measured_again_there_is_no_result():
+    _, _, changed, run, pairs = interrupted()
+    none = Pairs(1, pairs.row[:0], pairs.length[:0], pairs.length_std[:0], pairs.shift[:0])
+    with pytest.raises(DataError, match="was measured again in run 1"):
+        solve_joined(changed, run, np.zeros((len(run), 3)), [none])

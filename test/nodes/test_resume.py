@@ -1,0 +1,81 @@
+"""A newcomer kills the calibration and goes on: the whole command, live."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import DEMO, SHORT, wait_until
+
+from rotcal_ros.bags.replay import read_recording
+from rotcal_ros.catalogue import run_of
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def rotcal(monkeypatch):
+    """Return a function that starts ``rotcal run``; what still runs at the end is ended."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    started = []
+
+    def start(*arguments, log):
+        changes = [part for change in SHORT for part in ("--set", change)]
+        command = [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(DEMO), *changes]
+        process = subprocess.Popen(
+            [*command, *map(str, arguments)],
+            stdout=log.with_suffix(".json").open("w"), stderr=log.open("w"),
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(60)
+
+
+def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):
+    folder, log = tmp_path / "out", tmp_path / "first.log"
+    first = rotcal("--output", folder, log=log)
+    bag = folder / "bag" / "bag_0.mcap"
+    told = re.compile(r"(\d+) of 60 steps")
+    wait_until(lambda: max(map(int, told.findall(log.read_text())), default=0) >= 24, "24 steps")
+    first.send_signal(signal.SIGKILL)
+    first.wait(10)
+
+    log = tmp_path / "second.log"
+    second = rotcal("--resume", folder, "--json", log=log)
+    assert second.wait(120) == 0, log.read_text()
+    outcome = json.loads(log.with_suffix(".json").read_text())
+    assert outcome["n_used"] == 59
+    assert set(outcome["files"]) >= {"bag", "result", "truth", "report", "compensation"}
+    assert {p.name for p in bag.parent.glob("*.mcap")} == {"bag_0.mcap", "bag_1.mcap"}
+    assert "done steps are measured again" in log.read_text()
+    assert "gives another result" not in log.read_text()
+
+    result = json.loads((folder / "result.json").read_text())
+    truth = json.loads((folder / "truth.json").read_text())
+    (join,) = result["details"]["joins"]
+    assert join["run"] == 1
+    assert len(join["disagreement_m"]) == 8
+    # The zero of the simulated tracer jumps by 20 um (standard deviation) from start to start.
+    assert abs(join["offset_m"]) > 10 * join["offset_std_m"]
+    error = np.array(result["deviations"]["ECC"]) - truth["deviations"]["ECC"]
+    assert np.all(np.abs(error - error[0]) <= 5 * np.array(result["std"]["ECC"]) + 1e-12)
+
+    recording = read_recording(folder / "bag")
+    assert recording.same_as_recorded
+    assert {run_of(o) for o in recording.observations} == {0, 1}
+    assert recording.solve().to_json() == (folder / "result.json").read_text()
+
+    third = rotcal("--resume", folder, log=tmp_path / "third.log")
+    assert third.wait(60) == 2
+    assert "is finished" in (tmp_path / "third.log").read_text()
