@@ -54,6 +54,7 @@ setup(
             "ros-std-msgs",
             "ros-std-srvs",
         ],
+        "many": ["distributed", "fsspec", "pyarrow"],
         "build": [
             "catkin-pkg",
             "cmake",

@@ -57,22 +57,24 @@ class DurableFile:
 class FolderLock:
     """The right to write in ``folder``; the system takes it back when the process dies.
 
+    Children that inherit ``descriptor`` hold the right as well.
+
     Raises BagError when another process holds it.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._descriptor = os.open(folder, os.O_RDONLY)
+        self.descriptor = os.open(folder, os.O_RDONLY)
         try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            os.close(self._descriptor)
-            raise BagError(f"another recorder still writes in {folder}; end it first") from None
+            os.close(self.descriptor)
+            raise BagError(f"another process still writes in {folder}; end it first") from None
 
     def release(self) -> None:
         """Give the right back; a second call does nothing."""
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
-            self._descriptor = -1
+        if self.descriptor >= 0:
+            os.close(self.descriptor)
+            self.descriptor = -1
 
 
 def write_atomically(path: Path, text: str) -> None:

@@ -22,11 +22,13 @@ class Processes:
     """Named child processes with their output in ``log_folder``; a context manager.
 
     Every child leads a process group of its own, so that Ctrl-C in the terminal reaches only the
-    parent, which then ends the children in the order in which they were started.
+    parent, which then ends the children in the order in which they were started. ``inherited``
+    are descriptors that the children hold too: a lock lasts until the last of them is dead.
     """
 
     log_folder: Path
     environment: Mapping[str, str]
+    inherited: tuple[int, ...] = ()
     children: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def start(self, name: str, command: Sequence[str], *, piped: bool = False) -> None:
@@ -39,6 +41,7 @@ class Processes:
                 stdout=subprocess.PIPE if piped else log,
                 stderr=log,
                 start_new_session=True,
+                pass_fds=self.inherited,
             )
 
     def ended(self) -> dict[str, int]:

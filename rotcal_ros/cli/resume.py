@@ -26,15 +26,15 @@ def resume_session(source: Path, folder: Path, changes: Sequence[str]) -> Sessio
     """Return the session that continues the one in ``folder``; its raw streams say what is left.
 
     Raises ConfigurationError when there is no such session, it is finished, or it was configured
-    otherwise; BagError when another recorder writes there.
+    otherwise; BagError when another process still works there.
     """
     folder = folder.absolute()
     calibration = checked_calibration(source, changes)
     _check_folder(folder, calibration)
+    _wait_for_lock(folder)
     bag = folder / BAG
     if not bag.is_dir():
         return _opened(Session(calibration, folder))
-    _wait_for_lock(bag)
     files = _files(bag)
     recording = _recording(bag, calibration) if files else None
     settings = calibration.configuration.group("planner", PlannerSettings)
@@ -67,14 +67,14 @@ def _check_folder(folder: Path, calibration: Calibration) -> None:
         )
 
 
-def _wait_for_lock(bag: Path) -> None:
-    """Wait until the recorder of the interrupted run has closed its file."""
+def _wait_for_lock(folder: Path) -> None:
+    """Wait until the last node of the interrupted run has ended."""
     deadline = time.monotonic() + LOCK_TIMEOUT_S
     while time.monotonic() < deadline:
         with suppress(BagError):
-            return FolderLock(bag).release()
+            return FolderLock(folder).release()
         time.sleep(_POLL_S)
-    FolderLock(bag).release()
+    FolderLock(folder).release()
     return None
 
 

@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import yaml
 
+from rotcal_ros.bags.durable import FolderLock
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, Continuation, prepare
@@ -93,7 +94,9 @@ class RunningSession:
     """The processes of a session; ``events`` holds what the client tells, then ``end``."""
 
     def __init__(self, session: Session) -> None:
-        self._processes = Processes(session.log_folder, node_environment())
+        self._lock = FolderLock(session.folder)
+        inherited = (self._lock.descriptor,)
+        self._processes = Processes(session.log_folder, node_environment(), inherited)
         self.events: SimpleQueue[dict[str, Any]] = SimpleQueue()
         nodes = [*NODES, "simulated_cell"] if session.simulated else [*NODES]
         try:
@@ -101,7 +104,7 @@ class RunningSession:
                 self._processes.start(name, _node_command(session, name))
             self._processes.start(CLIENT, _client_command(session), piped=True)
         except BaseException:
-            self._processes.end()
+            self._end()
             raise
         Thread(target=self._read, name="client reader", daemon=True).start()
 
@@ -135,7 +138,11 @@ class RunningSession:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
+        self._end()
+
+    def _end(self) -> None:
         self._processes.end()
+        self._lock.release()
 
 
 def require_ros() -> None:

@@ -35,7 +35,7 @@ class CellLinks:
     def __init__(self, node: Node, guarded: Callable[[Callable[..., Any]], Any]) -> None:
         self._node = node
         self.observations: dict[Attempt, Observation] = {}
-        self.receipts: set[Attempt] = set()
+        self.receipts: dict[Attempt, int] = {}
         self.bag_file = ""
         self.current_std = math.nan
         self._plans = self._publisher(CalibrationPlan, "plan", LATCHED)
@@ -97,7 +97,7 @@ class CellLinks:
         self.observations[message.step, message.attempt] = conversions.observation(message)
 
     def _recorded(self, message: RecordedObservation) -> None:
-        self.receipts.add((message.step, message.attempt))
+        self.receipts[message.step, message.attempt] = int(message.lost)
         self.bag_file = message.file
 
     def _solved(self, message: DeviationArray) -> None:

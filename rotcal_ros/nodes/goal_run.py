@@ -168,10 +168,14 @@ class GoalRun:
         progress.step = progress.total
 
     async def _step(self, index: int) -> bool:
-        """Measure one step; False when all attempts failed."""
+        """Measure one step; False when all attempts failed.
+
+        A step during which the recorder lost messages is measured again, as long as attempts
+        are left.
+        """
         step = self._calibration.plan.steps[index]
         limits = self._settings
-        first = self._continuation.run * ATTEMPTS_PER_RUN
+        first, captured = self._continuation.run * ATTEMPTS_PER_RUN, False
         for attempt in range(first, first + limits.max_attempts):
             key = (index, attempt)
             again = f" (attempt {attempt - first + 1})" if attempt > first else ""
@@ -194,8 +198,11 @@ class GoalRun:
                     f"step {index}: no receipt from the recorder within "
                     f"{limits.receipt_timeout_s:g} s ({reason})",
                 )
-            return True
-        return False
+            captured = True
+            if not self._links.receipts[key]:
+                break
+            self.progress.rejected += 1
+        return captured
 
     async def _solve(self) -> str:
         """Return the result in JSON form."""

@@ -7,7 +7,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +23,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import session_files
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
+from rotcal_ros.bags.topics import ROLES
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.conversions import stamp_ns
@@ -32,7 +33,7 @@ from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameter_snapshot import parameters_json
 from rotcal_ros.nodes.parameters import declare_settings
 from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.recording import Attachment, Channel, Messages, Receipt, Recording
+from rotcal_ros.nodes.recording import Attachment, Channel, Messages, Note, Receipt, Recording
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_topics
 from rotcal_ros.nodes.versions import versions_json
@@ -73,6 +74,7 @@ class RecorderNode(Node):
         self._drained: list[DrainedSubscription] = []
         self._refused: dict[str, str] = {}
         self._losses: Counter[str] = Counter()
+        self._lost_told = 0
         self._pending: list[tuple[int, Receipt]] = []
         self._health = Health(self, self._report, self._lost_node)
         guarded = self._health.guarded
@@ -93,7 +95,10 @@ class RecorderNode(Node):
         return done
 
     def _look(self) -> None:
-        """Subscribe to topics that are new in the graph."""
+        """Subscribe to topics that are new in the graph; keep the loss counters in the bag."""
+        losses = self._all_losses()
+        if losses and self._recording is not None and not self._recording.finished:
+            self._recording.put(Note(names.LOSSES, losses))
         for name, type_name in wanted_topics(self).items():
             if name in self._topics or name in self._refused:
                 continue
@@ -122,6 +127,9 @@ class RecorderNode(Node):
         def message_lost(event: Any) -> None:
             self._losses[f"middleware {found.name}"] += event.total_count_change
 
+        def incompatible(event: Any) -> None:
+            self._losses[f"incompatible publisher {found.name}"] += event.total_count_change
+
         self._drained.append(
             DrainedSubscription(
                 self,
@@ -130,7 +138,9 @@ class RecorderNode(Node):
                 found.qos,
                 self._health.guarded(handle),
                 raw=True,
-                event_callbacks=SubscriptionEventCallbacks(message_lost=message_lost),
+                event_callbacks=SubscriptionEventCallbacks(
+                    message_lost=message_lost, incompatible_qos=incompatible
+                ),
             )
         )
 
@@ -173,14 +183,28 @@ class RecorderNode(Node):
         waiting = []
         for window_end_ns, receipt in self._pending:
             if reached is None or reached >= window_end_ns:
-                self._recording.put(receipt)
+                total = self._lost_in_streams()
+                self._recording.put(replace(receipt, lost=total - self._lost_told))
+                self._lost_told = total
             else:
                 waiting.append((window_end_ns, receipt))
         self._pending = waiting
 
+    def _all_losses(self) -> Counter[str]:
+        """Return what was lost since the bag was opened, here and at the full queue."""
+        queued = self._recording.losses if self._recording is not None else Counter[str]()
+        return self._losses + queued
+
+    def _lost_in_streams(self) -> int:
+        """Return how many of the messages were lost that a replay needs."""
+        losses = self._all_losses().items()
+        return sum(count for where, count in losses if where.rpartition("/")[2] in ROLES)
+
     def _confirm(self, receipt: Receipt, file: str) -> None:
         """Publish a receipt; called from the writer's thread."""
-        message = RecordedObservation(step=receipt.step, attempt=receipt.attempt, file=file)
+        message = RecordedObservation(
+            step=receipt.step, attempt=receipt.attempt, lost=receipt.lost, file=file
+        )
         message.header.stamp = self.get_clock().now().to_msg()
         self._receipts.publish(message)
 
@@ -216,6 +240,7 @@ class RecorderNode(Node):
         writer.note(names.RUN, {"number": settings.run})
         self._pending.clear()
         self._losses.clear()
+        self._lost_told = 0
         self._recording = Recording(writer, settings.queue_bytes, self._confirm)
         for name, media_type, text in (
             (names.CONFIGURATION, "application/yaml", request.configuration),
@@ -242,7 +267,7 @@ class RecorderNode(Node):
         response.success = recording.finished and not recording.error
         response.message = recording.error or self._loss_text()
         response.file, response.messages = recording.file, recording.messages
-        response.lost = sum(self._losses.values())
+        response.lost = sum(self._all_losses().values())
         return response
 
     def _close(self) -> None:
@@ -251,8 +276,7 @@ class RecorderNode(Node):
             return
         for drained in self._drained:
             drained.drain()
-        self._losses.update(self._recording.losses)
-        self._recording.losses = Counter(self._losses)
+        self._recording.other_losses = Counter(self._losses)
         self._recording.close()
 
     def _lost_node(self, name: str) -> None:
@@ -262,15 +286,15 @@ class RecorderNode(Node):
             self._close()
 
     def _loss_text(self) -> str:
-        return ", ".join(f"{count} messages: {where}" for where, count in self._losses.items())
+        losses = self._all_losses().items()
+        return ", ".join(f"{count} messages: {where}" for where, count in losses)
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         values: dict[str, Any] = {"topics": len(self._topics), **self._refused}
-        values |= {f"lost {where}": count for where, count in self._losses.items()}
+        values |= {f"lost {where}": count for where, count in self._all_losses().items()}
         recording = self._recording
         if recording is None or recording.finished:
             return "idle", values
-        values |= {f"lost {where}": count for where, count in recording.losses.items()}
         values |= {"file": recording.file, "messages": recording.messages}
         return recording.error or "recording", values
 

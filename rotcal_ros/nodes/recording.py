@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
@@ -55,10 +55,19 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Receipt:
-    """A request to confirm that everything before it is on disk."""
+    """A request to confirm that everything before it is on disk; ``lost`` messages are not."""
 
     step: int
     attempt: int
+    lost: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A metadata record."""
+
+    name: str
+    values: Mapping[str, object]
 
 
 class _Close:
@@ -69,7 +78,8 @@ class Recording:
     """One bag being written. ``confirm`` is called from the thread, after the sync.
 
     After a failure of the disk ``error`` says why, nothing is confirmed any more, and what still
-    arrives counts as lost.
+    arrives counts as lost. ``losses`` are those at the full queue, ``other_losses`` what the owner
+    knows of besides; both are kept in the bag.
     """
 
     def __init__(
@@ -83,6 +93,7 @@ class Recording:
         self._lock = Lock()
         self._channels: dict[Channel, int] = {}
         self.losses: Counter[str] = Counter()
+        self.other_losses: Counter[str] = Counter()
         self.messages = 0
         self.error = ""
         self._thread = Thread(target=self._work, name="bag writer", daemon=True)
@@ -98,7 +109,7 @@ class Recording:
         """Whether the bag is closed."""
         return not self._thread.is_alive()
 
-    def put(self, item: Messages | Attachment | Receipt) -> None:
+    def put(self, item: Messages | Attachment | Receipt | Note) -> None:
         """Queue ``item``; messages that find the queue full are lost and counted."""
         if isinstance(item, Messages):
             size = item.size()
@@ -145,6 +156,8 @@ class Recording:
             self._confirm(item, self.file)
         elif isinstance(item, Attachment):
             self._writer.attach(item.name, item.media_type, item.data)
+        elif isinstance(item, Note):
+            self._writer.note(item.name, item.values)
         self._writer.tick(time.monotonic_ns())
 
     def _write(self, messages: Messages) -> None:
@@ -170,6 +183,7 @@ class Recording:
 
     def _finish(self) -> None:
         """Keep the loss counters in the bag and close it."""
-        if self.losses and not self._writer.closed:
-            self._writer.note(names.LOSSES, dict(self.losses))
+        losses = self.losses + self.other_losses
+        if losses and not self._writer.closed:
+            self._writer.note(names.LOSSES, losses)
         self._writer.close()

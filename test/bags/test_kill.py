@@ -197,5 +197,5 @@ def test_a_folder_without_the_right_to_write_is_one_clear_sentence(processes, tm
 
 
 def test_two_recorders_never_share_a_folder(tmp_path):
-    with BagWriter(tmp_path / "bag"), pytest.raises(Exception, match="another recorder still"):
+    with BagWriter(tmp_path / "bag"), pytest.raises(Exception, match="another process still"):
         BagWriter(tmp_path / "bag", earlier=())

@@ -1,0 +1,103 @@
+"""``rotcal reprocess``: many bags through capture and solver with one configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rotcal_ros.cli.console import json_option, print_json, progress_bar, say
+
+if TYPE_CHECKING:
+    from rotcal_ros.bags.many import Job, Outcome
+
+BAD = 1
+path_type = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("sources", nargs=-1, required=True, metavar="BAG|FOLDER|GLOB|LIST...")
+@click.option("--setup", type=path_type, required=True, help="Configuration for all bags.")
+@click.option(
+    "-o",
+    "--output",
+    type=path_type,
+    default=Path("out/reprocessed"),
+    show_default=True,
+    help="Folder for table, overview page and what need not be repeated.",
+)
+@click.option("--workers", type=click.IntRange(min=1), help="Processes; default: all cores.")
+@click.option("--scheduler", metavar="tcp://...", help="Use the workers of a Dask cluster.")
+@json_option
+def command(
+    sources: tuple[str, ...],
+    setup: Path,
+    output: Path,
+    workers: int | None,
+    scheduler: str | None,
+    as_json: bool,
+) -> int:
+    """Solve every bag that the arguments name, and show the trend of each table over time.
+
+    Bags may be local or remote (s3://..., through fsspec). What was solved before with the same
+    content and configuration is not solved again. One bad bag does not stop the rest; the exit
+    code is then 1.
+    """
+    from rotcal_ros.bags.many import Job, find_bags
+    from rotcal_ros.bags.workers import on_all_cores, on_cluster
+    from rotcal_ros.configuration import read_configuration
+    from rotcal_ros.report.many import in_time, write_overview, write_table
+
+    configuration = read_configuration(setup)
+    bags = find_bags(sources)
+    cache = (output / "cache").absolute()
+    cache.mkdir(parents=True, exist_ok=True)
+    jobs = [Job(bag, configuration, str(cache)) for bag in bags]
+    running = on_cluster(jobs, scheduler) if scheduler else on_all_cores(jobs, workers)
+    outcomes = in_time(_followed(running, jobs))
+    write_table(outcomes, output / "results.parquet")
+    write_overview(outcomes, configuration.text, output / "overview.html")
+    bad = [outcome for outcome in outcomes if outcome.error]
+    if as_json:
+        print_json(_summary(outcomes, output))
+    else:
+        repeated = sum(outcome.cached for outcome in outcomes)
+        click.echo(
+            f"{len(outcomes)} bags: {len(outcomes) - len(bad)} solved ({repeated} of them "
+            f"before), {len(bad)} without a result"
+        )
+        click.echo(f"table:        {(output / 'results.parquet').absolute()}")
+        click.echo(f"overview:     {(output / 'overview.html').absolute()}")
+    return BAD if bad else 0
+
+
+def _followed(running: Iterator[Outcome], jobs: list[Job]) -> list[Outcome]:
+    """Collect the outcomes under a progress bar; tell bad bags at once."""
+    outcomes = []
+    with progress_bar() as bar:
+        task = bar.add_task("solving", total=len(jobs))
+        for outcome in running:
+            outcomes.append(outcome)
+            bar.advance(task)
+            if outcome.error:
+                say(f"{outcome.source}: {outcome.error}")
+    return outcomes
+
+
+def _summary(outcomes: list[Outcome], output: Path) -> dict[str, object]:
+    return {
+        "bags": [
+            {
+                "source": outcome.source,
+                "table": outcome.table,
+                "verdict": outcome.result["verdict"] if outcome.result else None,
+                "error": outcome.error,
+                "cached": outcome.cached,
+            }
+            for outcome in outcomes
+        ],
+        "table": str((output / "results.parquet").absolute()),
+        "overview": str((output / "overview.html").absolute()),
+    }

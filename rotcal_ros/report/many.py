@@ -1,0 +1,166 @@
+"""The results of many bags: one Parquet table, one overview page with the trend over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from rotcal_ros import __version__
+from rotcal_ros.bags.many import Outcome
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.report import style
+from rotcal_ros.report.figures import COVERAGE_FACTOR, unit_of
+from rotcal_ros.results import COMPONENTS
+
+
+def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
+    """Write one row per bag, angle and component as Parquet; SI, deviation = actual - commanded.
+
+    A bag without a result has one row with its error and nothing else.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise ConfigurationError(
+            "the Parquet table needs pyarrow: pip install 'rotcal_ros[many]'"
+        ) from error
+    schema = pa.schema(
+        [
+            ("source", pa.string()),
+            ("table", pa.string()),
+            ("key", pa.string()),
+            ("start", pa.timestamp("ns", tz="UTC")),
+            ("verdict", pa.string()),
+            ("error", pa.string()),
+            ("sigma0", pa.float64()),
+            ("n_observations", pa.int64()),
+            ("n_rejected", pa.int64()),
+            ("component", pa.string()),
+            ("angle_rad", pa.float64()),
+            ("deviation", pa.float64()),
+            ("std", pa.float64()),
+        ]
+    )
+    rows = [row for outcome in outcomes for row in _rows(outcome)]
+    temporary = path.with_name(path.name + ".part")
+    parquet.write_table(pa.Table.from_pylist(rows, schema), temporary)
+    temporary.replace(path)
+
+
+def write_overview(outcomes: Sequence[Outcome], configuration_text: str, path: Path) -> None:
+    """Write the page: the trend of every component over time, and one row per bag."""
+    environment = Environment(
+        loader=PackageLoader("rotcal_ros.report", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    text = environment.get_template("overview.html.j2").render(
+        version=__version__,
+        rows=[_summary(outcome) for outcome in outcomes],
+        figures=[(name, _trend(outcomes, name)) for name in _components(outcomes)],
+        bad=sum(bool(outcome.error) for outcome in outcomes),
+        configuration_text=configuration_text,
+    )
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)
+
+
+def in_time(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Return the outcomes in order of recording; those without a time at the end."""
+    return sorted(outcomes, key=lambda o: (o.start_ns is None, o.start_ns or 0, o.source))
+
+
+def _rows(outcome: Outcome) -> list[dict[str, Any]]:
+    common: dict[str, Any] = {
+        "source": outcome.source,
+        "table": outcome.table,
+        "key": outcome.key,
+        "start": outcome.start_ns,
+        "error": outcome.error or None,
+    }
+    result = outcome.deviations()
+    if result is None:
+        return [common]
+    common |= {
+        "verdict": result.verdict,
+        "sigma0": result.sigma0,
+        "n_observations": result.n_observations,
+        "n_rejected": len(result.rejected),
+    }
+    return [
+        {**common, "component": name, "angle_rad": angle, "deviation": deviation, "std": std}
+        for name in COMPONENTS
+        if name in result.deviations
+        for angle, deviation, std in zip(
+            result.angles.tolist(),
+            result.deviations[name].tolist(),
+            result.std[name].tolist(),
+            strict=True,
+        )
+    ]
+
+
+def _components(outcomes: Sequence[Outcome]) -> list[str]:
+    known = {name for o in outcomes if o.result for name in o.result["deviations"]}
+    return [name for name in COMPONENTS if name in known]
+
+
+def _summary(outcome: Outcome) -> dict[str, Any]:
+    result = outcome.deviations()
+    ranges = []
+    if result is not None:
+        for name in COMPONENTS:
+            if name in result.deviations:
+                factor, unit = unit_of(name)
+                ranges.append(f"{name} {np.ptp(result.deviations[name]) / factor:.3g} {unit}")
+    return {
+        "source": outcome.source,
+        "table": outcome.table,
+        "start": _time(outcome.start_ns),
+        "verdict": result.verdict if result is not None else "no result",
+        "span": ", ".join(ranges),
+        "notes": [outcome.error] if outcome.error else [*_warnings(outcome)],
+    }
+
+
+def _warnings(outcome: Outcome) -> tuple[str, ...]:
+    result = outcome.deviations()
+    return (*outcome.warnings, *(result.warnings if result is not None else ()))
+
+
+def _time(start_ns: int | None) -> str:
+    if start_ns is None:
+        return ""
+    return f"{datetime.fromtimestamp(start_ns / 1e9, timezone.utc):%Y-%m-%d %H:%M:%S}"
+
+
+@style.styled
+def _trend(outcomes: Sequence[Outcome], name: str) -> str:
+    """Draw the range of one component over time with its uncertainty (k = 2), table by table."""
+    factor, unit = unit_of(name)
+    (axes,) = style.grid(height=2.8)
+    for table in sorted({outcome.table for outcome in outcomes}):
+        points = []
+        for outcome in outcomes:
+            result = outcome.deviations()
+            known = result is not None and name in result.deviations
+            if known and outcome.table == table and outcome.start_ns is not None:
+                points.append((outcome.start_ns, result.deviations[name], result.std[name]))  # type: ignore[union-attr]
+        if points:
+            times = np.array([p[0] for p in points], dtype="datetime64[ns]")
+            spans = [np.ptp(p[1]) / factor for p in points]
+            bands = [COVERAGE_FACTOR * float(p[2].max()) / factor for p in points]
+            axes.errorbar(times, spans, bands, fmt="o-", markersize=4, capsize=2, label=table)
+    axes.set_ylabel(f"{name}, range / {unit}")
+    axes.set_ylim(bottom=0)
+    axes.legend(loc="best")
+    return style.svg(axes)
