@@ -22,7 +22,7 @@ from rotcal_ros.errors import BagError, ConfigurationError
 
 SEEDS = (5, 6, 7)
 _groups = parse_configuration(SAMPLE).groups
-PLAN = {**_groups["plan"], "box_points": [3, 3, 2], "table_positions": 5}
+PLAN = {**_groups["plan"], "box_points": [3, 2, 2], "table_positions": 5}
 CONFIGURATION = dump_configuration(
     "tracer_multistation", {**_groups, "plan": PLAN, "solver": {"variant": "station"}}
 )
@@ -69,7 +69,10 @@ def test_each_outcome_equals_the_bag_solved_alone_and_one_bad_bag_stops_nobody(j
     assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
     assert "is no MCAP file" in outcomes[-1].error
     for job, outcome in zip(jobs[:3], outcomes[:3], strict=True):
-        assert outcome.result == read_recording(Path(job.source)).solve().to_dict()
+        assert (
+            outcome.result
+            == read_recording(Path(job.source), configuration=job.configuration).solve().to_dict()
+        )
 
 
 def test_work_that_is_done_is_not_repeated_until_bag_or_configuration_change(jobs, tmp_path):
@@ -103,7 +106,9 @@ def test_the_verb_writes_table_and_overview(fleet, tmp_path):
     assert "4 bags: 3 solved (0 of them before), 1 without a result" in answer.output
     table = parquet.read_table(tmp_path / "out" / "results.parquet")
     assert table.num_rows == 3 * 5 + 1
-    result = read_recording(fleet / "run_6" / "bag").solve()
+    result = read_recording(
+        fleet / "run_6" / "bag", configuration=parse_configuration(CONFIGURATION)
+    ).solve()
     rows = [row for row in table.to_pylist() if "run_6" in row["source"]]
     assert [row["deviation"] for row in rows] == result.deviations["ECC"].tolist()
     assert [row["std"] for row in rows] == result.std["ECC"].tolist()

@@ -1,0 +1,76 @@
+"""Our bags as Foxglove's own libraries read them: @mcap/core and @foxglove/rosmsg2-serialization."""
+
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from bag_samples import simulate, write_run
+
+from rotcal_ros.bags.writer import WriterSettings
+from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
+
+HERE = Path(__file__).parent / "node"
+REQUIRED = bool(os.environ.get("ROTCAL_REQUIRE_NODE"))
+
+
+@pytest.fixture(scope="module")
+def reader():
+    """Return a function that reads a bag on Node.js; its packages get a folder of their own."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        if REQUIRED:
+            pytest.fail("Node.js is required here (ROTCAL_REQUIRE_NODE): install nodejs and npm")
+        pytest.skip("Node.js is not installed: apt install nodejs npm")
+    package = (HERE / "package.json").read_bytes()
+    name = f"rotcal_node_{hashlib.sha256(package).hexdigest()[:12]}"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / name
+    if not (cache / "installed").exists():
+        cache.mkdir(parents=True, exist_ok=True)
+        shutil.copy(HERE / "package.json", cache)
+        command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts"]
+        subprocess.run(command, cwd=cache, check=True, timeout=300, capture_output=True)
+        (cache / "installed").touch()
+    shutil.copy(HERE / "read_bag.mjs", cache)
+
+    def read(path):
+        command = ["node", str(cache / "read_bag.mjs"), str(path)]
+        lines = subprocess.run(command, check=True, timeout=120, capture_output=True, text=True)
+        found = {}
+        for line in lines.stdout.splitlines():
+            message = json.loads(line)
+            found.setdefault(message["topic"], []).append(message["value"])
+        return found
+
+    return read
+
+
+def stamp_ns(value):
+    stamp = value["header"]["stamp"]
+    return stamp["sec"] * 10**9 + stamp["nsec"]
+
+
+def test_every_message_is_read_with_the_same_values(reader, tmp_path):
+    run = simulate()
+    counts = write_run(tmp_path / "bag", run, WriterSettings(chunk_bytes=20_000, min_free_bytes=0))
+    found = reader(tmp_path / "bag" / "bag_0.mcap")
+    assert {topic: len(values) for topic, values in found.items()} == {
+        topic: count for topic, count in counts.items() if count
+    }
+    tracer = [r for r in run.records if isinstance(r, TracerSample)]
+    assert [(stamp_ns(v), v["sequence"], v["length"]) for v in found["/cell/tracer_length"]] == [
+        (r.stamp_ns, r.sequence, r.length) for r in tracer
+    ]
+    table = [r for r in run.records if isinstance(r, TableSample)]
+    assert [(v["name"], v["position"]) for v in found["/cell/joint_states"]] == [
+        (["table"], [r.angle]) for r in table
+    ]
+    probe = [r for r in run.records if isinstance(r, ProbeSample)]
+    assert [(v["step"], v["position"]) for v in found["/cell/probe_point"]] == [
+        (r.step, list(r.position)) for r in probe
+    ]
+    assert [(v["step"], v["mean"], v["accepted"]) for v in found["/cell/observation"]] == [
+        (o.step, list(o.mean), o.accepted) for o in run.observations
+    ]
