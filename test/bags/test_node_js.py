@@ -1,4 +1,4 @@
-"""Our bags as Foxglove's own libraries read them: @mcap/core and @foxglove/rosmsg2-serialization."""
+"""Our bags as Foxglove reads them: @mcap/core and @foxglove/rosmsg2-serialization."""
 
 import hashlib
 import json
@@ -49,7 +49,7 @@ def reader():
 
 def stamp_ns(value):
     stamp = value["header"]["stamp"]
-    return stamp["sec"] * 10**9 + stamp["nsec"]
+    return stamp["sec"] * 10**9 + stamp["nanosec"]
 
 
 def test_every_message_is_read_with_the_same_values(reader, tmp_path):
