@@ -27,6 +27,7 @@ GROUPS: Final = (
     "planner",
     "recorder",
     "bridge",
+    "topics",
     "simulation",
 )
 """Groups of settings that a configuration may hold, besides ``method``."""

@@ -11,6 +11,7 @@ from rotcal_ros import catalogue
 from rotcal_ros.bags import names, records
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.foreign import StepFinder, TopicSettings
 from rotcal_ros.bags.reader import (
     Progress,
     Scan,
@@ -93,7 +94,14 @@ def read_recording(
         configuration = find_configuration(files, topics)
     calibration = catalogue.prepare(configuration)
     settings = configuration.group("capture", CaptureSettings)
-    feeder = StreamFeeder(lambda: Capture(calibration.plan, settings), joint_name(configuration))
+    foreign = configuration.group("topics", TopicSettings)
+    topics.renamed = {**foreign.renamed(), **topics.renamed}
+    feeder = StreamFeeder(
+        lambda: Capture(calibration.plan, settings),
+        joint_name(configuration),
+        StepFinder(calibration.plan, settings),
+        foreign,
+    )
     recorded: list[Observation] = []
     scans: list[Scan] = []
     decoders: Decoders = {}

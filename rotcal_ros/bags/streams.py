@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from rotcal_ros.bags import names, records
 from rotcal_ros.bags.blocks import Block, Indices
 from rotcal_ros.bags.decode import Columns
+from rotcal_ros.bags.foreign import (
+    FLOAT,
+    POINT,
+    Position,
+    Speedometer,
+    StepFinder,
+    TopicSettings,
+)
 from rotcal_ros.bags.topics import Part
-from rotcal_ros.observations import Command, Observation, TableSample
+from rotcal_ros.observations import Command, LengthStatus, Observation, TableSample
 
 _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 _TRACER: Final = (*_STAMP, "sequence", "length", "status")
@@ -52,11 +60,21 @@ class StreamFeeder:
     capture for each run. ``joint`` names the table among the joint states; empty means the first.
     """
 
-    def __init__(self, make: Callable[[], Capture], joint: str = "") -> None:
+    def __init__(
+        self,
+        make: Callable[[], Capture],
+        joint: str = "",
+        finder: StepFinder | None = None,
+        topics: TopicSettings | None = None,
+    ) -> None:
         self.observations: list[Observation] = []
         self._make = make
         self._captures = [make()]
         self._joint = joint
+        self._finder = finder
+        self._units = topics or TopicSettings()
+        self._speed = Speedometer()
+        self._counted = 0
         self._half_orders: dict[tuple[str, int, int], Any] = {}
         self._makers: dict[str, Callable[[Any], Any]] = {
             names.PROBE_POINT: records.probe_sample,
@@ -111,18 +129,70 @@ class StreamFeeder:
                 )
             last_row = readings["row"][cut] if cut < len(readings) else math.inf
             while done < len(others) and others[done][0] < last_row:
-                self.observations += self._capture.feed(others[done][1])
+                for record in self._understood(others[done][1]):
+                    self.observations += self._capture.feed(record)
                 done += 1
             begin = cut
 
+    def _understood(self, record: Any) -> Iterator[Any]:
+        """Yield the records for the capture; a foreign position becomes the step it stands at."""
+        if isinstance(record, Position):
+            answer = self._finder.probe(record) if self._finder else None
+        else:
+            yield record
+            is_table = isinstance(record, TableSample)
+            answer = self._finder.table(record) if is_table and self._finder else None
+        if answer is not None:
+            yield answer
+
+    def _floats(self, block: Block, part: Part) -> tuple[Indices, Indices, NDArray[Any]]:
+        """Return rows, log times (ns) and values (n,) of a topic of bare numbers."""
+        shapes = list(part.decoder.columns(block.select(part.rows), ("data",)))
+        rows = np.concatenate([part.rows[c.rows] for c in shapes])
+        values = np.concatenate([c.values["data"] for c in shapes])
+        order = np.argsort(rows)
+        rows = rows[order]
+        return rows, block.headers["log_time"][rows].astype(np.int64), values[order]
+
+    def _bare_readings(self, block: Block, part: Part) -> NDArray[np.void]:
+        """Return readings of a topic of bare lengths, numbered as they came."""
+        rows, stamps, values = self._floats(block, part)
+        readings = np.zeros(len(rows), _READING)
+        readings["row"], readings["stamp_ns"] = rows, stamps
+        readings["length"] = values * self._units.length_unit_m
+        readings["sequence"] = (self._counted + np.arange(len(rows))) % (1 << 32)
+        readings["status"] = int(LengthStatus.OK)
+        self._counted += len(rows)
+        return readings
+
+    def _bare_angles(self, block: Block, part: Part) -> Iterator[Numbered]:
+        rows, stamps, values = self._floats(block, part)
+        angles = (values * self._units.angle_unit_rad).tolist()
+        yield from zip(
+            rows.tolist(), map(self._speed.sample, stamps.tolist(), angles), strict=True
+        )
+
+    def _positions(self, block: Block, part: Part) -> Iterator[Numbered]:
+        for row, message in part.messages(block):
+            point = message.point
+            yield (
+                row,
+                Position(records.stamp_ns(message.header.stamp), (point.x, point.y, point.z)),
+            )
+
     def _readings(self, block: Block, part: Part) -> NDArray[np.void]:
         """Return the tracer readings of a block in file order."""
+        if part.decoder.channel.type_name == FLOAT:
+            return self._bare_readings(block, part)
         shapes = part.decoder.columns(block.select(part.rows), _TRACER)
         readings = np.concatenate([_no_readings(), *(_readings_of(c, part) for c in shapes)])
         return readings[np.argsort(readings["row"], kind="stable")]
 
     def _table_samples(self, block: Block, part: Part) -> Iterator[Numbered]:
         wanted = (*_STAMP, "position", "velocity")
+        if part.decoder.channel.type_name == FLOAT:
+            yield from self._bare_angles(block, part)
+            return
         for columns in part.decoder.columns(block.select(part.rows), wanted):
             index = records.joint_index(columns.layout.texts.get("name", []), self._joint)
             position, velocity = columns.values["position"], columns.values["velocity"]
@@ -143,6 +213,9 @@ class StreamFeeder:
 
     def _single(self, block: Block, part: Part) -> Iterator[Numbered]:
         """Yield the records of a slow topic, message by message."""
+        if part.decoder.channel.type_name == POINT:
+            yield from self._positions(block, part)
+            return
         for row, message in part.messages(block):
             record = self._makers[part.role](message)
             if record is not None:
