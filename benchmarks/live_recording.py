@@ -99,7 +99,7 @@ class Recorder:
     """The recorder as a process, driven by its services."""
 
     def __init__(self, folder: Path) -> None:
-                self._process = started(
+        self._process = started(
             "-m", "rotcal_ros.nodes.recorder", "--ros-args",
             "-p", f"recorder.folder:={json.dumps(str(folder))}",
         )  # fmt: skip
@@ -121,7 +121,9 @@ class Recorder:
         rclpy.shutdown()
 
     def measure(self, rate: float, seconds: float) -> dict[str, Any]:
-        opened = self.call(StartRecording, "start_recording", StartRecording.Request(plan_id="bench"))
+        opened = self.call(
+            StartRecording, "start_recording", StartRecording.Request(plan_id="bench")
+        )
         before, begin = self._usage(), time.monotonic()
         real, sent = loaded(rate, seconds)
         used, memory = self._usage()

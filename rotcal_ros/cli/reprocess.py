@@ -17,7 +17,7 @@ BAD = 1
 path_type = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(short_help="Solve many bags with one configuration, on all cores or a cluster.")
 @click.argument("sources", nargs=-1, required=True, metavar="BAG|FOLDER|GLOB|LIST...")
 @click.option("--setup", type=path_type, required=True, help="Configuration for all bags.")
 @click.option(
