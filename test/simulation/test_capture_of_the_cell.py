@@ -19,6 +19,11 @@ CONFIG = Path(__file__).parents[2] / "config"
 ATTEMPTS = 3
 
 
+def with_fixed_zero(settings):
+    """Let the tracer read zero at the stated dead distance, whenever it was started."""
+    return replace(settings, tracer=replace(settings.tracer, zero_shift_um=0.0))
+
+
 def measure(plan, cell, capture):
     """Measure every step; yield (observation, true reading at the window's end, records)."""
     for step in plan.steps:
@@ -44,7 +49,7 @@ def load(name):
     configuration = read_configuration(CONFIG / name)
     return (
         prepare(configuration).plan,
-        configuration.group("simulation", SimulationSettings),
+        with_fixed_zero(configuration.group("simulation", SimulationSettings)),
         configuration.group("capture", CaptureSettings),
         configuration.group("solver", TracerSolverSettings),
     )
