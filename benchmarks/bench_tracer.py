@@ -1,6 +1,6 @@
 """Tracer solvers against scipy's Levenberg-Marquardt with analytic Jacobians, side by side.
 
-``rows()`` yields one measurement each; both sides run alternately and the best time of each counts.
+``rows()`` yields one measurement each. Both sides run alternately; the best time of each counts.
 """
 
 import os
@@ -53,7 +53,7 @@ def problem(m: int, n: int, step_deg: float, **options: object) -> TracerProblem
 def race(
     ours: Callable[[], np.ndarray], opponent: Callable[[], np.ndarray], repeats: tuple[int, int]
 ) -> tuple[float, float, float]:
-    """Return both best times and the largest difference; runs alternate: (ours, opponent) times."""
+    """Return both best times and the largest difference; ``repeats`` are (ours, opponent)."""
     best, answers = [np.inf, np.inf], [ours(), opponent()]
     for round_ in range(max(repeats)):
         for side, function in enumerate((ours, opponent)):

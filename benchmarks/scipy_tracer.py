@@ -27,9 +27,7 @@ def station_slope(p, targets, length):
 
 def locate_station(targets, length, start):
     """Return (X, Y, Z, d) of one station."""
-    return least_squares(
-        station_misfit, start, station_slope, args=(targets, length), **EXACT
-    ).x
+    return least_squares(station_misfit, start, station_slope, args=(targets, length), **EXACT).x
 
 
 @dataclass(frozen=True)

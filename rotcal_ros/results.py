@@ -143,9 +143,11 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return value.tolist()
+        return _plain(value.tolist())
+    if isinstance(value, float) and value != value:
+        return None  # JSON has no NaN; reading null back into an array gives NaN again
     if isinstance(value, np.generic):
-        return value.item()
+        return _plain(value.item())
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value

@@ -9,6 +9,7 @@ from math import dist, isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rotcal_ros.capture.attempt import (
     Attempt,
@@ -23,7 +24,7 @@ from rotcal_ros.capture.length import decide_length
 from rotcal_ros.capture.plausibility import LengthCheck
 from rotcal_ros.capture.points import decide_points
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts, Values
+from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts
 from rotcal_ros.capture.window import TracerStream
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import (
@@ -53,7 +54,8 @@ class Capture:
     time) behind another, equal streams give equal observations to the last bit. A stream that
     falls further behind rejects the attempt: it is silent, or stamped by another clock.
 
-    Commands are only compared with the plan: what counts is what the machine did.
+    Nor does it matter how long before the first attempt the capture began to listen. Commands
+    are only compared with the plan: what counts is what the machine did.
     """
 
     def __init__(self, plan: Plan, settings: CaptureSettings) -> None:
@@ -72,6 +74,7 @@ class Capture:
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
         self._probe_stamp: int | None = None
+        self._run_begin_ns: int | None = None
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
         self._waiting: Wait | None = None
@@ -90,15 +93,16 @@ class Capture:
         return self._takers[type(record)](record)
 
     def feed_tracer(
-        self, stamp_ns: Stamps, sequence: Values, length: Values, status: Values
+        self,
+        stamp_ns: Stamps,
+        sequence: NDArray[Any],
+        length: NDArray[Any],
+        status: NDArray[Any],
     ) -> Observations:
         """Take many tracer readings at once, all arrays (n,); same answer as one by one."""
-        self._streams.tracer.flush()
-        self._streams.tracer.admit(
-            np.asarray(stamp_ns, dtype=np.int64),
-            np.column_stack([sequence, length, status]).astype(np.float64),
-        )
-        return self._decide()
+        stamps = np.asarray(stamp_ns, dtype=np.int64)
+        due = self._streams.tracer.stage_many(stamps, (sequence, length, status))
+        return self._decide() if due else ()
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
@@ -191,12 +195,18 @@ class Capture:
 
     def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
         step = self._plan.steps[sample.step]
-        if self._streams.since_ns is None:
-            self._streams.since_ns = sample.stamp_ns
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        attempt = Attempt(step, sample.attempt, [sample], search_ns=sample.stamp_ns)
+        if self._run_begin_ns is None:
+            self._run_begin_ns = sample.stamp_ns
+        attempt = Attempt(
+            step,
+            sample.attempt,
+            [sample],
+            search_ns=sample.stamp_ns,
+            run_begin_ns=self._run_begin_ns,
+        )
         attempt.points_seen.add(sample.point)
         attempt.refusal = self._refusal(attempt, sample)
         self._pending.append(attempt)
@@ -266,11 +276,14 @@ class Capture:
 
     def _judge(self, attempt: Attempt) -> Observation | Wait:
         """Judge an attempt by the streams; a temperature too far behind is done without."""
-        wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
+        wait = missing_temperature(self._streams, attempt, self._settings)
         if wait is not None and not self._too_far_behind(attempt, wait):
             return wait
         decide = decide_length if attempt.step.kind == PointKind.REFLECTOR else decide_points
-        return decide(attempt, self._streams, self._settings)
+        outcome = decide(attempt, self._streams, self._settings)
+        if wait is not None and isinstance(outcome, Observation):
+            self._remarks.append(f"step {attempt.step.index}: no temperature came in time")
+        return outcome
 
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:
         """Let every stream report when it brings what is needed, or gets too far ahead."""

@@ -63,7 +63,8 @@ def _start(
         )
     if table.latest is not None:
         attempt.search_ns = max(attempt.search_ns, table.latest + 1)
-    return Wait(table, attempt.search_ns)
+    # No window can end sooner than this: looking earlier would be in vain.
+    return Wait(table, min(attempt.search_ns + nanoseconds(settings.settle_time_s), deadline))
 
 
 def _window(
@@ -103,5 +104,5 @@ def _observe(
         n_samples=len(stamps),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
-        temperature_c=temperature_at(streams, attempt.begin_ns, settings),
+        temperature_c=temperature_at(streams, attempt, settings),
     )

@@ -76,8 +76,8 @@ class CaptureSettings:
     )
     temperature_lag_s: float = setting(
         3.0,
-        doc="s, the temperature is read this long before the probe reached its target, so that "
-        "no observation waits for a slow sensor",
+        doc="s, the temperature was read at least this long before the probe reached its target, "
+        "so that no observation but the first waits for a slow sensor",
         minimum=0.0,
         maximum=3600.0,
     )

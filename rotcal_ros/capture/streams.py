@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,14 +80,27 @@ class Stream:
 
     def stage(self, stamp_ns: int, values: tuple[float, ...]) -> bool:
         """Take one sample for later admission; return whether a decision may be due."""
-        staged = self._staged_stamps
-        staged.append(stamp_ns)
+        self._staged_stamps.append(stamp_ns)
         self._staged_values.append(values)
-        if len(staged) >= _STAGE:
-            return True
-        if stamp_ns < self.wake_ns:
+        return self._due(stamp_ns)
+
+    def stage_many(self, stamps: Stamps, columns: Sequence[NDArray[Any]]) -> bool:
+        """Take samples (n,) with columns (n,); return whether a decision may be due."""
+        if not len(stamps):
             return False
-        return len(staged) >= self.wake_samples or stamp_ns >= self.wake_latest_ns
+        if len(stamps) >= _STAGE:
+            self.flush()
+            self.admit(stamps, np.column_stack(columns).astype(np.float64))
+            return True
+        self._staged_stamps += stamps.tolist()
+        self._staged_values += zip(*(column.tolist() for column in columns), strict=True)
+        return self._due(int(stamps.max()))
+
+    def _due(self, stamp_ns: int) -> bool:
+        staged = len(self._staged_stamps)
+        if stamp_ns < self.wake_ns:
+            return staged >= _STAGE
+        return staged >= self.wake_samples or stamp_ns >= self.wake_latest_ns
 
     def flush(self) -> None:
         """Admit the staged samples; until told otherwise, the next one is worth a decision."""

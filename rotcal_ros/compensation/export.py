@@ -7,7 +7,9 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controllers import controller, make_settings
@@ -18,7 +20,7 @@ from rotcal_ros.compensation.writing import check_stem
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import ARCSEC, DEGREE
 
-SCHEMA = 1
+SCHEMA: Final = 1
 
 
 @dataclass(frozen=True)
@@ -57,17 +59,11 @@ def prepare_export(
     """
     kind = controller(controller_name)
     made = make_settings(controller_name, settings or {})
-    _refuse_verdict(table)
-    if axis is not None and check_axis(axis) != table.axis:
-        raise ConfigurationError(
-            f"the table is for axis {table.axis} and the export for axis {axis}: nothing written"
-        )
     unverified = kind.unverified(made)
-    if unverified and not accept_unverified:
-        raise ConfigurationError(
-            f"{kind.title}: not verified is {'; '.join(unverified)}. Give --accept-unverified to "
-            "write the file all the same, and test it with one small value first"
-        )
+    _refuse_verdict(table)
+    _refuse_other_axis(table, axis)
+    if not accept_unverified:
+        _refuse_unverified(kind, unverified)
     name = check_stem(stem or f"{table.axis}_{controller_name}".lower())
     shifted = resample(table, reference_angle=reference_angle)
     rows = resample(shifted, spacing)
@@ -77,21 +73,15 @@ def prepare_export(
     _refuse_harm(residual, kind.title)
     warnings = (*table.warnings, *(f"not verified: {text}" for text in unverified))
     side = {
+        "schema": SCHEMA,
         "written": now.isoformat(timespec="seconds"),
         **_origin(table, sources),
         **_controller_facts(kind, made),
-        "files_sha256": {file: _sha256(text) for file, text in files.items()},
-        "rows": len(rows.angles),
-        "spacing_deg": None if spacing is None else spacing / DEGREE,
-        "reference_angle_deg": shifted.reference_angle / DEGREE,
-        **_left(residual),
-        "blind_to": (
-            f"what repeats more than {len(table.angles) // 2} times in the range of the "
-            f"{len(table.angles)} angles that the table came with"
-        ),
+        **_written_rows(rows, files),
+        **_left(residual, table),
         "warnings": list(warnings),
     }
-    text = json.dumps({"schema": SCHEMA, **side}, indent=1, allow_nan=False) + "\n"
+    text = json.dumps(side, indent=1, allow_nan=False) + "\n"
     return ExportFiles(
         files={**files, f"{name}.provenance.json": text},
         residual=residual,
@@ -107,6 +97,21 @@ def _refuse_verdict(table: CompensationTable) -> None:
         raise DataError(
             f"the verdict of the {table.method} result is '{table.verdict}'{said}: only 'ok' may "
             "be fed to a controller; nothing was written"
+        )
+
+
+def _refuse_other_axis(table: CompensationTable, axis: str | None) -> None:
+    if axis is not None and check_axis(axis) != table.axis:
+        raise ConfigurationError(
+            f"the table is for axis {table.axis} and the export for axis {axis}: nothing written"
+        )
+
+
+def _refuse_unverified(kind: Controller, unverified: tuple[str, ...]) -> None:
+    if unverified:
+        raise ConfigurationError(
+            f"{kind.title}: not verified is {'; '.join(unverified)}. Give --accept-unverified to "
+            "write the file all the same, and test it with one small value first"
         )
 
 
@@ -149,11 +154,22 @@ def _controller_facts(kind: Controller, made: Any) -> dict[str, Any]:
     }
 
 
-def _left(residual: ResidualBudget) -> dict[str, Any]:
+def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str, Any]:
+    return {
+        "files_sha256": {file: _sha256(text) for file, text in files.items()},
+        "rows": len(rows.angles),
+        "widest_spacing_deg": float(np.max(np.diff(rows.angles))) / DEGREE,
+        "reference_angle_deg": rows.reference_angle / DEGREE,
+    }
+
+
+def _left(residual: ResidualBudget, table: CompensationTable) -> dict[str, Any]:
     figures = {**asdict(residual), "stated": residual.stated}
+    count = len(table.angles)
     return {
         "residual": residual.in_words(),
         "residual_arcsec": {part: value / ARCSEC for part, value in figures.items()},
+        "blind_to": f"what repeats more than {count // 2} times over the {count} angles measured",
     }
 
 

@@ -41,10 +41,10 @@ def rotation_about_z(angle: ArrayLike) -> Floats:
     return matrix
 
 
-def rotation_from_vector(vector: ArrayLike) -> Floats:
-    """Return the matrix (3, 3) that turns by ``|vector|`` (rad) about ``vector`` (Rodrigues)."""
-    v = np.asarray(vector, dtype=np.float64)
-    angle = float(np.linalg.norm(v))
+def rotation_from_vector(vectors: ArrayLike) -> Floats:
+    """Return the matrices (..., 3, 3) that turn by ``|v|`` (rad) about each v (..., 3)."""
+    v = np.asarray(vectors, dtype=np.float64)
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
     k = cross_matrix(v)
     # sinc(x) = sin(pi x) / (pi x) stays exact where sin(angle) / angle would be 0 / 0.
     first = np.sinc(angle / np.pi)

@@ -50,25 +50,17 @@ def test_window_is_the_first_readings_after_rest_and_settling():
     assert (observation.step, observation.attempt, observation.kind) == (0, 0, 1)
 
 
-def test_temperature_is_the_last_one_a_lag_before_the_probe_arrived():
+def test_temperature_is_the_last_one_a_lag_before_or_the_first_of_the_run():
     scene = make_scene(PLAN, 2)
-    _, second = replay(PLAN, scene.by_stamp())
-    assert second.temperature_c == pytest.approx(20 + 0.8)  # at 800 ms: the last before 850 ms
+    first, second = replay(PLAN, scene.by_stamp())
+    assert first.temperature_c == pytest.approx(20 + 0.2)  # at 200 ms: the run began at 150 ms
+    assert second.temperature_c == pytest.approx(20 + 0.8)  # at 800 ms: 300 ms before 1150 ms
 
 
-def test_temperatures_from_before_the_first_probe_sample_change_nothing():
-    scene = make_scene(PLAN, 2)
-    found = replay(PLAN, scene.by_stamp())
-    assert found[0].temperature_c == pytest.approx(20.2)  # the first one after 150 ms
-    scene.temperature = [t for t in scene.temperature if t.stamp_ns >= 150 * MS]
-    assert replay(PLAN, scene.by_stamp()) == found
-
-
-def test_without_an_early_temperature_the_first_one_is_taken():
-    scene = make_scene(PLAN, 1)
-    scene.temperature = [t for t in scene.temperature if t.stamp_ns >= 300 * MS]
-    (observation,) = replay(PLAN, scene.by_stamp())
-    assert observation.temperature_c == pytest.approx(20.3)
+@pytest.mark.parametrize("begin", [-900, -300, 0, 149])
+def test_it_does_not_matter_when_the_capture_began_to_listen(begin):
+    records = [r for r in SCENE.by_stamp() if r.stamp_ns >= begin * MS]
+    assert replay(PLAN, records) == EXPECTED
 
 
 def test_feedback_a_full_turn_away_is_the_same_place():
@@ -206,11 +198,28 @@ def test_asking_for_counts_changes_nothing(seed):
     assert tuple(found) == EXPECTED
 
 
-def test_decided_as_soon_as_the_streams_have_passed_the_window():
+@pytest.mark.parametrize("asking", [False, True])
+def test_decided_as_soon_as_the_streams_have_passed_the_window(asking):
     capture = Capture(PLAN, SETTINGS)
     for record in make_scene(PLAN, 1).by_stamp():
-        if capture.feed(record):
+        found = capture.feed(record)
+        if asking:
+            assert capture.counts
+        if found:
             assert record.stamp_ns == 220 * MS + 1  # the first feedback past the window's end
+            return
+    pytest.fail("no observation")
+
+
+@pytest.mark.parametrize("silent", ["tracer", "table"])
+def test_a_silent_stream_is_noticed_by_the_others(silent):
+    capture = Capture(PLAN, replace(SETTINGS, clock_tolerance_s=0.4))
+    scene = make_scene(PLAN, 1)
+    scene.edit(silent, lambda _: None, 100 * MS, SECOND)
+    for record in scene.by_stamp():
+        for observation in capture.feed(record):
+            assert "behind the other streams, allowed 0.4 s" in observation.reason
+            assert 490 * MS <= record.stamp_ns <= 510 * MS + 1
             return
     pytest.fail("no observation")
 

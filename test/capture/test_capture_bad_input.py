@@ -224,6 +224,15 @@ def test_another_clock_never_gives_an_observation(name, shift_s):
     assert all("clock" in o.reason or "no longer in memory" in o.reason for o in found)
 
 
+def test_a_temperature_that_never_comes_is_told():
+    capture = Capture(PLAN, IMPATIENT)
+    records = [r for r in make_scene(PLAN, 5).by_stamp() if not hasattr(r, "sensor")]
+    found = [o for record in records for o in capture.feed(record)]
+    assert found
+    assert all(o.accepted and o.temperature_c is None for o in found)
+    assert capture.remarks()[0] == "step 0: no temperature came in time"
+
+
 @pytest.mark.parametrize("shift_s", [-1e9, 1e9])
 def test_a_temperature_from_another_clock_is_left_out(shift_s):
     scene = make_scene(PLAN, 5)
@@ -246,10 +255,10 @@ def test_no_temperature_is_expected():
 
 def test_non_finite_temperature_is_dropped():
     scene = make_scene(PLAN, 1)
-    scene.edit("temperature", lambda r: replace(r, temperature_c=np.nan), 150 * MS, 350 * MS)
+    scene.edit("temperature", lambda r: replace(r, temperature_c=np.nan), 0, 500 * MS)
     (observation,) = replay(PLAN, scene.by_stamp())
-    assert observation.temperature_c == pytest.approx(20.4)
-    assert counts_of(scene.by_stamp())["temperature"] == {"received": 20, "non_finite": 2}
+    assert observation.temperature_c == pytest.approx(20.5)
+    assert counts_of(scene.by_stamp())["temperature"] == {"received": 20, "non_finite": 5}
 
 
 def test_table_never_in_position_says_how_far():

@@ -20,9 +20,10 @@ class Truth:
     cmm: np.ndarray
 
     def component(self, name):
-        place = {"EXC": 0, "EYC": 1, "EZC": 2, "EAC": 0, "EBC": 1, "ECC": 2}[name]
-        return (self.translation if name[2] == "C" and name[0] == "E" and name[1] in "XYZ"
-                else self.rotation)[:, place]
+        field = self.translation if name in ("EXC", "EYC", "EZC") else self.rotation
+        return field[
+            :, "XYZ".index(name[1]) if field is self.translation else "ABC".index(name[1])
+        ]
 
 
 def grid_rows(grid, balls):

@@ -228,7 +228,7 @@ def test_temperature_and_its_effect():
         probe=replace(QUIET_PROBE, initial_position_m=(0.0, 0.0, 1.5)),
         temperature=temperature,
     )
-    tracer, _, _, readings = run(cell_settings, [100 * SECOND], {})
+    tracer, _, _, readings = run(cell_settings, [100 * SECOND], {}, start_ns=10**18)
     assert readings[-1].temperature_c == pytest.approx(22.0)
     assert readings[-1].sensor == "air"
     assert tracer[-1].length == pytest.approx(0.5 + 1.0 * (2e-6 * 1.5 + 5e-6), abs=1e-12)

@@ -25,6 +25,9 @@ TO_PLANE = ROOT_HALF * np.array([[1.0, 1.0], [-1j, 1j]])  # (w+, w-) to (w_x, w_
 RANK_TOLERANCE = 1e-9
 """Smallest accepted eigenvalue of a harmonic's reduced matrix, relative to the ball count."""
 
+WEAK = 100.0
+"""Amplification of the noise from which on the solution is refined."""
+
 
 @dataclass(frozen=True)
 class Harmonics:
@@ -65,25 +68,49 @@ def design(phase: Complexes) -> Complexes:
     return matrix
 
 
-def centre(matrix: Complexes) -> tuple[Complexes, Complexes, Complexes]:
-    """Eliminate the CMM: centred design (2, Q, 2R, 3), its mean, normal matrix (2, Q, 3, 3).
+def couplings(sums: Complexes, n_balls: int) -> tuple[Floats, Complexes, Complexes, Complexes]:
+    """Return the pieces of all normal matrices from P(q) = sum of the phases over the balls.
 
-    The unknown that a constraint fixes at q = 1 (its column is constant) is set apart: its row
-    and column of the normal matrix become those of the unit matrix.
+    ``sums`` (..., Q + 2) holds q = 0..N//2 + 1. Returns R - |P(q)|^2 / R (..., Q + 2), and for
+    q = 1..N//2 the couplings of the unknowns of q + 1 with those of q, of q - 1 with q and of
+    q + 1 with q - 1, (..., Q) each. At q = 1 a constraint fixes the unknown of q - 1: its
+    couplings are zero, and its diagonal is R so that the matrices stay regular.
     """
-    _, n_harmonics, n_balls, _, _ = matrix.shape
-    mean = matrix.sum(axis=2) / n_balls
-    centred = (matrix - mean[:, :, None]).reshape(2, n_harmonics, 2 * n_balls, 3)
-    normal = centred.conj().swapaxes(2, 3) @ centred
-    normal[:, 0, 1, :] = normal[:, 0, :, 1] = 0.0
-    normal[:, 0, 1, 1] = 1.0
-    return centred, mean, normal
+    below, own, above = sums[..., :-2], sums[..., 1:-1], sums[..., 2:]
+    share = 1.0 / n_balls
+    diagonal = n_balls - share * (sums.real**2 + sums.imag**2)
+    diagonal[..., 0] = n_balls
+    up = sums[..., 1, None] - share * above * own.conj()
+    down = sums[..., 1, None] - share * below.conj() * own
+    across = sums[..., 2, None] - share * above * below.conj()
+    down[..., 0] = across[..., 0] = 0.0
+    return diagonal, up, down, across
+
+
+def normal_matrices(sums: Complexes, n_balls: int) -> Complexes:
+    """Return the normal matrices (2, Q, 3, 3) after the CMM is eliminated."""
+    diagonal, up, down, across = couplings(sums, n_balls)
+    lower, middle, upper = diagonal[:-2], diagonal[1:-1], diagonal[2:]
+    normal = np.zeros((2, len(middle), 3, 3), dtype=np.complex128)
+    normal[PLANE, :, 0, 0], normal[AXIS, :, 0, 0] = upper, 0.5 * upper
+    normal[PLANE, :, 1, 1], normal[AXIS, :, 1, 1] = lower, 0.5 * lower
+    normal[..., 2, 2] = middle
+    up, down, across = (1j * ROOT_HALF) * up.conj(), (-1j * ROOT_HALF) * down, -0.5 * across
+    normal[PLANE, :, 0, 2], normal[PLANE, :, 2, 0] = up, up.conj()
+    normal[PLANE, :, 1, 2], normal[PLANE, :, 2, 1] = down, down.conj()
+    normal[AXIS, :, 0, 1], normal[AXIS, :, 1, 0] = across.conj(), across
+    normal[AXIS, :, :2, 2] = -normal[PLANE, :, :2, 2]
+    normal[AXIS, :, 2, :2] = -normal[PLANE, :, 2, :2]
+    return normal
 
 
 def factor(grid: int, balls: Ints) -> Harmonics:
     """Invert the systems of all harmonics; raise ObservabilityError when one is singular."""
-    centred, mean, normal = centre(design(phases(grid, balls)))
-    inverse: Complexes
+    phase = phases(grid, balls)
+    sums = phase.sum(axis=1)
+    normal = normal_matrices(sums, len(balls))
+    mean = design(sums[:, None] / len(balls))[:, :, 0]
+    centred = (design(phase) - mean[:, :, None]).reshape(2, len(sums) - 2, -1, 3)
     try:
         inverse = np.asarray(np.linalg.inv(normal), dtype=np.complex128)
     except np.linalg.LinAlgError:
@@ -100,15 +127,19 @@ def factor(grid: int, balls: Ints) -> Harmonics:
 def fit(system: Harmonics, spectrum: Complexes) -> tuple[Complexes, Complexes, Complexes]:
     """Solve all harmonics: ``spectrum`` (2, Q, R, 2) to table (2, Q, 3), CMM (2, Q, 2), rest.
 
-    One step of iterative refinement takes the squared condition number out of the answer.
+    Where a layout is weak, a step of iterative refinement takes the squared condition number
+    out of the answer.
     """
     mean = spectrum.sum(axis=2) / len(system.balls)
     right = (spectrum - mean[:, :, None]).reshape(*spectrum.shape[:2], -1, 1)
-    adjoint = system.inverse @ system.centred.conj().swapaxes(2, 3)
-    table = adjoint @ right
-    table += adjoint @ (right - system.centred @ table)
-    residual = (right - system.centred @ table).reshape(spectrum.shape)
-    return table[..., 0], mean - (system.mean @ table)[..., 0], residual
+    adjoint = system.centred.conj().swapaxes(2, 3)
+    table = system.inverse @ (adjoint @ right)
+    residual = right - system.centred @ table
+    if np.abs(system.inverse).max() * len(system.balls) > WEAK:
+        table += system.inverse @ (adjoint @ residual)
+        residual = right - system.centred @ table
+    cmm = mean - (system.mean @ table)[..., 0]
+    return table[..., 0], cmm, residual.reshape(spectrum.shape)
 
 
 def cmm_covariance(system: Harmonics) -> Complexes:
@@ -116,6 +147,23 @@ def cmm_covariance(system: Harmonics) -> Complexes:
     spread = system.mean @ system.inverse @ system.mean.conj().swapaxes(2, 3)
     covariance: Complexes = spread + np.eye(2) / len(system.balls)
     return covariance
+
+
+def from_plane(sequences: Complexes) -> tuple[Complexes, Complexes]:
+    """Transform x + i y, (N, ...), to w+ and w- (Q, ...) for q = 1..N//2."""
+    grid = len(sequences)
+    last = grid // 2 + 1
+    full = ROOT_HALF * np.fft.fft(sequences, axis=0)
+    return full[1:last], full[: grid - last : -1].conj()
+
+
+def to_plane(plus: Complexes, minus: Complexes, grid: int) -> Complexes:
+    """Return x + i y (N, ...) of zero mean from w+ and w- (Q, ...): inverts from_plane."""
+    full = np.zeros((grid, *plus.shape[1:]), dtype=np.complex128)
+    full[1 : grid // 2 + 1] = plus
+    full[: grid - grid // 2 - 1 : -1] = minus.conj()
+    sequences: Complexes = np.fft.ifft(full / ROOT_HALF, axis=0)
+    return sequences
 
 
 def to_time(coefficients: Complexes, grid: int) -> Floats:

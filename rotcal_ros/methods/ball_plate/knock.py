@@ -14,7 +14,7 @@ from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
 from rotcal_ros.units import ARCSEC, MICROMETRE
 
-FALSE_ALARM = 0.001
+FALSE_ALARM = 1e-6
 """Probability that good data are said to contain a knock."""
 CANDIDATES = 3
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.stats import f
 
 from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
 
 FALSE_ALARM = 0.01
 """Probability that good data lose any centre at all."""
+LEAK = 0.3
+"""Part of the worst normalised residual below which a row may only follow a worse one."""
 DETERMINED = 1e-8
 """Residual cofactors below this part of the largest belong to coordinates without a check."""
 
@@ -40,10 +42,11 @@ class CentreTest:
 def judge_centres(
     problem: BallPlateProblem, solution: Solution, sigma: float | None
 ) -> CentreTest:
-    """Test each centre against all the others.
+    """Test each centre against the scatter of all the others.
 
-    ``sigma`` is the stated standard deviation (of unit weight); without it that of the other
-    centres takes its place, so that a gross error cannot hide behind the scatter it causes.
+    Its own part is left out, so that a gross error cannot hide behind the scatter it causes.
+    Where the stated ``sigma`` (of unit weight) is larger it takes the place of the scatter; a
+    statement that is too small must not cost good centres (the chi-square test reports it).
     """
     own = np.ones_like(problem.centres) if problem.std is None else problem.std**2
     cofactor = solution.cofactor()
@@ -53,14 +56,11 @@ def judge_centres(
     along = np.einsum("nij,ni->nj", vectors, solution.residuals)
     gain = np.sum(np.where(checked, along**2 / np.where(checked, values, 1.0), 0.0), axis=1)
     rank = np.maximum(checked.sum(axis=1), 1)
-    level = FALSE_ALARM / len(gain)
-    if sigma is None:
-        others = np.maximum(solution.dof - rank, 1)
-        variance = np.maximum(solution.weighted_square_sum - gain, 0.0) / others
-        critical = np.sqrt(f.isf(level, rank, others))
-    else:
-        variance = np.full_like(gain, sigma**2)
-        critical = np.sqrt(chi2.isf(level, rank) / rank)
+    others = np.maximum(solution.dof - rank, 1)
+    variance = np.maximum(solution.weighted_square_sum - gain, 0.0) / others
+    if sigma is not None:
+        variance = np.maximum(variance, sigma**2)
+    critical = np.sqrt(f.isf(FALSE_ALARM / len(gain), rank, others))
     floor = np.finfo(np.float64).eps ** 2 * problem.radius**2 / own.max(axis=1)
     return CentreTest(
         gain=gain,
@@ -73,11 +73,15 @@ def judge_centres(
 def choose(problem: BallPlateProblem, test: CentreTest) -> Ints:
     """Return the rows to reject together: the worst, and others that share nothing with it.
 
-    A gross error leaks into the residuals of the same ball, table and CMM position; rows that
-    share none of the three with a worse one are guilty on their own account.
+    A gross error leaks into the residuals of the same ball, table and CMM position, and a little
+    into all others; rows that share none of the three with a worse one, and are not much
+    smaller than the worst, are guilty on their own account. The others wait for the next fit.
     """
     chosen: list[int] = []
-    for row in test.outside:
+    outside = test.outside
+    for row in outside:
+        if test.value[row] < LEAK * test.value[outside[0]]:
+            continue
         shares = (
             problem.ball_step[row] == problem.ball_step[chosen],
             problem.table_index[row] == problem.table_index[chosen],

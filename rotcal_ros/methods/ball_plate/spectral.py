@@ -12,7 +12,7 @@ import numpy as np
 
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import harmonics, model
-from rotcal_ros.methods.ball_plate.harmonics import AXIS, PLANE, TO_PLANE, Harmonics
+from rotcal_ros.methods.ball_plate.harmonics import AXIS, PLANE, Harmonics
 from rotcal_ros.methods.ball_plate.model import Parameters, Solution
 from rotcal_ros.methods.ball_plate.problem import (
     BallPlateProblem,
@@ -36,9 +36,9 @@ def solve_spectral(problem: BallPlateProblem) -> Solution:
             f"a grid of {problem.grid}"
         )
     system = harmonics.factor(problem.grid, problem.balls)
-    zeroth, spectrum, shift = _measured_spectrum(problem)
+    zeroth, spectrum, by_cmm = _measured_spectrum(problem)
     table, cmm, rest = harmonics.fit(system, spectrum)
-    residuals = _residuals(problem, rest, shift)
+    residuals = _residuals(problem, rest, by_cmm)
     return Solution(
         estimate=_estimate(problem, zeroth / problem.grid, table, cmm),
         unit_std=_unit_std(problem, system),
@@ -55,23 +55,19 @@ def _measured_spectrum(problem: BallPlateProblem) -> tuple[Floats, Complexes, In
     """Transform the data in the turning frame over the CMM positions.
 
     Returns harmonic zero (R, 3) in x, y, z, the others (2, Q, R, 2) as :mod:`harmonics` wants
-    them, and ``shift`` (R, N), the table position of ball r at CMM position k.
+    them, and ``by_cmm`` (R, N), the row of ball r at CMM position k.
     """
     grid, n_balls = problem.grid, len(problem.balls)
     shift = (np.arange(grid) - problem.balls[:, None]) % grid
-    by_cmm = problem.deviations.reshape(n_balls, grid, 3)[np.arange(n_balls)[:, None], shift]
-    by_cmm[..., :2] = _turn(by_cmm, -problem.angles)
-    transform = np.fft.rfft(by_cmm, axis=1).swapaxes(0, 1)
-    spectrum = np.zeros((2, len(transform) - 1, n_balls, 2), dtype=np.complex128)
-    spectrum[PLANE] = transform[1:, :, :2] @ TO_PLANE.conj()
-    spectrum[AXIS, ..., 0] = transform[1:, :, 2]
-    return transform[0].real, spectrum, shift
-
-
-def _turn(vectors: Floats, angles: Floats) -> Floats:
-    """Rotate the plane parts of vectors (..., n, 2 or 3) by their angles (n,)."""
-    turned = (vectors[..., 0] + 1j * vectors[..., 1]) * np.exp(1j * angles)
-    return np.stack([turned.real, turned.imag], axis=-1)
+    by_cmm = np.arange(n_balls)[:, None] * grid + shift
+    x, y, z = problem.deviations.T
+    plane = (x + 1j * y)[by_cmm].T * np.exp(-1j * problem.angles)[:, None]
+    height = np.fft.rfft(z[by_cmm].T, axis=0)
+    spectrum = np.zeros((2, grid // 2, n_balls, 2), dtype=np.complex128)
+    spectrum[PLANE, ..., 0], spectrum[PLANE, ..., 1] = harmonics.from_plane(plane)
+    spectrum[AXIS, ..., 0] = height[1:]
+    zeroth = plane.sum(axis=0)
+    return np.stack([zeroth.real, zeroth.imag, height[0].real], axis=1), spectrum, by_cmm
 
 
 def _estimate(
@@ -82,38 +78,32 @@ def _estimate(
     # At q = 1 the CMM's coefficient is the pose of the axis (Eq. 15 leaves nothing for b).
     shift = np.sqrt(2.0) * cmm[PLANE, 0, 1].conj() / grid
     tilt = -2.0 * cmm[AXIS, 0, 0] / (grid * radius)
-    columns = np.empty((len(table[PLANE]), 3, 3), dtype=np.complex128)
-    columns[:, 0, :2], columns[:, 0, 2] = table[PLANE, :, :2] @ TO_PLANE.T, table[AXIS, :, 2]
-    columns[:, 1, :2], columns[:, 1, 2] = table[AXIS, :, :2] @ TO_PLANE.T, table[PLANE, :, 2]
     cmm[PLANE, 0, 1] = cmm[AXIS, 0, 0] = 0.0
-    columns[:, 2, :2], columns[:, 2, 2] = cmm[PLANE] @ TO_PLANE.T, cmm[AXIS, :, 0]
-    sequences = harmonics.to_time(columns, grid).swapaxes(0, 1)
-    sequences[..., :2] = _turn(sequences, problem.angles)
+    turn = np.exp(1j * problem.angles)
+    pairs = np.stack([table[PLANE, :, :2], table[AXIS, :, :2], cmm[PLANE]], axis=1)
+    plane = harmonics.to_plane(pairs[..., 0], pairs[..., 1], grid) * turn[:, None]
+    along = np.stack([table[AXIS, :, 2], table[PLANE, :, 2], cmm[AXIS, :, 0]], axis=1)
+    fields = np.stack([plane.real, plane.imag, harmonics.to_time(along, grid)], axis=2)
     common = mean[:, 1:].sum(axis=0) / len(mean)  # tangential and axial: u_z and v_z (Eq. 19)
-    plate = mean.copy()
-    plate[:, 1:] -= common
-    plate[:, :2] = _turn(plate, problem.angles[problem.balls])
+    ball = (mean[:, 0] + 1j * (mean[:, 1] - common[0])) * turn[problem.balls]
     return Parameters(
-        plate=plate,
-        cmm=sequences[2],
-        rotation=sequences[1] / radius,
-        translation=sequences[0],
+        plate=np.stack([ball.real, ball.imag, mean[:, 2] - common[1]], axis=1),
+        cmm=fields[:, 2],
+        rotation=fields[:, 1] / radius,
+        translation=fields[:, 0],
         axis_rotation=np.array([tilt.imag, tilt.real, common[0] / radius]),
         axis_shift=np.array([shift.real, shift.imag, common[1]]),
     )
 
 
-def _residuals(problem: BallPlateProblem, rest: Complexes, shift: Ints) -> Floats:
+def _residuals(problem: BallPlateProblem, rest: Complexes, by_cmm: Ints) -> Floats:
     """Residuals (n, 3) in the fixed frame, canonical order, from those of the harmonics."""
-    grid, n_balls = problem.grid, len(problem.balls)
-    columns = np.empty((rest.shape[1], n_balls, 3), dtype=np.complex128)
-    columns[..., :2], columns[..., 2] = rest[PLANE] @ TO_PLANE.T, rest[AXIS, ..., 0]
-    turned = harmonics.to_time(columns, grid).swapaxes(0, 1)
-    residuals = np.empty((n_balls, grid, 3))
-    by_table = np.arange(n_balls)[:, None], shift
-    residuals[(*by_table, 2)] = turned[..., 2]
-    residuals[(*by_table, slice(0, 2))] = _turn(turned, problem.angles)
-    return residuals.reshape(-1, 3)
+    plane = harmonics.to_plane(rest[PLANE, ..., 0], rest[PLANE, ..., 1], problem.grid)
+    plane *= np.exp(1j * problem.angles)[:, None]
+    height = harmonics.to_time(rest[AXIS, ..., 0], problem.grid)
+    residuals = np.empty((by_cmm.size, 3))
+    residuals[by_cmm.T] = np.stack([plane.real, plane.imag, height], axis=2)
+    return residuals
 
 
 def _unit_std(problem: BallPlateProblem, system: Harmonics) -> Parameters:
@@ -124,36 +114,38 @@ def _unit_std(problem: BallPlateProblem, system: Harmonics) -> Parameters:
     tilt = 2.0 * cmm_spectrum[AXIS, 0, 0, 0].real / grid / radius**2
     cmm_spectrum[PLANE, 0, 1, :] = cmm_spectrum[PLANE, 0, :, 1] = 0.0
     cmm_spectrum[AXIS, 0] = 0.0
-    axial_cmm = harmonics.zero_lag(cmm_spectrum[AXIS, :, 0, 0], grid, axis=0).real
-    plane_cmm = harmonics.real_basis(harmonics.zero_lag(cmm_spectrum[PLANE], grid, axis=0)).real
-    table = harmonics.real_basis(harmonics.zero_lag(system.inverse, grid, axis=1)).real
+    cmm = harmonics.zero_lag(cmm_spectrum, grid, axis=1)
+    table = harmonics.zero_lag(system.inverse, grid, axis=1)
     common = 1.0 / (grid * n_balls)
-    ball = np.diag([1.0 / grid, 1.0 / grid - common])
-    pairs = np.array([table[PLANE, :2, :2], table[AXIS, :2, :2], plane_cmm])
-    along = np.array([table[AXIS, 2, 2], table[PLANE, 2, 2], axial_cmm])
-    translation, rotation, cmm = _turned_std(pairs, along, problem.angles)
+    pairs = np.array([table[PLANE, :2, :2], table[AXIS, :2, :2], cmm[PLANE]])
+    along = np.array([table[AXIS, 2, 2], table[PLANE, 2, 2], cmm[AXIS, 0, 0]]).real
+    turn = np.exp(2j * problem.angles)
+    fields = _turned_std(pairs, along, turn)
+    # In its own frame a ball has the variances 1/N (radial) and 1/N - 1/(N R) (others).
+    ball = np.array([[[1.0 / grid - 0.5 * common, 0.5 * common]] * 2])
+    ball[:, 1] = ball[:, 1, ::-1]
     return Parameters(
-        plate=_turned_std(ball[None], ball[1:, 1], problem.angles[problem.balls])[0],
-        cmm=cmm,
-        rotation=rotation / radius,
-        translation=translation,
+        plate=_turned_std(ball, np.array([1.0 / grid - common]), turn[problem.balls])[0],
+        cmm=fields[2],
+        rotation=fields[1] / radius,
+        translation=fields[0],
         axis_rotation=np.sqrt([tilt, tilt, common / radius**2]),
         axis_shift=np.sqrt([shift, shift, common]),
     )
 
 
-def _turned_std(pairs: Floats, along: Floats, angles: Floats) -> Floats:
-    """Return the standard deviations (f, n, 3) of f vectors at n angles.
+def _turned_std(pairs: Complexes | Floats, along: Floats, turn: Complexes) -> Floats:
+    """Return the standard deviations (f, n, 3) of f vectors at n angles in the fixed frame.
 
-    ``pairs`` (f, 2, 2) are their plane covariances in the turning frame, ``along`` (f,) the
-    variances of their z.
+    ``pairs`` (f, 2, 2) are the covariances of (w+, w-) in the turning frame at lag 0, ``along``
+    (f,) the variances of z, ``turn`` (n,) the phases exp(2 i angle): the mean of the variances
+    of x and y is the same everywhere, their difference turns at twice the angle.
     """
-    cos, sin = np.cos(angles), np.sin(angles)
-    xx, yy, xy = pairs[:, 0, 0, None], pairs[:, 1, 1, None], pairs[:, 0, 1, None]
-    variances = np.empty((len(pairs), len(angles), 3))
-    mixed = 2.0 * xy * (cos * sin)
-    variances[..., 0] = xx * cos**2 + yy * sin**2 - mixed
-    variances[..., 1] = xx * sin**2 + yy * cos**2 + mixed
+    mean = 0.5 * (pairs[:, 0, 0] + pairs[:, 1, 1]).real
+    swing = (pairs[:, 0, 1, None] * turn).real
+    variances = np.empty((len(pairs), len(turn), 3))
+    variances[..., 0] = mean[:, None] + swing
+    variances[..., 1] = mean[:, None] - swing
     variances[..., 2] = along[:, None]
     deviations: Floats = np.sqrt(variances)
     return deviations

@@ -21,9 +21,10 @@ class Adjustment:
     ``stations`` (m, 3), ``distances`` (m,): the range at reading zero, ``targets`` (n, 3), metres.
     ``residual`` (m, n): observed - computed (the paper's v of Eq. 3 is computed - observed), also
     of lengths that were not used. ``std`` (m, n): standard deviation of a length as this
-    variant sees it; ``redundancy`` (m, n): share of a length that the others check, zero if unused.
-    ``chi2`` has mean ``dof``. ``unknowns`` counts the columns of the design matrix, ``rank`` those
-    that the data determine.
+    variant sees it; ``redundancy`` (m, n): share of a length that the others check, zero if
+    unused. ``chi2`` has mean ``dof``. ``unknowns`` counts the columns of the design matrix,
+    ``rank`` those that the data determine. ``target_test`` (n,): largest normalised correction of
+    a target's coordinates, where these are observations, else zero.
     """
 
     stations: Floats
@@ -36,6 +37,7 @@ class Adjustment:
     dof: int
     unknowns: int
     rank: int
+    target_test: Floats
 
     @property
     def state(self) -> Floats:

@@ -143,8 +143,8 @@ def _check_unit_of_lengths(excess: Floats, span: float) -> None:
     ratio = float(np.quantile(excess, 0.9)) / span
     if np.mean(excess > span) > IMPOSSIBLE_SHARE:
         raise DataError(
-            f"the lengths of one station spread over {2 * ratio * span:.4g} m, but the targets lie "
-            f"at most {span:.4g} m apart: are the lengths in millimetres? Metres are expected"
+            f"the lengths of one station spread over {2 * ratio * span:.4g} m, but the targets "
+            f"lie at most {span:.4g} m apart: are the lengths in millimetres? Metres are expected"
         )
     if ratio < 1e-3:
         raise DataError(

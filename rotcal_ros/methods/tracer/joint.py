@@ -12,8 +12,9 @@ free
     length changes to first order. (Complete bipartite frameworks flex when one side lies on a
     conic: Bolker and Roth, Pacific J. Math. 90 (1980) 27.) It scales the circle, so the angle does
     not feel it either. The seven are fixed while solving: no shift and turn of the stations, and
-    their rms distance from their centroid stays what the machine's coordinates give. Then the network is moved rigidly to the
-    inner constraints on the targets: no mean shift and turn against the machine's coordinates.
+    their rms distance from their centroid stays what the machine's coordinates give. Then the
+    network is moved rigidly to the inner constraints on the targets: no mean shift and turn
+    against the machine's coordinates.
 
 The paper solves Eq. 4 by a dense SVD with a threshold, which hides the seven among other small
 singular values; here they are known in closed form, and the rank is counted beside them.
@@ -24,7 +25,7 @@ with more unknowns, in a free network always the targets.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,8 @@ STAGNANT: Final = 1e-6
 MAX_ITERATIONS: Final = 50
 RIGID_MOTIONS: Final = 6
 RANK_TOLERANCE: Final = 1e-13
+CHECKED: Final = 0.01
+"""Redundancy from which a coordinate is held to be checked by the lengths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +91,7 @@ def adjust_network(grid: Grid, start: Floats) -> Adjustment:
     state, targets = network.state, network.targets
     if grid.free:
         state, targets = align(state, targets, grid.targets)
+    spread = _posterior(network)
     unknowns = network.state.size + network.targets.size
     n_lengths = int(grid.used.sum())
     return Adjustment(
@@ -96,11 +100,12 @@ def adjust_network(grid: Grid, start: Floats) -> Adjustment:
         targets=targets,
         residual=-network.f,
         std=grid.length_std,
-        redundancy=grid.used - grid.weights * _leverage(network),
+        redundancy=grid.used - grid.weights * _leverage(network, spread),
         chi2=network.chi2,
         dof=n_lengths - rank if grid.free else n_lengths - network.state.size,
         unknowns=unknowns,
         rank=rank,
+        target_test=_target_test(network, grid, spread.targets),
     )
 
 
@@ -133,7 +138,7 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
 
 
 def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
-    """Return errors, gradient and reduced normal matrix at ``state`` (m, 4), ``targets`` (n, 3)."""
+    """Return the network at ``state`` (m, 4), ``targets`` (n, 3): errors, gradient, normals."""
     m, n = grid.used.shape
     weights = grid.weights
     distance, unit = ranges(state[:, :3], targets)
@@ -192,32 +197,56 @@ def _move_datum(network: Network, mixed: Floats, kept: Floats) -> Floats:
     """
     centre = network.targets.mean(axis=0)
     on_stations = _with_distances(_rigid(network.state[:, :3] - centre))
-    rigid_part = np.linalg.pinv(_rigid(network.targets - centre))
+    rigid_part = np.asarray(np.linalg.pinv(_rigid(network.targets - centre)), dtype=np.float64)
     own = rigid_part @ network.reduced.other_times(kept, rigid_part.T)
     shift = mixed @ rigid_part.T @ on_stations.T
     return np.asarray(kept - shift - shift.T + on_stations @ own @ on_stations.T)
 
 
-def _leverage(network: Network) -> Floats:
-    """Return (m, n) the variance of each computed length, m^2, from the normal matrix."""
+class _Posterior(NamedTuple):
+    """Covariance of stations (m, 4, 4), of targets (n, 3, 3), and between them (m, 4, n, 3)."""
+
+    stations: Floats
+    targets: Floats
+    mixed: Floats
+
+
+def _posterior(network: Network) -> _Posterior:
     reduced, kept = network.reduced, network.reduced.covariance()
-    m, n = network.f.shape
     other = reduced.other_blocks(kept)
     mixed = -(kept @ reduced.transfer)
+    m, n = network.f.shape
     if network.stations_kept:
-        stations = kept.reshape(m, 4, m, 4)[np.arange(m), :, np.arange(m)]
-        targets = other
-        mixed = mixed.reshape(m, 4, n, 3)
-    else:
-        stations = other
-        targets = kept.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n)]
-        mixed = mixed.reshape(n, 3, m, 4).transpose(2, 3, 0, 1)
-    unit = network.rows[:, :, :3]
-    at_station = np.einsum("jia,jia->ji", network.rows @ stations, network.rows)
-    at_target = np.einsum("ijb,jib->ji", unit.swapaxes(0, 1) @ targets, unit)
+        blocks = kept.reshape(m, 4, m, 4)[np.arange(m), :, np.arange(m)]
+        return _Posterior(blocks, other, mixed.reshape(m, 4, n, 3))
+    blocks = kept.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n)]
+    return _Posterior(other, blocks, mixed.reshape(n, 3, m, 4).transpose(2, 3, 0, 1))
+
+
+def _leverage(network: Network, spread: _Posterior) -> Floats:
+    """Return (m, n) the variance of each computed length, m^2."""
+    rows, unit = network.rows, network.rows[:, :, :3]
+    at_station = np.einsum("jia,jia->ji", rows @ spread.stations, rows)
+    at_target = np.einsum("ijb,jib->ji", unit.swapaxes(0, 1) @ spread.targets, unit)
     # the design's target part is -unit, so the mixed term comes with a minus
-    between = np.einsum("jai,jia->ji", np.einsum("jaib,jib->jai", mixed, unit), network.rows)
+    between = np.einsum("jai,jia->ji", np.einsum("jaib,jib->jai", spread.mixed, unit), rows)
     return np.asarray(at_station + at_target - 2.0 * between, dtype=np.float64)
+
+
+def _target_test(network: Network, grid: Grid, spread: Floats) -> Floats:
+    """Return (n,) the largest normalised correction of each target's machine coordinates.
+
+    In the directions that the lengths check at all (redundancy above CHECKED), each correction is
+    compared with its own standard deviation, like a residual.
+    """
+    if grid.free:
+        return np.zeros(len(grid.targets))
+    std = grid.target_std
+    correction = (network.targets - grid.targets) / std
+    redundancy, axes = np.linalg.eigh(np.eye(3) - spread / (std[:, :, None] * std[:, None, :]))
+    along = np.abs(np.einsum("ic,ice->ie", correction, axes))
+    value = along / np.sqrt(np.maximum(redundancy, CHECKED))
+    return np.asarray(np.where(redundancy > CHECKED, value, 0.0).max(axis=1), dtype=np.float64)
 
 
 def _rank(network: Network, grid: Grid) -> int:
@@ -239,7 +268,7 @@ def _rank(network: Network, grid: Grid) -> int:
             f"is {name} {ids[k]} along {name_direction(direction)}: {CURE}, or use the datum "
             "'prior'"
         )
-    return network.state.size + network.targets.size - reduced.constraints.shape[1]
+    return int(network.state.size + network.targets.size - reduced.constraints.shape[1])
 
 
 def align(state: Floats, targets: Floats, machine: Floats) -> tuple[Floats, Floats]:

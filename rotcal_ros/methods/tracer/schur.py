@@ -61,7 +61,7 @@ class Reduced:
 
     def covariance(self) -> Floats:
         """Return the covariance (p s, p s) of the kept side, under the constraints."""
-        inverse = np.linalg.inv(self.regular())
+        inverse: Floats = np.asarray(np.linalg.inv(self.regular()), dtype=np.float64)
         inverse -= self._violation(inverse @ self.constraints, inverse)
         inverse *= self.scale * self.scale[:, None]
         return np.asarray(0.5 * (inverse + inverse.T), dtype=np.float64)
@@ -111,4 +111,4 @@ def eliminate(
         columns = np.empty((p * s, 0))
     else:
         columns = np.linalg.qr(constraints * scale[:, None])[0]
-    return Reduced(matrix, inverse, transfer, scale, columns)
+    return Reduced(matrix, np.asarray(inverse), transfer, scale, np.asarray(columns))

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer import joint, station
-from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY, Adjustment, StationCovariance
-from rotcal_ros.methods.tracer.angles import TableMotion, algorithm_error, scatter, table_motion
+from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY
+from rotcal_ros.methods.tracer.angles import TableMotion, table_motion
+from rotcal_ros.methods.tracer.details import Solution, details
 from rotcal_ros.methods.tracer.grid import Grid, arrange
 from rotcal_ros.methods.tracer.observability import (
     check_counts,
     check_station_spread,
-    weakest_direction,
 )
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.screening import adjust_and_screen, critical_value
+from rotcal_ros.methods.tracer.screening import adjust_and_screen, reject_gross
 from rotcal_ros.methods.tracer.start import find_start
 from rotcal_ros.methods.tracer.uncertainty import (
-    COVERAGE_FACTOR,
-    AngleUncertainty,
     angle_uncertainty,
     circle_test,
     error_motion_covariance,
@@ -36,19 +32,6 @@ Floats = NDArray[np.float64]
 METHOD = "tracer_multistation"
 LOST = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
-
-
-class _Solution(NamedTuple):
-    """Everything that is known before the verdict; ``scale`` enlarges the covariance."""
-
-    grid: Grid
-    fit: Adjustment
-    covariance: StationCovariance
-    motion: TableMotion
-    angles: AngleUncertainty
-    scale: float
-    evidence: Evidence
-    rejected: dict[int, str]
 
 
 def solve(problem: TracerProblem) -> Result:
@@ -84,11 +67,11 @@ def solve(problem: TracerProblem) -> Result:
         adjacent_deviations=motion.adjacent,
         adjacent_std=angles.adjacent_std,
         residuals=_residuals(problem, solution),
-        details=_details(problem, solution),
+        details=details(problem, solution),
     )
 
 
-def _solve(problem: TracerProblem) -> _Solution:
+def _solve(problem: TracerProblem) -> Solution:
     grid, repeated, unfit = arrange(problem)
     check_counts(grid)
     missing = tuple(np.setdiff1d(np.arange(len(problem.table_angles)), grid.station_ids).tolist())
@@ -96,7 +79,11 @@ def _solve(problem: TracerProblem) -> _Solution:
     start, ambiguous = find_start(grid, None if given is None else given[grid.station_ids])
     significance = problem.settings.rejection_significance
     adjust, covariance_of = _VARIANTS[problem.variant]
+    gross: dict[int, str] = {}
+    if problem.variant == "joint":
+        grid, gross = reject_gross(station.adjust_stations, grid, start, significance)
     grid, fit, outliers = adjust_and_screen(adjust, grid, start, significance)
+    outliers |= gross
     covariance = covariance_of(grid, fit)
     check_station_spread(
         fit.stations,
@@ -117,14 +104,14 @@ def _solve(problem: TracerProblem) -> _Solution:
         lengths=lengths,
         circle=circle_test(motion, total),
         radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
-        closures=closures(commanded, motion.cumulative, angles.covariance),
+        closures=closures(commanded, motion.cumulative, angles.covariance, grid.station_ids),
         n_lengths=len(problem.length) - len(repeated),
         n_rejected=len(unfit) + len(outliers),
         missing=missing,
         unchecked=int((grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
         mirror_ambiguous=ambiguous,
     )
-    return _Solution(
+    return Solution(
         grid, fit, covariance, motion, angles, scale, evidence, repeated | unfit | outliers
     )
 
@@ -153,7 +140,7 @@ def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid:
     )
 
 
-def _residuals(problem: TracerProblem, solution: _Solution) -> Residuals:
+def _residuals(problem: TracerProblem, solution: Solution) -> Residuals:
     """Return one row per length; NaN where the station or target was dropped altogether."""
     grid, fit = solution.grid, solution.fit
     station_at = np.full(len(problem.table_angles), -1)
@@ -172,61 +159,3 @@ def _residuals(problem: TracerProblem, solution: _Solution) -> Residuals:
         test_value=np.where(placed, fit.test_value[j, i], 0.0),
         used=placed & grid.used[j, i],
     )
-
-
-def _details(problem: TracerProblem, solution: _Solution) -> dict[str, Any]:
-    grid, fit, motion = solution.grid, solution.fit, solution.motion
-    blocks = solution.scale**2 * solution.covariance.position_blocks()
-    weak, weak_std, direction = weakest_direction(blocks)
-    evidence = solution.evidence
-    per_station = grid.used * (fit.residual / fit.std) ** 2
-    redundancy = fit.redundancy.sum(axis=1)
-    limit = critical_value(problem.settings.rejection_significance, int(grid.used.sum()))
-    return {
-        "variant": problem.variant,
-        "datum": problem.datum if problem.variant == "joint" else "targets",
-        "station_ids": grid.station_ids,
-        "stations": fit.stations,
-        "station_std": np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)),
-        "station_covariance": blocks,
-        "distances": fit.distances,
-        "target_ids": grid.target_ids,
-        "targets": fit.targets,
-        "plane": {"normal": motion.plane.normal, "offset": motion.plane.offset},
-        "circle": {"centre": motion.centre, "radius": motion.radius},
-        "radial": motion.radial,
-        "axial": motion.plane.distances(fit.stations),
-        "tilt": motion.tilt,
-        "algorithm_error": algorithm_error(
-            np.diff(problem.table_angles[grid.station_ids]), motion.tilt
-        ),
-        "scatter": scatter(motion.adjacent),
-        "budget": dict(solution.angles.budget),
-        "covariance_scale": solution.scale,
-        "coverage_factor": COVERAGE_FACTOR,
-        "length_test_probability": evidence.lengths.probability,
-        "circle_test": {
-            "sigma0": evidence.circle.sigma0,
-            "probability": evidence.circle.probability,
-        },
-        "dof_effective": solution.covariance.dof_effective,
-        "unknowns": fit.unknowns,
-        "rank": fit.rank,
-        "redundancy_per_station": redundancy,
-        "sigma0_per_station": np.sqrt(per_station.sum(axis=1) / np.maximum(redundancy, 1e-9)),
-        "rejection_limit": limit,
-        "weakest": {
-            "station": int(grid.station_ids[weak]),
-            "direction": direction,
-            "std": weak_std,
-        },
-        "closure": [
-            {
-                "first": int(grid.station_ids[c.first]),
-                "last": int(grid.station_ids[c.last]),
-                "error": c.error,
-                "std": c.std,
-            }
-            for c in evidence.closures
-        ],
-    }

@@ -6,8 +6,8 @@ With r = d + l the squared range |x - P|^2 = (d + l)^2 turns into
 
 which is linear in (P, d, s): five unknowns, one row per target. Without gaps all stations share
 four of the five columns, so that d and P follow from one small eigenproblem for all of them.
-Targets in one plane leave one direction of these five free; the definition of s then is a quadratic equation along it, whose
-two roots are the tracer and its mirror image in that plane.
+Targets in one plane leave one direction of the five free; the definition of s then is a
+quadratic equation along it, whose two roots are the tracer and its mirror image in that plane.
 """
 
 from __future__ import annotations

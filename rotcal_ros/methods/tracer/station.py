@@ -43,16 +43,16 @@ def locate_stations(
     and it is the objective F of Eq. 6 that has to fall - by more than its rounding error. The last
     steps are undamped, so that damping leaves no trace.
     """
-    misfit = _Misfit(targets, length, np.sqrt(weights / weights.max()))
+    misfit = Misfit(targets, length, np.sqrt(weights / weights.max()))
     state, active = start.copy(), np.ones(len(start), dtype=np.bool_)
     products = misfit(state)
-    damping = np.sqrt(products[:, 4, 4])
+    damping = np.maximum(np.sqrt(products[:, 4, 4]), misfit.floor)
     # a range r carries a rounding error of r times eps into f, and twice sum(f df) into f'f
     reach = np.abs(start[:, 3:] + length).max()
     grain = 4.0 * np.finfo(np.float64).eps * reach * np.sqrt(length.shape[1])
     for _ in range(MAX_ITERATIONS):
         h, slope = _step(products, damping)
-        squared = np.einsum("ja,ja->j", h, h)
+        squared = (h * h).sum(axis=1)
         before, products = products, misfit(state + h)
         # Eq. 15, with (N + mu) h = -g put in: h'g + h'N h / 2 = (h'g - mu h'h) / 2
         predicted = 0.5 * (slope - damping * squared)
@@ -66,17 +66,20 @@ def locate_stations(
         if not active.any():
             break
         # Eq. 16-17; a predicted change that is all rounding says nothing against the step
-        good, poor = change < 0.75 * predicted + slack, change > 0.25 * predicted + slack
-        damping[good] *= 0.1
-        damping[poor] *= 10.0
+        change -= slack
+        damping *= np.where(
+            change < 0.75 * predicted, 0.1, np.where(change > 0.25 * predicted, 10.0, 1.0)
+        )
+        np.maximum(damping, misfit.floor, out=damping)
     return _polish(state, h, products, misfit), ~active
 
 
-class _Misfit:
+class Misfit:
     """Eq. 5 and its derivative at a state (m, 4): called, it returns [J f]'[J f], (m, 5, 5).
 
     That one product holds the normal matrix J'J, the gradient J'f (last column) and twice the
     objective f'f (last corner); f is computed - observed, every row multiplied by ``root``.
+    ``floor`` (m,) is a damping that only a singular normal matrix feels.
     """
 
     def __init__(self, targets: Floats, length: Floats, root: Floats) -> None:
@@ -86,8 +89,10 @@ class _Misfit:
         self._rows[:, 3] = -root
         self._slopes, self._errors = self._rows[:, :3], self._rows[:, 4]
         self._transposed = self._rows.swapaxes(1, 2)
+        self.floor = 1e-13 * np.einsum("ji,ji->j", root, root)
 
     def __call__(self, state: Floats) -> Floats:
+        """Return the products (m, 5, 5) at ``state`` (m, 4)."""
         slopes = self._slopes
         np.subtract(state[:, :3, None], self._targets, out=slopes)
         distance = np.sqrt(np.einsum("jai,jai->ji", slopes, slopes))
@@ -98,13 +103,13 @@ class _Misfit:
         return np.asarray(self._rows @ self._transposed)
 
 
-def _step(products: Floats, damping: Floats | float) -> tuple[Floats, Floats]:
+def _step(products: Floats, damping: Floats) -> tuple[Floats, Floats]:
     """Return h (m, 4) of Eq. 10 and the slope h'g (m,) of the objective along it."""
     normal = products[:, :4, :4].reshape(-1, 16)
-    normal[:, ::5] += np.asarray(damping)[..., None]
-    gradient = products[:, :4, 4:]
-    h: Floats = np.linalg.solve(normal.reshape(-1, 4, 4), -gradient)[:, :, 0]
-    return h, np.einsum("ja,ja->j", h, gradient[:, :, 0])
+    normal[:, ::5] += damping[:, None]
+    downhill = -products[:, :4, 4:]
+    h = np.asarray(np.linalg.solve(normal.reshape(-1, 4, 4), downhill)[:, :, 0], dtype=np.float64)
+    return h, -(h * downhill[:, :, 0]).sum(axis=1)
 
 
 def _search(
@@ -114,7 +119,7 @@ def _search(
     slack: Floats,
     objective: Floats,
     short: NDArray[np.bool_],
-    misfit: _Misfit,
+    misfit: Misfit,
 ) -> tuple[Floats, Floats]:
     """Shorten ``h`` where F does not fall enough by powers of beta until it does (Eq. 11-14).
 
@@ -131,7 +136,7 @@ def _search(
     return step[:, None] * h, products
 
 
-def _polish(state: Floats, last: Floats, products: Floats, misfit: _Misfit) -> Floats:
+def _polish(state: Floats, last: Floats, products: Floats, misfit: Misfit) -> Floats:
     """Finish with undamped steps, after the damped step ``last`` (m, 4).
 
     A step that is not small tells a station that the targets do not determine; it stays.
@@ -139,7 +144,7 @@ def _polish(state: Floats, last: Floats, products: Floats, misfit: _Misfit) -> F
     """
     before = np.abs(last).max(axis=1)
     for _ in range(8):
-        h, _ = _step(products, np.finfo(np.float64).eps)
+        h, _ = _step(products, misfit.floor)
         size = np.abs(h).max(axis=1)
         small = size < 100.0 * EPSILON
         state = state + small[:, None] * h
@@ -155,8 +160,8 @@ def adjust_stations(grid: Grid, start: Floats) -> Adjustment:
     The targets stay where the machine says. A length is weighted by the variance of its noise plus
     that of its target along the beam: within one station the targets' errors are independent.
 
-    Raises ObservabilityError when the targets leave a direction of a station open, DataError when a
-    station does not settle.
+    Raises ObservabilityError when the targets leave a direction of a station open, DataError
+    when a station does not settle.
     """
     _, unit = ranges(start[:, :3], grid.targets)
     variance = grid.length_std**2 + np.einsum("jia,ia->ji", unit**2, grid.target_std**2)
@@ -187,6 +192,7 @@ def adjust_stations(grid: Grid, start: Floats) -> Adjustment:
         dof=n_lengths - unknowns,
         unknowns=unknowns,
         rank=unknowns,
+        target_test=np.zeros(len(grid.targets)),
     )
 
 
@@ -218,8 +224,8 @@ def _effective_dof(whitened: Floats, felt: Floats, dof: int) -> float:
     """Return the degrees of freedom of the chi-squared sum, whose stations are correlated.
 
     ``whitened`` (m, n, 4) is the design, ``felt`` (m, n, 3) the targets' standard errors, both in
-    standard deviations of the lengths. Welch-Satterthwaite: 2 mean^2 / variance, where the variance
-    of the sum is 2 sum_jk tr(R_j D_jk R_k D_jk), D_jk the correlation of lengths to one
+    standard deviations of the lengths. Welch-Satterthwaite: 2 mean^2 / variance, where the
+    variance of the sum is 2 sum_jk tr(R_j D_jk R_k D_jk), D_jk the correlation of lengths to one
     target from two stations and R the projection on the residuals of a station.
     """
     if not felt.any():

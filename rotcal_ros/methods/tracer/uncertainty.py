@@ -54,7 +54,7 @@ def angle_uncertainty(
     error_motion_std: float,
     scale: float,
 ) -> AngleUncertainty:
-    """Propagate the stations' covariance, times ``scale``^2, and the error motion to the angles."""
+    """Propagate the stations' covariance times ``scale``^2 and the error motion to the angles."""
     bearing = bearing_jacobian(fit.stations, motion)
     cumulative, adjacent = bearing - bearing[0], np.diff(bearing, axis=0)
     sources = {
@@ -77,7 +77,8 @@ def error_motion_covariance(motion: TableMotion, std: float) -> Floats:
     """Return the covariance (3 m, 3 m) of independent error motions ``std`` (m) in the plane."""
     normal = motion.plane.normal
     in_plane = np.eye(3) - np.outer(normal, normal)
-    return np.kron(np.eye(len(motion.in_plane)), std**2 * in_plane)
+    blocks = np.kron(np.eye(len(motion.in_plane)), std**2 * in_plane)
+    return np.asarray(blocks, dtype=np.float64)
 
 
 def length_test(fit: Adjustment, dof_effective: float) -> GlobalTest:

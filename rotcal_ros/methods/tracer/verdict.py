@@ -34,8 +34,8 @@ TURN: Final = 2.0 * np.pi
 class Closure:
     """Two stations at the same table angle, whole turns apart: what should agree, and how well.
 
-    ``error`` is the deviation at ``last`` minus that at ``first`` (indices of kept stations), with
-    its standard deviation ``std``; radians.
+    ``error`` is the deviation at station ``last`` minus that at ``first``, with its standard
+    deviation ``std``; radians.
     """
 
     first: int
@@ -44,19 +44,26 @@ class Closure:
     std: float
 
 
-def closures(angles: Floats, cumulative: Floats, covariance: Floats) -> tuple[Closure, ...]:
-    """Return the closures of ``angles`` (m,): every later station against the first at its angle."""
+def closures(
+    angles: Floats, cumulative: Floats, covariance: Floats, station_ids: NDArray[np.int64]
+) -> tuple[Closure, ...]:
+    """Return the closures of ``angles`` (m,): later stations against the first at their angle."""
     found = []
     for last in range(1, len(angles)):
         apart = (angles[last] - angles[:last]) / TURN
         same = np.flatnonzero(np.abs(apart - np.round(apart)) < 1e-9)
         if len(same):
             first = int(same[0])
-            variance = (
-                covariance[last, last] + covariance[first, first] - 2.0 * covariance[last, first]
+            pair = np.ix_([first, last], [first, last])
+            variance = float(np.array([-1.0, 1.0]) @ covariance[pair] @ np.array([-1.0, 1.0]))
+            found.append(
+                Closure(
+                    first=int(station_ids[first]),
+                    last=int(station_ids[last]),
+                    error=float(cumulative[last] - cumulative[first]),
+                    std=float(np.sqrt(max(variance, 0.0))),
+                )
             )
-            error = float(cumulative[last] - cumulative[first])
-            found.append(Closure(first, last, error, float(np.sqrt(max(variance, 0.0)))))
     return tuple(found)
 
 
@@ -107,20 +114,20 @@ def _doubt_lengths(evidence: Evidence, settings: TracerSettings) -> list[str]:
 
 
 def _doubt_stations(evidence: Evidence, settings: TracerSettings) -> list[str]:
-    doubts = []
+    doubts: list[str] = []
     limit = float(norm.isf(0.5 * settings.test_significance))
-    for closure in evidence.closures:
-        if abs(closure.error) > limit * closure.std:
-            doubts.append(
-                f"stations {closure.first} and {closure.last} stand at the same table angle but "
-                f"differ by {closure.error:.3g} rad, expected 0 with a standard deviation of "
-                f"{closure.std:.3g} rad: something moved or drifted during the run"
-            )
+    doubts += [
+        f"stations {c.first} and {c.last} stand at the same table angle but differ by "
+        f"{c.error:.3g} rad, expected 0 with a standard deviation of {c.std:.3g} rad: something "
+        "moved or drifted during the run"
+        for c in evidence.closures
+        if abs(c.error) > limit * c.std
+    ]
     if evidence.circle.probability < settings.test_significance:
         doubts.append(
             f"the stations leave their circle by {evidence.radial_rms:.3g} m (rms), "
-            f"{evidence.circle.sigma0:.1f} times what is expected: the table's radial error motion "
-            "is larger than error_motion_std says, and so is the uncertainty of the angles"
+            f"{evidence.circle.sigma0:.1f} times what is expected: the table's radial error "
+            "motion is larger than error_motion_std says, and so is the uncertainty of the angles"
         )
     if evidence.missing:
         names = ", ".join(str(j) for j in evidence.missing)

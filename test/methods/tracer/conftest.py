@@ -1,4 +1,4 @@
-"""Lets the tests use scipy's formulation of the same problems, which lives beside the benchmark."""
+"""Lets the tests use scipy's formulation of the problems, which lives beside the benchmark."""
 
 import sys
 from pathlib import Path

@@ -48,7 +48,13 @@ def low_ring(n, rng):
 
 
 def simulate(
-    seed=0, angles=None, n=64, layout=paper_block, length_std=2e-7, target_std=0.0, error_motion=0.0
+    seed=0,
+    angles=None,
+    n=64,
+    layout=paper_block,
+    length_std=2e-7,
+    target_std=0.0,
+    error_motion=0.0,
 ):
     """Deviations of a few arcsec; errors drawn from the given standard deviations (m)."""
     rng = np.random.default_rng(seed)

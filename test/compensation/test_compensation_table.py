@@ -106,6 +106,16 @@ def test_both_directions_keep_the_reversal():
     assert "4 arcsec of reversal stay" in mean.warnings[-1]
 
 
+def test_reverse_uncertainty_holds_the_forward_zero_too():
+    """Independent runs, value s at every angle after the first: 2 s^2 there, 2 s^2 at the zero."""
+    angles, s = even(18), 0.3 * ARCSEC
+    run = result_of(angles, np.zeros(18), s)
+    table = table_from_result(run, reverse=run, reference_angle=angles[4])
+    np.testing.assert_allclose(table.std[[2, 9]], 2.0 * s, rtol=1e-12)
+    alone = table_from_result(run, reference_angle=angles[4])
+    np.testing.assert_allclose(alone.std[[2, 4, 9]], [np.sqrt(2.0) * s, 0.0, np.sqrt(2.0) * s])
+
+
 def test_runs_with_a_zero_each_have_lost_the_reversal_and_say_so():
     angles = even(18)
     values = wavy(angles) - wavy(0.0)
@@ -138,6 +148,19 @@ def test_closing_position_is_checked_and_averaged():
     deviation[-1] += 5.0 * ARCSEC
     with pytest.raises(DataError, match=r"do not close: at 0 and 360 deg.* 5\.2 arcsec"):
         table_from_result(result_of(angles, deviation))
+
+
+def test_closure_knows_correlations():
+    """Errors common to both readings of one position do not excuse a gap between them."""
+    angles = np.append(even(16), TAU)
+    deviation = np.append(np.zeros(16), 3.0 * ARCSEC)
+    free = result_of(angles, deviation, 2.0 * ARCSEC)
+    loose = type(free)(**{**vars(free), "covariance": {"ECC": np.eye(17) * ARCSEC**2}})
+    assert table_from_result(loose).closed
+    common = (np.full((17, 17), 0.99) + 0.01 * np.eye(17)) * ARCSEC**2
+    tight = type(free)(**{**vars(free), "covariance": {"ECC": common}})
+    with pytest.raises(DataError, match=r"standard uncertainty of 0\.141 arcsec"):
+        table_from_result(tight)
 
 
 def test_an_arc_says_that_it_is_one():

@@ -1,0 +1,165 @@
+"""Ball plate against its opponents, side by side in one run, one thread each.
+
+Every function returns rows (name, ours_s, opponent_s, ratio, difference): seconds of one call,
+opponent / ours, and the largest relative difference between the two results. Run alone with
+``OMP_NUM_THREADS=1 python benchmarks/bench_ball_plate.py``.
+"""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from rotcal_ros.geometry.sphere import fit_spheres
+from rotcal_ros.methods.ball_plate.dense import solve_dense
+from rotcal_ros.methods.ball_plate.model import FIELDS, Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.spectral import solve_spectral
+from rotcal_ros.planning.ball_layout import best_layout, rank_subsets
+
+PLATE = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)
+RADIUS = 0.185
+
+
+class Row(NamedTuple):
+    """One line of the table; ``difference`` is relative, NaN where there is nothing to compare."""
+
+    name: str
+    ours_s: float
+    opponent_s: float
+    ratio: float
+    difference: float
+
+
+def best_time(call: Callable[[], Any], repeats: int) -> float:
+    """Seconds of the fastest of some calls: what the machine can do when left alone."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def measurement(grid: int, balls: tuple[int, ...], seed: int = 0) -> BallPlateProblem:
+    """Centres scattered by 1 um about their places."""
+    ball = np.repeat(balls, grid)
+    table = np.tile(np.arange(grid), len(balls))
+    angle = 2.0 * np.pi * ((table + ball) % grid) / grid
+    nominal = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+    scatter = 1e-6 * np.random.default_rng(seed).normal(size=nominal.shape)
+    return BallPlateProblem(grid, RADIUS, table, ball, nominal + scatter)
+
+
+def _difference(first: Solution, second: Solution) -> float:
+    worst = 0.0
+    for part in ("estimate", "unit_std"):
+        for field in FIELDS:
+            a, b = getattr(getattr(first, part), field), getattr(getattr(second, part), field)
+            worst = max(worst, float(np.abs(a - b).max() / np.abs(a).max()))
+    return worst
+
+
+def bench_solve() -> list[Row]:
+    """All parameters and standard deviations: spectral against the dense form."""
+    paper = measurement(72, PLATE)
+    dense_s = best_time(lambda: solve_dense(paper), 5)
+    ours_s = best_time(lambda: solve_spectral(paper), 300)
+    difference = _difference(solve_dense(paper), solve_spectral(paper))
+    fine = measurement(3600, tuple(50 * step + step % 7 for step in PLATE))
+    fine_s = best_time(lambda: solve_spectral(fine), 5)
+    return [
+        Row("solve N=72 R=12, dense", ours_s, dense_s, dense_s / ours_s, difference),
+        Row("solve N=3600 R=12, dense at N=72", fine_s, dense_s, dense_s / fine_s, float("nan")),
+    ]
+
+
+def peak_memory() -> float:
+    """Largest memory in bytes that a solution with N = 3600 takes on top."""
+    fine = measurement(3600, tuple(50 * step + step % 7 for step in PLATE))
+    tracemalloc.start()
+    solve_spectral(fine)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return float(peak)
+
+
+def bench_layouts() -> list[Row]:
+    """924 six-ball subsets ranked, against one dense solution each."""
+    ours_s = best_time(lambda: rank_subsets(72, list(PLATE), 6), 10)
+    layouts, variances = rank_subsets(72, list(PLATE), 6)
+    checked = layouts[:: len(layouts) // 3]
+    start = time.perf_counter()
+    dense = [solve_dense(measurement(72, tuple(layout.tolist()))) for layout in checked]
+    dense_s = (time.perf_counter() - start) / len(checked) * len(layouts)
+    found = [np.mean(s.unit_std.component("ECC") ** 2) * RADIUS**2 for s in dense]
+    ranked = variances[:: len(layouts) // 3, 0]
+    difference = float(np.abs(np.array(found) / ranked - 1.0).max())
+    return [
+        Row("rank 924 six-ball subsets, dense each", ours_s, dense_s, dense_s / ours_s, difference)
+    ]
+
+
+def layouts_per_second() -> float:
+    """Layouts per second of an exhaustive search (4 of 60 steps and up to symmetry)."""
+    start = time.perf_counter()
+    found = best_layout(60, 5)
+    return found.evaluated / (time.perf_counter() - start)
+
+
+def bench_spheres(n_balls: int = 864, n_opponent: int = 60) -> list[Row]:
+    """Sphere fits of 15 touches: all at once, against scipy ball by ball."""
+    rng = np.random.default_rng(1)
+    height = (np.arange(15) + 0.5) / 15
+    around, flat = 2.399963 * np.arange(15), np.sqrt(1.0 - height**2)
+    direction = np.column_stack([flat * np.cos(around), flat * np.sin(around), height])
+    centres = 0.2 * rng.normal(size=(n_balls, 3))
+    points = centres[:, None] + 0.014 * direction + 1e-7 * rng.normal(size=(n_balls, 15, 3))
+    rows = []
+    for name, radius in (("known radius", 0.0125), ("free radius", None)):
+        ours_s = best_time(lambda r=radius: fit_spheres(points, radius=r, tip_radius=0.0015), 5)
+        ours_s /= n_balls
+        ours = fit_spheres(points, radius=radius, tip_radius=0.0015, reject=False)
+        start = time.perf_counter()
+        theirs = np.array([_scipy_sphere(cloud, radius) for cloud in points[:n_opponent]])
+        theirs_s = (time.perf_counter() - start) / n_opponent
+        difference = float(np.abs(theirs - ours.centres[:n_opponent]).max() / 0.014)
+        label = f"sphere fit, {name}, scipy per ball"
+        rows.append(Row(label, ours_s, theirs_s, theirs_s / ours_s, difference))
+    return rows
+
+
+def _scipy_sphere(cloud: np.ndarray, radius: float | None) -> np.ndarray:
+    start = np.r_[cloud.mean(axis=0) - [0.0, 0.0, 0.007], [] if radius else [0.014]]
+
+    def distance(x: np.ndarray) -> np.ndarray:
+        size = 0.014 if radius else x[3]
+        return np.linalg.norm(cloud - x[:3], axis=1) - size
+
+    return least_squares(distance, start, method="lm").x[:3]
+
+
+def rows() -> list[Row]:
+    """Return all rows."""
+    return bench_solve() + bench_layouts() + bench_spheres()
+
+
+def main() -> None:
+    """Print the table."""
+    print(f"{'':44s} {'ours':>10s} {'opponent':>10s} {'ratio':>8s} {'difference':>11s}")
+    for row in rows():
+        print(
+            f"{row.name:44s} {row.ours_s * 1e3:8.3f}ms {row.opponent_s * 1e3:8.1f}ms "
+            f"{row.ratio:8.1f} {row.difference:11.1e}"
+        )
+    print(f"layouts per second: {layouts_per_second():.0f}")
+    print(f"peak memory of the solution at N = 3600: {peak_memory() / 1e6:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,199 @@
+"""Propagation of distributions by Monte Carlo: JCGM 101:2008, adaptive (7.9), for any method.
+
+A *model* draws trials: ``model(rng, count)`` returns (count, n) output quantities. The trials come
+in blocks, and block h always uses the same counter-based random stream, so a result depends on the
+seed alone: not on the number of workers, nor on which of them was faster.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Final, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from rotcal_ros.errors import ConfigurationError
+
+Floats = NDArray[np.float64]
+Model = Callable[[np.random.Generator, int], Floats]
+Progress = Callable[[int, int], None]
+Blocks = Generator[Floats, None, None]
+P = TypeVar("P")
+
+BLOCK: Final = 2000
+"""Trials per block: the 100 / (1 - p) that a 95 % interval needs (JCGM 101, 7.9.4 b)."""
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """What the trials say about n output quantities, in their own units.
+
+    ``mean``, ``std``, ``low``, ``high`` (n,); low and high bound the probabilistically symmetric
+    interval of ``probability``. ``covariance`` is (n, n). ``stable`` tells whether all of them
+    are stable to ``digits`` significant digits of the standard deviation, or the trials ran out.
+    """
+
+    mean: Floats
+    std: Floats
+    low: Floats
+    high: Floats
+    covariance: Floats
+    probability: float
+    digits: int
+    trials: int
+    stable: bool
+
+
+@dataclass(frozen=True)
+class LoopTrials(Generic[P]):
+    """A model for a method without vectorised trials: draw a problem, solve it, and again."""
+
+    draw: Callable[[np.random.Generator], P]
+    evaluate: Callable[[P], Floats]
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return (count, n) outputs."""
+        return np.stack([self.evaluate(self.draw(rng)) for _ in range(count)])
+
+
+def propagate(
+    model: Model,
+    *,
+    seed: int,
+    max_trials: int = 100_000,
+    digits: int = 2,
+    probability: float = 0.95,
+    workers: int = 1,
+    block: int = BLOCK,
+    progress: Progress | None = None,
+) -> Propagation:
+    """Run trials until the figures are stable to ``digits`` digits, or ``max_trials`` are done.
+
+    Stable (JCGM 101, 7.9.4): over the blocks, twice the standard deviation of the averages of
+    mean, std, low and high is below the numerical tolerance of std, for every output. With more
+    than one worker the model must be picklable. ``progress(done, max_trials)`` is called after
+    every block.
+    """
+    if not 0.0 < probability < 1.0 or digits < 1 or workers < 1 or block < 2 or seed < 0:
+        raise ConfigurationError(
+            "Monte Carlo needs 0 < probability < 1, digits and workers >= 1, block >= 2, "
+            f"seed >= 0; found {probability}, {digits}, {workers}, {block}, {seed}"
+        )
+    n_blocks = -(-max_trials // block)
+    if n_blocks < 1:
+        raise ConfigurationError(f"Monte Carlo needs at least one trial, found {max_trials}")
+    values: list[Floats] = []
+    figures: list[Floats] = []
+    stable = False
+    with closing(_blocks(model, seed, block, n_blocks, workers)) as blocks:
+        for trials in blocks:
+            values.append(trials)
+            figures.append(_figures(trials, probability))
+            if progress is not None:
+                progress(len(values) * block, n_blocks * block)
+            stable = _stable(np.array(figures), digits)
+            if stable:
+                break
+    every = np.concatenate(values)
+    mean, std, low, high = _figures(every, probability)
+    covariance = np.atleast_2d(np.cov(every, rowvar=False))
+    return Propagation(mean, std, low, high, covariance, probability, digits, len(every), stable)
+
+
+def numerical_tolerance(std: Floats, digits: int) -> Floats:
+    """Return half a unit in the last of ``digits`` significant digits (JCGM 101, 7.9.2)."""
+    safe = np.where(std > 0.0, std, 1.0)
+    # Rounding first: 0.0999 with two digits is 0.10, whose last digit is worth more.
+    exponent = np.floor(np.log10(safe) - np.log10(1.0 - 0.5 * 10.0**-digits))
+    return np.asarray(0.5 * 10.0 ** (exponent - digits + 1), dtype=np.float64)
+
+
+def compare_with_linear(
+    result: Propagation, value: Floats, std: Floats, names: Sequence[str] = ()
+) -> list[str]:
+    """Return one warning per output whose linear interval the trials contradict.
+
+    ``value`` and ``std`` (n,) are the linear estimates, ``names`` what to call the outputs.
+
+    JCGM 101, 8.1: the ends of value +- k std are compared with those of the trials; they shall
+    agree within the numerical tolerance of std, here at least 5 % of std, because an interval that
+    is wrong by less misleads nobody.
+    """
+    cover = float(norm.ppf(0.5 + 0.5 * result.probability))
+    tolerance = np.maximum(numerical_tolerance(std, result.digits), 0.05 * std)
+    # A finite number of trials knows the ends of an interval only so well.
+    density = float(norm.pdf(cover))
+    share = 0.5 * (1.0 - result.probability)
+    tolerance = tolerance + 4.0 * std * np.sqrt(share * (1.0 - share) / result.trials) / density
+    low = np.abs(value - cover * std - result.low)
+    high = np.abs(value + cover * std - result.high)
+    return [
+        f"{names[i] if names else f'output {i}'}: the linear standard uncertainty is "
+        f"{std[i]:.3g}, the trials say {result.std[i]:.3g} (mean shifted by "
+        f"{result.mean[i] - value[i]:.2g}); trust the trials"
+        for i in np.flatnonzero((low > tolerance) | (high > tolerance)).tolist()
+    ]
+
+
+def _figures(trials: Floats, probability: float) -> Floats:
+    """Mean, std, low and high (4, n) of trials (m, n)."""
+    tail = 0.5 * (1.0 - probability)
+    low, high = np.quantile(trials, [tail, 1.0 - tail], axis=0)
+    return np.stack([trials.mean(axis=0), trials.std(axis=0, ddof=1), low, high])
+
+
+def _stable(figures: Floats, digits: int) -> bool:
+    """JCGM 101, 7.9.4 e) to i) for figures (h, 4, n) of h blocks."""
+    h = len(figures)
+    if h < 2:
+        return False
+    spread = figures.std(axis=0, ddof=1) / np.sqrt(h)
+    tolerance = numerical_tolerance(figures[:, 1].mean(axis=0), digits)
+    return bool(np.all(2.0 * spread <= tolerance))
+
+
+def _blocks(model: Model, seed: int, block: int, n_blocks: int, workers: int) -> Blocks:
+    """Trials of block after block, in order, computed ahead by the workers."""
+    if workers == 1:
+        for index in range(n_blocks):
+            yield model(_stream(seed, index), block)
+        return
+    # Spawned, not forked: the caller may have threads (a ROS executor, a progress bar).
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _keep_model, (model,)) as pool:
+        ahead: deque[Future[Floats]] = deque()
+        try:
+            for index in range(n_blocks + workers):
+                if index < n_blocks:
+                    ahead.append(pool.submit(_run_block, seed, index, block))
+                if index >= workers and ahead:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _stream(seed: int, index: int) -> np.random.Generator:
+    """Random numbers of one block: its index is the high word of the counter."""
+    return np.random.Generator(np.random.Philox(key=seed, counter=index << 192))
+
+
+_worker_model: Model | None = None
+
+
+def _keep_model(model: Model) -> None:
+    global _worker_model
+    _worker_model = model
+
+
+def _run_block(seed: int, index: int, block: int) -> Floats:
+    assert _worker_model is not None
+    return _worker_model(_stream(seed, index), block)

@@ -1,0 +1,25 @@
+"""Laser tracker and plane mirror: direct, by stitching, by registration, or all in one."""
+
+from rotcal_ros.methods.plane_mirror.nest_tests import check_nests
+from rotcal_ros.methods.plane_mirror.problem import (
+    WAYS,
+    PlaneMirrorProblem,
+    TrackerNoise,
+    problem_from_observations,
+)
+from rotcal_ros.methods.plane_mirror.solve import METHOD, solve
+from rotcal_ros.methods.plane_mirror.table import read_points, write_points
+from rotcal_ros.methods.plane_mirror.trials import mirror_trials
+
+__all__ = [
+    "METHOD",
+    "WAYS",
+    "PlaneMirrorProblem",
+    "TrackerNoise",
+    "check_nests",
+    "mirror_trials",
+    "problem_from_observations",
+    "read_points",
+    "solve",
+    "write_points",
+]

@@ -1,0 +1,109 @@
+"""The direct way: reflectors carried by the table, angles about the centre of their circle."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.errors import DataError, GeometryError
+from rotcal_ros.methods.plane_mirror import cone
+from rotcal_ros.methods.plane_mirror.layout import Reflectors
+from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
+
+Floats = NDArray[np.float64]
+
+
+def direct_readings(placed: Floats, reflectors: Reflectors, angles: Floats) -> Floats:
+    """Return one reading (..., M) per row: deviation in rad from its reflector's first row.
+
+    ``placed`` (..., M, 3) in the common frame, ``angles`` (N,) commanded. Plane and circle are
+    fitted to all rows of one reflector.
+    """
+    readings = np.zeros(placed.shape[:-1])
+    for reflector in range(len(reflectors.name)):
+        at = np.flatnonzero(reflectors.reflector == reflector)
+        commanded = angles[reflectors.position[at]]
+        axis, centre, _ = fit_circle(placed[..., at, :], commanded)
+        arms = placed[..., at, :] - centre[..., None, :]
+        readings[..., at] = cone.deviation(cone.azimuths(arms, axis), commanded)
+    return readings
+
+
+def fit_circle(points: Floats, commanded: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return axis (..., 3), centre (..., 3) and radius (...) of the circle through (..., m, 3).
+
+    Plane by singular values, circle by Kasa's algebraic fit in it, about the centre of mass and
+    in units of the spread, so that no digits are lost.
+    """
+    middle = points.mean(axis=-2, keepdims=True)
+    arms = points - middle
+    scale = np.sqrt((arms**2).sum(axis=-1).mean(axis=-1))[..., None, None]
+    _, _, vt = np.linalg.svd(arms, full_matrices=False)
+    axis = vt[..., 2, :] * cone.sense(arms, vt[..., 2, :], commanded)[..., None]
+    plane = vt[..., :2, :]
+    flat = arms @ np.swapaxes(plane, -1, -2) / scale
+    design = np.concatenate([2.0 * flat, np.ones((*flat.shape[:-1], 1))], axis=-1)
+    squares = (flat**2).sum(axis=-1)[..., None]
+    transposed = np.swapaxes(design, -1, -2)
+    solution = np.linalg.solve(transposed @ design, transposed @ squares)[..., 0]
+    radius = np.sqrt(solution[..., 2] + (solution[..., :2] ** 2).sum(axis=-1))
+    shift = (solution[..., None, :2] * scale) @ plane
+    return axis, (middle + shift)[..., 0, :], radius * scale[..., 0, 0]
+
+
+def local_axes(placed: Floats, reflectors: Reflectors, angles: Floats) -> tuple[Floats, Floats]:
+    """Return unit vectors (M, 3, 3), rows tangential, radial, axial, and the radii (M,)."""
+    axes = np.zeros((len(placed), 3, 3))
+    radii = np.zeros(len(placed))
+    for reflector in range(len(reflectors.name)):
+        at = np.flatnonzero(reflectors.reflector == reflector)
+        axis, centre, radius = fit_circle(placed[at], angles[reflectors.position[at]])
+        tangent = np.cross(axis, placed[at] - centre)
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        axes[at] = np.stack(
+            [tangent, np.cross(tangent, axis), np.broadcast_to(axis, tangent.shape)], axis=1
+        )
+        radii[at] = radius
+    return axes, radii
+
+
+def circle_design(reflectors: Reflectors, angles: Floats) -> Floats:
+    """Return (M, 3 K): how centre and radius of each reflector's circle move its points radially.
+
+    The same matrix says how its plane's two tilts and height move them axially.
+    """
+    azimuth = angles[reflectors.position]
+    design = np.zeros((len(azimuth), 3 * len(reflectors.name)))
+    columns = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)])
+    rows = np.arange(len(azimuth))[:, None]
+    design[rows, 3 * reflectors.reflector[:, None] + np.arange(3)] = columns
+    return design
+
+
+def direct_response(reflectors: Reflectors, angles: Floats, radii: Floats) -> Floats:
+    """Return the derivative (M, 2 M) of the readings by tangential and radial movements (m)."""
+    azimuth = angles[reflectors.position]
+    centre = np.zeros((len(azimuth), 3 * len(reflectors.name)))
+    rows = np.arange(len(azimuth))
+    centre[rows, 3 * reflectors.reflector] = np.sin(azimuth)
+    centre[rows, 3 * reflectors.reflector + 1] = -np.cos(azimuth)
+    radial = centre @ np.linalg.pinv(circle_design(reflectors, angles))
+    return np.hstack([np.eye(len(azimuth)), radial]) / radii[:, None]
+
+
+def require_circles(problem: PlaneMirrorProblem, reflectors: Reflectors) -> None:
+    """Raise unless every reflector has at least three different places on its circle."""
+    for reflector, name in enumerate(reflectors.name):
+        at = np.flatnonzero(reflectors.reflector == reflector)
+        if len(np.unique(reflectors.position[at])) < 3:
+            raise DataError(
+                f"{problem.source}: reflector {name} was measured at "
+                f"{len(np.unique(reflectors.position[at]))} table positions, its circle needs 3"
+            )
+        azimuth = problem.angles[reflectors.position[at]]
+        design = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)])
+        if np.linalg.svd(design, compute_uv=False)[-1] < 1e-3:
+            raise GeometryError(
+                f"{problem.source}: the places of reflector {name} span too small an arc to fit "
+                "a circle; measure around the whole circle"
+            )

@@ -1,0 +1,185 @@
+"""Which rows belong together: pairs, the groups that give one normal each, and nests."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
+from rotcal_ros.observations import PointKind
+
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Direct and mirrored rows (P,) of one reflector each, sorted by group.
+
+    A group is one table position seen from one tracker station: ``position`` and ``station``
+    (G,); ``group`` (P,) tells the group of each pair and ``start`` (G,) its first pair.
+    """
+
+    direct: Integers
+    mirrored: Integers
+    group: Integers
+    start: Integers
+    position: Integers
+    station: Integers
+
+    @property
+    def n_groups(self) -> int:
+        """Number of groups, that is, of normals."""
+        return len(self.position)
+
+    def keep(self, wanted: NDArray[np.bool_]) -> Pairs:
+        """Return the pairs (P,) that are wanted, without the groups that become empty."""
+        groups, group = np.unique(self.group[wanted], return_inverse=True)
+        return Pairs(
+            direct=self.direct[wanted],
+            mirrored=self.mirrored[wanted],
+            group=group.astype(np.int64),
+            start=_starts(group, len(groups)),
+            position=self.position[groups],
+            station=self.station[groups],
+        )
+
+
+@dataclass(frozen=True)
+class Nests:
+    """Nest rows (Q,) sorted by ``point`` (Q,), the index of the fixed nest; see ``name`` (K,).
+
+    A nest that was moved in between counts as two points of the same name.
+    """
+
+    row: Integers
+    station: Integers
+    point: Integers
+    start: Integers
+    name: Integers
+
+    @property
+    def n_points(self) -> int:
+        """Number of fixed points."""
+        return len(self.name)
+
+    def keep(self, wanted: NDArray[np.bool_]) -> Nests:
+        """Return the rows (Q,) that are wanted, without the points that become empty."""
+        return _nests(self.row[wanted], self.station[wanted], self.point[wanted], self.name)
+
+    def split(self, moved: NDArray[np.bool_]) -> Nests:
+        """Return nests in which the rows (Q,) marked as moved belong to a new point."""
+        point = np.where(moved, self.n_points, self.point)
+        name = np.append(self.name, self.name[self.point[moved][0]])
+        return _nests(self.row, self.station, point, name)
+
+
+@dataclass(frozen=True)
+class Reflectors:
+    """Direct rows (M,) of reflectors that the table carries, sorted by reflector."""
+
+    row: Integers
+    position: Integers
+    station: Integers
+    reflector: Integers
+    name: Integers
+
+    def keep(self, wanted: NDArray[np.bool_]) -> Reflectors:
+        """Return the rows (M,) that are wanted."""
+        return replace(
+            self,
+            row=self.row[wanted],
+            position=self.position[wanted],
+            station=self.station[wanted],
+            reflector=self.reflector[wanted],
+        )
+
+
+def find_pairs(problem: PlaneMirrorProblem) -> Pairs:
+    """Match direct and mirrored rows; repeated measurements are matched in their order.
+
+    Raises DataError when one of a pair is missing, naming position, station and nest.
+    """
+    rows: defaultdict[tuple[int, int, int], tuple[list[int], list[int]]]
+    rows = defaultdict(lambda: ([], []))
+    for row in np.flatnonzero(problem.kind != PointKind.NEST):
+        key = (problem.position[row], problem.station[row], problem.nest[row])
+        rows[key][int(problem.kind[row] == PointKind.MIRRORED)].append(int(row))
+    if not rows:
+        raise DataError(f"{problem.source}: no direct and mirrored points, nothing to compute")
+    for key, (near, far) in rows.items():
+        if len(near) != len(far):
+            raise DataError(_unpaired(problem, key, len(near), len(far)))
+    keys = sorted(rows)
+    direct = np.array([row for key in keys for row in rows[key][0]], dtype=np.int64)
+    mirrored = np.array([row for key in keys for row in rows[key][1]], dtype=np.int64)
+    places = np.column_stack([problem.position[direct], problem.station[direct]])
+    group_places, group = np.unique(places, axis=0, return_inverse=True)
+    group = group.ravel().astype(np.int64)
+    return Pairs(
+        direct=direct,
+        mirrored=mirrored,
+        group=group,
+        start=_starts(group, len(group_places)),
+        position=group_places[:, 0],
+        station=group_places[:, 1],
+    )
+
+
+def find_nests(problem: PlaneMirrorProblem) -> Nests:
+    """Collect the nest rows; a nest that only one station sees joins nothing and is left out."""
+    rows = np.flatnonzero(problem.kind == PointKind.NEST)
+    seen = {
+        int(name): set(problem.station[rows[problem.nest[rows] == name]].tolist())
+        for name in np.unique(problem.nest[rows])
+    }
+    joined = [len(seen[int(name)]) > 1 for name in problem.nest[rows]]
+    rows = rows[np.array(joined, dtype=np.bool_)]
+    names, point = np.unique(problem.nest[rows], return_inverse=True)
+    return _nests(rows, problem.station[rows], point, names)
+
+
+def find_reflectors(problem: PlaneMirrorProblem) -> Reflectors:
+    """Collect the reflectors on the table for the direct way.
+
+    Raises DataError when there are mirrored rows, which this way has no use for.
+    """
+    mirrored = np.flatnonzero(problem.kind == PointKind.MIRRORED)
+    if len(mirrored):
+        raise DataError(
+            f"{problem.source}: {problem.row_name(int(mirrored[0]))} in the direct way; here the "
+            "table carries the reflectors and there is no mirror: choose stitching, registration "
+            "or joint"
+        )
+    rows = np.flatnonzero(problem.kind == PointKind.DIRECT)
+    if not len(rows):
+        raise DataError(f"{problem.source}: no direct points, nothing to compute")
+    names, reflector = np.unique(problem.nest[rows], return_inverse=True)
+    order = np.lexsort([rows, problem.position[rows], reflector])
+    rows, reflector = rows[order], reflector[order]
+    return Reflectors(rows, problem.position[rows], problem.station[rows], reflector, names)
+
+
+def _nests(row: Integers, station: Integers, point: Integers, name: Integers) -> Nests:
+    used, point = np.unique(point, return_inverse=True)
+    order = np.lexsort([row, station, point])
+    point = point[order].astype(np.int64)
+    return Nests(row[order], station[order], point, _starts(point, len(used)), name[used])
+
+
+def _starts(sorted_index: Integers, count: int) -> Integers:
+    return np.searchsorted(sorted_index, np.arange(count)).astype(np.int64)
+
+
+def _unpaired(
+    problem: PlaneMirrorProblem, key: tuple[int, int, int], n_direct: int, n_mirrored: int
+) -> str:
+    position, station, nest = key
+    return (
+        f"{problem.source}: {problem.position_name(position)}, tracker station "
+        f"{problem.station_name(station)}, nest {nest}: {n_direct} direct and {n_mirrored} "
+        "mirrored points, expected as many of both; measure the missing one or take the row out"
+    )

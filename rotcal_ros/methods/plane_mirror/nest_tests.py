@@ -1,0 +1,221 @@
+"""Do the nests stand where the registration says? A nest that moved is found and named."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.stats import chi2
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.methods.plane_mirror.layout import Nests, find_nests
+from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.registration import (
+    Poses,
+    adjust_stations,
+    nest_equations,
+    place_stations,
+    pose_jacobian,
+)
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+_MIN_APART: Final = 5e-3  # smaller than any reflector
+_MATCH: Final = 2e-3  # distances that agree within this show the same two nests
+_MIN_REDUNDANCY: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class NestFit:
+    """Residuals (Q, 3) of nests in m along the common axes, and their cofactors.
+
+    ``weight`` and ``cofactor`` (3 Q, 3 Q) are the inverse covariance of the observations and the
+    covariance of the residuals.
+    """
+
+    residual: Floats
+    weight: Floats
+    cofactor: Floats
+    chi_square: float
+    dof: int
+
+    @property
+    def redundancy(self) -> Floats:
+        """Share (Q,) of each nest observation that is checked by the others, 0 to 1."""
+        share: Floats = np.einsum("ij,ji->i", self.cofactor, self.weight).reshape(-1, 3).mean(1)
+        return np.clip(share, 0.0, 1.0)
+
+    @property
+    def test_value(self) -> Floats:
+        """Normalised residual (Q,): 1 is expected, 0 where nothing checks the observation."""
+        v = self.residual
+        square = (v * (self.weight @ v.ravel()).reshape(-1, 3)).sum(axis=1)
+        share = 3.0 * self.redundancy
+        value: Floats = np.sqrt(square / np.where(share > 1e-6, share, np.inf))
+        return value
+
+
+def register(problem: PlaneMirrorProblem, nests: Nests) -> tuple[Poses, Nests, list[str]]:
+    """Place and adjust all stations; returns them, the nests used, and what moved, in words.
+
+    A nest that moved counts as a new nest after the move. Exchanged nests and nests that stand in
+    one place are refused with DataError; GeometryError as in
+    :func:`~rotcal_ros.methods.plane_mirror.registration.place_stations`.
+    """
+    _check_apart(problem, nests)
+    _check_exchanged(problem, nests)
+    moved: list[str] = []
+    while True:
+        weight = problem.noise.weight(problem.xyz[nests.row])
+        poses = adjust_stations(problem.xyz, nests, weight, place_stations(problem, nests))
+        found = _moved_nest(problem, nests, nest_fit(problem.xyz, nests, weight, poses))
+        if found is None or len(moved) >= len(nests.name):
+            return poses, nests, moved
+        members, text = found
+        moved.append(text)
+        nests = nests.split(members)
+
+
+def check_nests(problem: PlaneMirrorProblem) -> list[str]:
+    """Return what moved among the nests measured so far, in words; empty when all is well.
+
+    For use while measuring, after the tracker was moved: ``problem`` needs NEST rows only. Raises
+    DataError and GeometryError as :func:`register`.
+    """
+    if problem.station.max() == 0:
+        return []
+    return register(problem, find_nests(problem))[2]
+
+
+def nest_fit(points: Floats, nests: Nests, weight: Floats, poses: Poses) -> NestFit:
+    """Return residuals, cofactors and chi square of the registration at its solution."""
+    _, _, residual = nest_equations(points, nests, weight, poses)
+    rotation = poses.rotation[nests.station]
+    n, n_stations = len(nests.row), len(poses.rotation)
+    full: Floats = block_diag(*(rotation @ weight @ np.swapaxes(rotation, 1, 2)))
+    arm = poses.turned(points[nests.row], nests.station)
+    design = np.zeros((n, 3, 3 * nests.n_points))
+    axes = np.arange(3)
+    design[np.arange(n)[:, None], axes, 3 * nests.point[:, None] + axes] = -1.0
+    poses_part = pose_jacobian(arm, nests.station, n_stations)
+    jacobian = np.concatenate([poses_part, design], axis=2).reshape(3 * n, -1)
+    normal = jacobian.T @ full @ jacobian
+    cofactor = np.linalg.inv(full) - jacobian @ np.linalg.solve(normal, jacobian.T)
+    v = residual.ravel()
+    return NestFit(residual, full, cofactor, float(v @ full @ v), 3 * n - jacobian.shape[1])
+
+
+def _moved_nest(
+    problem: PlaneMirrorProblem, nests: Nests, fit: NestFit
+) -> tuple[NDArray[np.bool_], str] | None:
+    """Return the most likely move, if one explains what noise cannot; else None."""
+    if fit.dof == 0 or fit.chi_square <= chi2.isf(problem.significance, fit.dof):
+        return None
+    hypotheses = _hypotheses(nests)
+    best: tuple[float, NDArray[np.bool_], str] | None = None
+    for members, when in hypotheses:
+        drop, shift = _gain(fit, members)
+        rest = max(1.0, (fit.chi_square - drop) / max(fit.dof - 3, 1))
+        if drop / rest > chi2.isf(problem.significance / len(hypotheses), 3) and (
+            best is None or drop > best[0]
+        ):
+            name = nests.name[nests.point[members][0]]
+            where = when.format(*(problem.station_name(s) for s in _stations(nests, members)))
+            text = f"nest {name} {where} (by {np.linalg.norm(shift) * 1e3:.3f} mm)"
+            best = drop, members, f"{text}; it counts as another nest there"
+    return None if best is None else best[1:]
+
+
+def _hypotheses(nests: Nests) -> list[tuple[NDArray[np.bool_], str]]:
+    """Each nest moved for good between two stations, or stood elsewhere at one station only."""
+    found = []
+    for point in range(nests.n_points):
+        own = nests.point == point
+        seen = np.unique(nests.station[own])
+        moved, aside = "moved between tracker stations {} and {}", "stood elsewhere at station {1}"
+        found += [(own & (nests.station >= station), moved) for station in seen[1:]]
+        found += [(own & (nests.station == station), aside) for station in seen[1:-1]]
+    return found
+
+
+def _stations(nests: Nests, members: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the last station before the move that saw the nest, and the first after it."""
+    first = int(nests.station[members].min())
+    own = nests.station[nests.point == nests.point[members][0]]
+    return int(own[own < first].max()), first
+
+
+def _gain(fit: NestFit, members: NDArray[np.bool_]) -> tuple[float, Floats]:
+    """Drop of chi square and the shift (3,) when the members may stand elsewhere together."""
+    select = np.kron(members[:, None].astype(float), np.eye(3))
+    weighted = fit.weight @ select
+    inner = weighted.T @ fit.cofactor @ weighted
+    if np.linalg.eigvalsh(inner)[0] < _MIN_REDUNDANCY * np.trace(select.T @ weighted) / 3.0:
+        return 0.0, np.zeros(3)  # too few nests: the rest would not fix the stations
+    push = weighted.T @ fit.residual.ravel()
+    shift = np.asarray(np.linalg.solve(inner, push), dtype=np.float64)
+    return float(push @ shift), shift
+
+
+def _check_apart(problem: PlaneMirrorProblem, nests: Nests) -> None:
+    for station in np.unique(nests.station):
+        at = np.flatnonzero(nests.station == station)
+        points = problem.xyz[nests.row[at]]
+        for i, j in combinations(range(len(at)), 2):
+            apart = np.linalg.norm(points[i] - points[j])
+            if nests.point[at[i]] != nests.point[at[j]] and apart < _MIN_APART:
+                a, b = nests.name[nests.point[at[i]]], nests.name[nests.point[at[j]]]
+                raise DataError(
+                    f"{problem.source}: from tracker station {problem.station_name(int(station))} "
+                    f"nests {a} and {b} are {apart * 1e3:.3f} mm apart, so one of them was "
+                    "measured with the reflector on the wrong nest; measure both again"
+                )
+
+
+def _check_exchanged(problem: PlaneMirrorProblem, nests: Nests) -> None:
+    """Compare the distances between nests from station to station; two exchanged show at once."""
+    table = _first_places(problem, nests)
+    for station in range(1, len(table)):
+        for reference in range(station):
+            both = np.flatnonzero(np.isfinite(table[station, :, 0] + table[reference, :, 0]))
+            if len(both) < 3:
+                continue
+            here, there = _distances(table[station, both]), _distances(table[reference, both])
+            if np.abs(here - there).max() < _MATCH:
+                break
+            swap = _exchange(here, there)
+            if swap is not None:
+                a, b = nests.name[both[list(swap)]]
+                raise DataError(
+                    f"{problem.source}: nests {a} and {b} are exchanged at tracker station "
+                    f"{problem.station_name(station)} or {problem.station_name(reference)}: all "
+                    "distances agree once they are swapped; correct the nest numbers"
+                )
+
+
+def _exchange(here: Floats, there: Floats) -> tuple[int, int] | None:
+    """Return the two nests to swap so that all distances agree; None without a single answer."""
+    answers = []
+    for i, j in combinations(range(len(here)), 2):
+        order = np.arange(len(here))
+        order[[i, j]] = j, i
+        if np.abs(here[np.ix_(order, order)] - there).max() < _MATCH:
+            answers.append((i, j))
+    return answers[0] if len(answers) == 1 else None
+
+
+def _first_places(problem: PlaneMirrorProblem, nests: Nests) -> Floats:
+    """Places (S, K, 3) of nests seen from each station, NaN where not seen."""
+    table = np.full((int(problem.station.max()) + 1, nests.n_points, 3), np.nan)
+    table[nests.station[::-1], nests.point[::-1]] = problem.xyz[nests.row[::-1]]
+    return table
+
+
+def _distances(points: Floats) -> Floats:
+    distances: Floats = np.linalg.norm(points[:, None] - points[None, :], axis=2)
+    return distances

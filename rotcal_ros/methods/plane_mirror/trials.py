@@ -1,0 +1,91 @@
+"""Monte Carlo trials of the plane-mirror method, vectorised: a thousand solutions in one go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.methods.plane_mirror.cone import fit_cone
+from rotcal_ros.methods.plane_mirror.estimate import Prepared, estimate
+from rotcal_ros.methods.plane_mirror.layout import Pairs
+from rotcal_ros.methods.plane_mirror.normals import fit_normals, image_response, tangent_frame
+from rotcal_ros.methods.plane_mirror.prepare import prepare
+from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.stitching import cone_height, station_axes
+
+Floats = NDArray[np.float64]
+
+_CHUNK: Final = 250  # trials at a time keep the arrays small enough for the cache
+
+
+@dataclass(frozen=True)
+class MirrorTrials:
+    """Draws measurements like the given one and solves them; made by :func:`mirror_trials`.
+
+    ``factor`` (n, 3, 3) are Cholesky factors of the points' covariances, ``tilt`` (2 N, 3 n) the
+    movement of all coordinates per tilt (rad) of the table across and along the normal.
+    """
+
+    prepared: Prepared
+    factor: Floats
+    tilt: Floats
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return the deviations (count, N) in rad of ``count`` simulated measurements."""
+        parts = [
+            estimate(self.prepared, self.draw(rng, min(_CHUNK, count - done)))
+            for done in range(0, count, _CHUNK)
+        ]
+        return np.concatenate(parts)
+
+    def draw(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return points (count, n, 3): the measured ones with fresh noise and table tilts."""
+        xyz = self.prepared.problem.xyz
+        noise = rng.standard_normal((count, *xyz.shape))
+        tilts = self.prepared.problem.tilt_std * rng.standard_normal((count, len(self.tilt)))
+        points: Floats = xyz + (self.factor @ noise[..., None])[..., 0]
+        points += (tilts @ self.tilt).reshape(points.shape)
+        return points
+
+
+def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
+    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses."""
+    prepared = prepare(problem).prepared
+    covariance = problem.noise.covariance(problem.xyz)
+    pairs = prepared.pairs
+    if pairs is None:
+        return MirrorTrials(prepared, _factor(covariance), np.zeros((0, problem.xyz.size)))
+    normals = fit_normals(problem.xyz, pairs, prepared.pair_weight)
+    response = image_response(
+        problem.xyz[pairs.direct],
+        problem.xyz[pairs.mirrored],
+        normals.normal[pairs.group],
+        normals.offset[pairs.group],
+    )
+    slope = problem.noise.mirror_slope_std * response
+    covariance[pairs.mirrored] += slope @ np.swapaxes(slope, 1, 2)
+    axes, height = _axes(prepared, pairs, normals.normal)
+    t, b = tangent_frame(normals.normal, axes)
+    tilt = np.zeros((len(prepared.angles), 2, *problem.xyz.shape))
+    for which, change in enumerate((b, height * t)):
+        moved = (response @ change[pairs.group][..., None])[..., 0]
+        tilt[pairs.position[pairs.group], which, pairs.mirrored] = moved
+    return MirrorTrials(prepared, _factor(covariance), tilt.reshape(-1, problem.xyz.size))
+
+
+def _factor(covariance: Floats) -> Floats:
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+
+
+def _axes(prepared: Prepared, pairs: Pairs, normals: Floats) -> tuple[Floats, float]:
+    """Table axis (G, 3) as each group's station sees it, and the height of the cone."""
+    angles = prepared.angles
+    if prepared.problem.way == "stitching":
+        height = float(cone_height(normals, pairs, angles))
+        return station_axes(normals, pairs, angles), height
+    placed = prepared.poses.turned(normals, pairs.station)
+    axis, common = fit_cone(placed, angles[pairs.position])
+    return axis @ prepared.poses.rotation[pairs.station], float(common)

@@ -1,0 +1,314 @@
+"""From a problem to a result: coverage, rejection, bad input, groups."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, simulated
+
+from rotcal_ros.errors import DataError, ObservabilityError, PlanError
+from rotcal_ros.methods.ball_plate import BallPlateProblem, select, solve
+from rotcal_ros.methods.ball_plate.spectral import solve_spectral
+from rotcal_ros.results import COMPONENTS, Result
+
+
+def at(place_of, grid=72, balls=PAPER_PLATE, direction=1.0, noise=1e-7):
+    """Centres of balls that stand at ``place_of(step)`` while their rows say ``step``."""
+    table, ball = grid_rows(grid, balls)
+    place = np.array([place_of(int(b)) for b in ball])
+    angle = 2 * np.pi * (direction * table + place) / grid
+    centres = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    centres += noise * np.random.default_rng(8).normal(size=centres.shape)
+    return BallPlateProblem(grid, RADIUS, table, ball, centres)
+
+
+def index_of(problem, table, ball):
+    return int(np.flatnonzero((problem.table_index == table) & (problem.ball_step == ball))[0])
+
+
+def test_result_has_six_curves_with_covariance_and_survives_json():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20])
+    result = solve(problem)
+    assert tuple(result.deviations) == tuple(result.std) == COMPONENTS
+    for name in COMPONENTS:
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(result.covariance[name])), result.std[name], rtol=1e-9
+        )
+        assert np.linalg.eigvalsh(result.covariance[name]).min() > -1e-9 * np.max(
+            result.std[name] ** 2
+        )
+    assert (result.verdict, result.rejected, result.n_observations) == ("ok", (), 144)
+    again = Result.from_dict(result.to_dict())
+    assert again.to_json() == result.to_json()
+    group = result.details["groups"][0]
+    assert np.shape(group["plate_errors"]) == (6, 3)
+    assert np.shape(group["cmm_errors"]) == (24, 3)
+    assert result.details["residual_rows"]["vector"].shape == (144, 3)
+
+
+def test_stated_intervals_contain_the_truth_in_95_percent_of_1000_runs():
+    inside = {name: [] for name in COMPONENTS}
+    variance = []
+    for run in range(1000):
+        problem, truth = simulated(12, [0, 1, 3, 7, 8, 10], seed=run)
+        solution = solve_spectral(problem)
+        sigma2 = solution.weighted_square_sum / solution.dof
+        variance.append(sigma2 / 5e-8**2)
+        for name in COMPONENTS:
+            error = solution.estimate.component(name) - truth.component(name)
+            std = np.sqrt(sigma2) * solution.unit_std.component(name)
+            inside[name].append(np.abs(error) < 1.96 * std)
+    for name in COMPONENTS:
+        assert 0.93 < np.mean(inside[name]) < 0.97, name
+    assert np.mean(variance) == pytest.approx(1.0, abs=0.01)
+
+
+def test_whole_solver_keeps_its_intervals_with_the_paper_plate():
+    inside, rejected = [], 0
+    for run in range(40):
+        problem, truth = simulated(72, PAPER_PLATE, seed=run, sigma=5e-8)
+        result = solve(problem)
+        rejected += len(result.rejected)
+        inside += [
+            np.abs(result.deviations[n] - truth.component(n)) < 1.96 * result.std[n]
+            for n in COMPONENTS
+        ]
+    assert 0.93 < np.mean(inside) < 0.97
+    assert rejected <= 3  # one run in a hundred may lose a centre
+
+
+def test_six_of_twelve_balls_stay_within_the_stated_uncertainty():
+    problem, _ = simulated(72, PAPER_PLATE, seed=12, sigma=5e-8)
+    twelve = solve(problem)
+    six = solve(select(problem, balls=[0, 12, 28, 37, 50, 58]))
+    for name in COMPONENTS:
+        difference = six.deviations[name] - twelve.deviations[name]
+        stated = 2.0 * np.sqrt(twelve.std[name] ** 2 + six.std[name] ** 2)
+        assert np.mean(np.abs(difference) < stated) > 0.97, name  # E_n < 1
+        assert np.sqrt(np.mean(difference**2)) < 2.0 * twelve.std[name].mean()
+        # nested data: the variance of the difference is the difference of the variances
+        expected = np.mean(six.std[name] ** 2 - twelve.std[name] ** 2)
+        assert np.mean(difference**2) == pytest.approx(expected, rel=0.35)
+
+
+def test_same_data_in_ten_degree_steps_agree_with_five_degree_steps():
+    problem, _ = simulated(72, PAPER_PLATE, seed=3, sigma=5e-8)
+    fine, coarse = solve(problem), solve(select(problem, coarser=2))
+    assert coarse.details["groups"][0]["ball_steps"].tolist() == [
+        0, 4, 6, 9, 14, 16, 21, 25, 29, 31,
+    ]  # fmt: skip
+    for name in ("EZC", "ECC"):  # mean removed on different grids
+        difference = coarse.deviations[name] - fine.deviations[name][::2]
+        difference -= difference.mean()
+        limit = 2.5 * np.sqrt(coarse.std[name] ** 2 + fine.std[name][::2] ** 2)
+        assert np.mean(np.abs(difference) < limit) > 0.95
+
+
+def test_select_refuses_what_was_not_measured():
+    problem, _ = simulated(72, PAPER_PLATE)
+    with pytest.raises(PlanError, match=r"ball steps \[1\] were not measured"):
+        select(problem, balls=[0, 1, 8])
+    with pytest.raises(PlanError, match="5 times coarser"):
+        select(problem, coarser=5)
+
+
+def test_stated_noise_is_tested_and_the_larger_one_used():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], noise=2e-7, sigma=1e-7)
+    result = solve(problem)
+    assert result.verdict == "suspect"
+    assert result.sigma0 == pytest.approx(2.0, rel=0.1)
+    assert any("contradict the stated noise" in text for text in result.warnings)
+    good = solve(replace(problem, sigma=2e-7))
+    assert good.verdict == "ok"
+    assert 0.8 < good.std["ECC"][0] / result.std["ECC"][0] < 1.2
+
+
+def test_dirt_is_rejected_and_the_result_stays_right():
+    problem, truth = simulated(72, PAPER_PLATE, seed=1)
+    centres = problem.centres.copy()
+    dirty = [index_of(problem, 5, 8), index_of(problem, 40, 62), index_of(problem, 41, 62)]
+    centres[dirty] += [[5e-6, 0, 3e-6], [0, -4e-6, 0], [0, 0, 2e-6]]
+    result = solve(replace(problem, centres=centres))
+    assert {r.index for r in result.rejected} == {int(problem.rows[r]) for r in dirty}
+    assert "ball step 8, table position 5" in " ".join(r.why for r in result.rejected)
+    assert result.verdict == "ok"
+    assert result.residuals is not None
+    rows = sorted(int(problem.rows[r]) for r in dirty)
+    assert not result.residuals.used[rows].any()
+    assert (result.residuals.residual[rows] > 1.5e-6).all()
+    error = result.deviations["ECC"] - truth.component("ECC")
+    assert np.abs(error / result.std["ECC"]).max() < 4.5
+
+
+@pytest.mark.parametrize("size", [1e-5, 1e-3])
+def test_a_gross_error_costs_no_other_centre(size):
+    problem, _ = simulated(72, PAPER_PLATE, seed=6)
+    centres = problem.centres.copy()
+    centres[200] += size
+    result = solve(replace(problem, centres=centres))
+    assert [r.index for r in result.rejected] == [200]
+
+
+def test_nan_is_set_aside_with_its_row():
+    problem, _ = simulated(72, PAPER_PLATE)
+    centres = problem.centres.copy()
+    centres[index_of(problem, 3, 12), 1] = np.nan
+    result = solve(replace(problem, centres=centres))
+    (rejection,) = result.rejected
+    assert "ball step 12, table position 3" in rejection.why
+    assert "not finite" in rejection.why
+    with pytest.raises(DataError, match="no centre is finite"):
+        solve(replace(problem, centres=centres * np.nan))
+
+
+@pytest.mark.parametrize(
+    ("problem", "reason"),
+    [
+        (at(lambda b: b + 1), "lie 1 grid steps .* mounted shifted"),
+        (at(lambda b: b - 2), "lie -2 grid steps .* mounted shifted"),
+        (at(lambda b: -b), "mirrored steps: the plate is mounted upside down"),
+        (
+            at(dict(zip(PAPER_PLATE, [0, *PAPER_PLATE[:0:-1]], strict=True)).get),
+            "reverse order: they are numbered the other way round",
+        ),
+        (at(lambda b: -b, 12, range(12)), "numbered the other way round or mounted upside down"),
+        (at(lambda b: b, direction=-1.0), "clockwise while the table positions count up"),
+        (at(lambda b: 8 if b == 12 else b), "ball 8 was measured twice and ball 12 not at all"),
+        (at(lambda b: 14 if b == 12 else b), "ball step 12 lie at step 14"),
+        (at(lambda b: 3 * b), "wrong plate file"),
+        (replace(at(lambda b: b), radius=0.19), "radius 0.185000 m, the plate says 0.190000"),
+        (
+            replace(at(lambda b: b), centres=1e3 * at(lambda b: b).centres),
+            "looks like millimetres, metres are expected",
+        ),
+        (
+            replace(at(lambda b: b), centres=at(lambda b: b).centres + np.array([0.01, 0, 0])),
+            r"\(10.000, .*\) mm off the origin",
+        ),
+    ],
+)
+def test_wrong_set_up_is_refused_with_the_reason(problem, reason):
+    with pytest.raises(DataError, match=reason):
+        solve(problem)
+
+
+def test_one_centre_of_another_ball_is_flagged_with_the_ball():
+    problem = at(lambda b: b)
+    centres = problem.centres.copy()
+    wrong = index_of(problem, 10, 12)
+    centres[wrong] = centres[index_of(problem, 10, 8)]
+    result = solve(replace(problem, centres=centres))
+    assert "where ball step 8 stands" in result.rejected[0].why
+    assert len(result.rejected) == 1
+
+
+def test_doubled_ball_with_another_missing_sets_both_aside():
+    problem = at(lambda b: b)
+    centres, ball = problem.centres.copy(), problem.ball_step.copy()
+    wrong = index_of(problem, 10, 12)
+    ball[wrong], centres[wrong] = 8, centres[index_of(problem, 10, 8)]
+    result = solve(replace(problem, centres=centres, ball_step=ball))
+    assert len(result.rejected) == 2
+    assert "2 times while ball 12 is missing there" in result.rejected[0].why
+
+
+@pytest.mark.parametrize("jump", [3e-7, 3e-6])
+@pytest.mark.parametrize("moment", [300, 431])
+def test_knocked_plate_is_found_and_the_moment_named(jump, moment):
+    problem, _ = simulated(72, PAPER_PLATE, seed=7)
+    problem = in_cmm_order(problem)
+    shift = np.tile([jump, -jump, 0.0], (len(problem.centres), 1))
+    moved = rotate_z(shift, problem.angles[problem.table_index])
+    late = (problem.rows >= moment)[:, None]
+    result = solve(replace(problem, centres=problem.centres + late * moved))
+    assert result.verdict == "failed"
+    knock = result.details["groups"][0]["knock"]
+    assert abs(knock["first_row"] - moment) <= 1
+    np.testing.assert_allclose(knock["shift"][:2], [jump, -jump], atol=3e-8)
+    assert any("the plate moved on the table between rows" in text for text in result.warnings)
+
+
+def test_good_data_are_not_called_knocked():
+    for seed in range(60):
+        problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], seed=seed)
+        assert solve(in_cmm_order(problem)).verdict != "failed"
+
+
+def test_contradictory_data_are_refused_not_trimmed():
+    problem = at(lambda b: b, noise=1e-8)
+    rng = np.random.default_rng(0)
+    bad = rng.choice(len(problem.centres), 120, replace=False)
+    centres = problem.centres.copy()
+    centres[bad] += 10.0 ** rng.uniform(-6, -3.5, size=(120, 1)) * rng.choice([-1, 1], (120, 3))
+    with pytest.raises(DataError, match="may not be rejected"):
+        solve(replace(problem, centres=centres, sigma=1e-8))
+
+
+def test_unseparable_plate_is_refused_in_words():
+    problem, _ = simulated(24, range(0, 24, 2))
+    with pytest.raises(ObservabilityError, match=r"share the factor 2.*harmonic 12 of ECC"):
+        solve(problem)
+
+
+def test_two_groups_equal_two_closed_forms_and_warn():
+    problem, _ = simulated(24, range(0, 24, 2), seed=5)
+    result = solve(replace(problem, separate_groups=True))
+    assert (
+        "The offset between the odd and even table positions is not measured: "
+        "each group has its own zero." in result.warnings
+    )
+    for first in (0, 1):
+        # Eq. 1-12 by hand for one group: 0-based, ball j at table position i at 2 pi (i + j)/N
+        rows = problem.table_index % 2 == first
+        grid, angle = 12, 2 * np.pi * np.arange(12) / 12
+        offset = 2 * np.pi * first / 24
+        nominal = offset + angle[:, None] + angle
+        x, y, z = np.moveaxis(problem.centres[rows].reshape(grid, grid, 3), 2, 0)
+        turn = np.mean(y * np.cos(nominal) - x * np.sin(nominal), axis=0) / RADIUS
+        expected = turn - turn.mean()
+        np.testing.assert_allclose(result.deviations["ECC"][first::2], expected, atol=2e-15)
+        along = z.mean(axis=0) - z.mean()
+        np.testing.assert_allclose(result.deviations["EZC"][first::2], along, atol=1e-16)
+        plane = (x + 1j * y).mean(axis=0)
+        plane = plane - plane.mean()
+        plane -= np.mean(plane * np.exp(-1j * (angle + offset))) * np.exp(1j * (angle + offset))
+        np.testing.assert_allclose(result.deviations["EXC"][first::2], plane.real, atol=1e-15)
+        np.testing.assert_allclose(result.deviations["EYC"][first::2], plane.imag, atol=1e-15)
+    assert (result.covariance["ECC"][0::2, 1::2] == 0.0).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance["EXC"])), result.std["EXC"])
+
+
+def test_the_order_of_the_rows_does_not_change_a_bit_of_the_result():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], seed=2)
+    keep = np.arange(len(problem.centres)) != 17
+    problem = problem.take(keep)
+    shuffle = np.random.default_rng(1).permutation(len(problem.centres))
+    mixed = BallPlateProblem(
+        24,
+        RADIUS,
+        problem.table_index[shuffle],
+        problem.ball_step[shuffle],
+        problem.centres[shuffle],
+        row=problem.rows[shuffle],
+    )
+    assert solve(problem).to_json() == solve(mixed).to_json()
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"table_index": [24]}, "table position 24 is outside 0..23"),
+        ({"ball_step": [-1]}, "ball step -1 is outside 0..23"),
+        ({"centres": [[0.0, 1.0]]}, r"centres \(1, 2\)"),
+        ({"radius": -1.0}, "radius of the ball circle is -1.0 m"),
+        ({"sigma": 0.0}, "stated noise"),
+        ({"grid": 2}, "a grid of 2 table positions"),
+    ],
+)
+def test_problem_refuses_nonsense(change, text):
+    good = {
+        "grid": 24, "radius": RADIUS, "table_index": [0], "ball_step": [0],
+        "centres": [[RADIUS, 0.0, 0.0]],
+    }  # fmt: skip
+    with pytest.raises(DataError, match=text):
+        BallPlateProblem(**{**good, **change})

@@ -1,0 +1,77 @@
+"""The measuring order: complete, little motion, one direction, duration from the kinematics."""
+
+import numpy as np
+import pytest
+
+from rotcal_ros.errors import PlanError
+from rotcal_ros.planning.ball_plan import Kinematics, plan_measurement
+
+PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
+
+
+@pytest.mark.parametrize("order", ["table_once", "probe_rests"])
+@pytest.mark.parametrize("backlash", [True, False])
+@pytest.mark.parametrize("positions", [None, [0, 3, 7, 20, 41]])
+def test_every_centre_is_measured_once(order, backlash, positions):
+    plan = plan_measurement(72, PAPER_PLATE, positions=positions, order=order, backlash=backlash)
+    cells = set(zip(plan.cmm_index.tolist(), plan.ball_step.tolist(), strict=True))
+    wanted = {(k, j) for k in (positions or range(72)) for j in PAPER_PLATE}
+    assert cells == wanted
+    assert len(plan.ball_step) == len(wanted)
+    turn = (plan.table_angle / (2 * np.pi / 72)) % 72
+    assert np.allclose(turn % 72, plan.table_index, atol=1e-9) or np.allclose(
+        np.round(turn) % 72, plan.table_index
+    )
+
+
+@pytest.mark.parametrize("order", ["table_once", "probe_rests"])
+def test_with_backlash_the_table_never_turns_back(order):
+    plan = plan_measurement(72, PAPER_PLATE, order=order, backlash=True)
+    assert plan.reversals == 0
+    assert (np.diff(plan.table_angle) >= 0.0).all()
+    assert plan.lead_in < plan.table_angle[0]
+
+
+def test_table_turns_once_around_in_all():
+    plan = plan_measurement(72, PAPER_PLATE)
+    assert plan.table_travel == pytest.approx(2 * np.pi)  # with the lead-in of one step
+    still = plan_measurement(72, PAPER_PLATE, backlash=False)
+    assert still.table_travel == pytest.approx(2 * np.pi * 71 / 72)
+
+
+def test_probe_rests_turns_less_to_and_fro():
+    onward = plan_measurement(72, PAPER_PLATE, order="probe_rests")
+    fro = plan_measurement(72, PAPER_PLATE, order="probe_rests", backlash=False)
+    assert fro.table_travel < onward.table_travel
+    assert fro.reversals > 0
+    # every sweep leaves out the largest gap (10 steps), plus one step to the next position
+    assert fro.table_travel == pytest.approx(2 * np.pi * (72 * 62 + 71) / 72, rel=0.02)
+
+
+def test_duration_is_that_of_the_moves():
+    kinematics = Kinematics(
+        table_velocity=1.0, table_acceleration=1.0, probe_velocity=1.0, probe_acceleration=1.0,
+        settle=10.0, touch=100.0, touches_per_ball=2, clearance=4.0,
+    )  # fmt: skip
+    plan = plan_measurement(
+        4, [0], positions=[0, 1, 2, 3], backlash=False, radius=2.0, kinematics=kinematics
+    )
+    quarter = np.pi / 2
+    table = 3 * (quarter + 1.0 + 10.0)  # longer than the ramps: s/v + v/a, and settling
+    crossing = 3 * (2.0 * np.sqrt(2.0) + 1.0)
+    lifts = 4 * 2 * (4.0 + 1.0)
+    assert plan.duration == pytest.approx(table + crossing + lifts + 4 * 2 * 100.0)
+    short = plan_measurement(
+        400, [0], positions=[0, 1], backlash=False, radius=1e-9, kinematics=kinematics
+    )
+    step = 2 * np.sqrt(2 * np.pi / 400)  # a triangle: never at full speed
+    assert short.duration == pytest.approx(step + 10.0 + 2 * 2 * 5.0 + 400.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("balls", "positions", "order"),
+    [([0, 72], None, "table_once"), ([0, 5], [80], "table_once"), ([0, 5], None, "random")],
+)
+def test_impossible_plans_are_refused(balls, positions, order):
+    with pytest.raises(PlanError):
+        plan_measurement(72, balls, positions=positions, order=order)
