@@ -12,6 +12,14 @@ CHANNEL = Channel("/cell/a", "std_msgs/msg/Float64", "float64 data", "", "")
 TIMEOUT_S = 30.0
 
 
+def verdict(folder):
+    """Return what is on disk, read to its end."""
+    scan = scan_file(folder / "bag" / "bag_0.mcap")
+    for _ in scan.blocks():
+        pass
+    return scan.verdict()
+
+
 def message(number: int) -> Messages:
     return Messages(CHANNEL, [(bytes(12), number, number)])
 
@@ -21,7 +29,7 @@ def test_a_receipt_is_given_when_the_message_before_it_is_on_disk(tmp_path):
     found = []
 
     def confirm(receipt, file):
-        found.append((receipt, file, scan_file(tmp_path / "bag" / "bag_0.mcap").verdict().messages))
+        found.append((receipt, file, verdict(tmp_path).messages))
         given.set()
 
     recording = Recording(BagWriter(tmp_path / "bag"), 1000, confirm)
@@ -54,10 +62,7 @@ def test_what_does_not_fit_the_queue_is_lost_and_counted_in_the_bag(tmp_path):
     assert recording.join(TIMEOUT_S)
     assert recording.messages == 2
     assert recording.losses == {"queue /cell/a": 3}
-    scan = scan_file(tmp_path / "bag" / "bag_0.mcap")
-    for _ in scan.blocks():
-        pass
-    assert scan.verdict().losses_recorded == {"queue /cell/a": 3}
+    assert verdict(tmp_path).losses_recorded == {"queue /cell/a": 3}
 
 
 def test_after_a_failure_nothing_is_confirmed_and_everything_is_counted(tmp_path, monkeypatch):
