@@ -44,8 +44,9 @@ def test_the_callers_own_pause_is_not_blamed_on_others():
     assert set(roll.silent(61.7)) == {"a"}
 
 
-def test_present_are_those_heard_recently():
+def test_known_are_all_that_have_beaten_and_not_left():
     roll = RollCall(timeout_s=1.4)
-    roll.beat("a", 0.0)
-    roll.beat("b", 1.0)
-    assert roll.present(2.0) == {"b"}
+    for name in ("a", "b"):
+        roll.beat(name, 0.0)
+    roll.leave("a")
+    assert roll.known() == {"b"}
