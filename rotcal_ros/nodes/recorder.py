@@ -212,7 +212,7 @@ class RecorderNode(Node):
 
     async def _attach_parameters(self, recording: Recording) -> None:
         """Ask all nodes for their parameters, while the calibration begins."""
-        text = await parameters_json(self)
+        text = await parameters_json(self, self._health.present())
         recording.put(Attachment(names.PARAMETERS, "application/json", text.encode()))
 
     async def _stop(
