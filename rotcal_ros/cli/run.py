@@ -125,6 +125,7 @@ def _follow(running: Any, silence_timeout_s: float) -> dict[str, Any]:
             if kind == "refused":
                 raise ConfigurationError(f"the goal was refused: {event['reason']}")
             if kind == "end":
+                _check(running, begun, 0.0, silence_timeout_s)
                 raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
             begun = begun or kind == "started"
             if kind == "feedback":

@@ -23,6 +23,7 @@ from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, prepare
 from rotcal_ros.cli.processes import Processes
 from rotcal_ros.configuration import (
+    GROUPS,
     Configuration,
     dump_configuration,
     parse_configuration,
@@ -184,6 +185,10 @@ def changed(configuration: Configuration, changes: Sequence[str]) -> Configurati
         *groups, last = name.split(".")
         if not equals or not last:
             raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
+        if groups and groups[0] not in GROUPS:
+            raise ConfigurationError(
+                f"--set {change}: unknown group {groups[0]!r}; known: {', '.join(GROUPS)}"
+            )
         place = parameters
         for group in groups:
             place = place.setdefault(group, {})

@@ -12,6 +12,7 @@ from rotcal_ros.compensation.controllers import CONTROLLERS, controller, make_se
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
