@@ -99,6 +99,10 @@ class SimulatedCell:
             temperature=self._temperature.readings(number, seconds),
         )
 
+    def unasked_point(self) -> ProbeSample:
+        """Return a point of kind UNKNOWN that nobody ordered: where the probe stands now."""
+        return self._probe.unasked(self.now_ns)
+
     def truth(self, angles: Sequence[float] | Floats) -> dict[str, Floats]:
         """Return the injected deviations at ``angles`` (rad); ECC relative to the first one."""
         return dict(truth(self.settings.table, np.asarray(angles, dtype=np.float64)))

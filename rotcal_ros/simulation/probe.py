@@ -87,6 +87,24 @@ class SimulatedProbe:
         self._sequence += 1
         return (self._sample(stamp, command),)
 
+    def unasked(self, now_ns: int) -> ProbeSample:
+        """Return where the machine believes the probe to be, as a point of kind UNKNOWN."""
+        x, y, z = self.positions(np.array([now_ns]))[0].tolist()
+        self._sequence += 1
+        return ProbeSample(
+            stamp_ns=now_ns,
+            sequence=self._sequence - 1,
+            step=0,
+            attempt=0,
+            kind=PointKind.UNKNOWN,
+            target=0,
+            station=0,
+            point=0,
+            position=(x, y, z),
+            position_std=(0.0, 0.0, 0.0),
+            tip_radius=0.0,
+        )
+
     def _depart(self, now_ns: int, here: Floats, command: Command) -> None:
         self._arrivals += 1
         settings, order = self.settings, np.array(command.position)
