@@ -29,7 +29,7 @@ topic missing."""
 path_type = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(short_help="Run the nodes of one cell and calibrate.")
 @click.argument("configuration", type=path_type, metavar="CONFIG")
 @click.option(
     "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."
