@@ -28,6 +28,8 @@ from rotcal_ros.nodes.running import run_node
 CANCEL_TIMEOUT_S: Final = 15.0
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
+PLANNER_TIMEOUT_S: Final = 5.0
+"""Silence of the planner after which nothing is expected of it; the client is in no hurry."""
 
 
 class Client(Node):
@@ -46,7 +48,7 @@ class Client(Node):
         self._done = False
         self._canceling = False
         self._client = ActionClient(self, Calibrate, "calibrate")
-        self._health = Health(self, None)
+        self._health = Health(self, None, timeout_s=PLANNER_TIMEOUT_S)
         self.create_timer(PERIOD_S, self._health.guarded(self._watch))
         _say("waiting")
 

@@ -218,6 +218,8 @@ class GoalRun:
 
     async def _close_after_failure(self) -> None:
         """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
+        if self._health.missing(["recorder"]):
+            return
         future = self._links.stop_recording.call_async(StopRecording.Request())
         await until(
             lambda: future.done() or bool(self._health.missing(["recorder"])), CLOSE_TIMEOUT_S
@@ -278,9 +280,11 @@ class GoalRun:
         for key, value in self._health.values("capture").items():
             if key.startswith("silent_s.") and float(value) > self._settings.stream_timeout_s:
                 topic = key.removeprefix("silent_s.")
+                publishers = ", ".join(self._links.publishers(topic)) or "gone"
                 raise GoalError(
                     Outcome.NODE_LOST,
-                    f"{self._links.resolve(topic)} has been silent for {value} s {place}",
+                    f"{self._links.resolve(topic)} (node {publishers}) has been silent for "
+                    f"{value} s {place}",
                 )
 
     def _tell(self, activity: str) -> None:
