@@ -21,6 +21,7 @@ import yaml
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, prepare
+from rotcal_ros.cli.domains import free_domain
 from rotcal_ros.cli.processes import Processes
 from rotcal_ros.configuration import (
     GROUPS,
@@ -209,7 +210,7 @@ def node_environment() -> dict[str, str]:
     What the user has set stays.
     """
     environment = {
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_DOMAIN_ID": str(free_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         _PROFILES: str(files("rotcal_ros") / "nodes" / "fastdds.xml"),
         "PYTHONUNBUFFERED": "1",
