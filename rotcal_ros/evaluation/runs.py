@@ -11,8 +11,10 @@ import numpy as np
 
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
+RUNS: Final = ("targets", "forward", "reverse")
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
 DIRECTIONS: Final = ("up", "down")
 """up: approached with increasing angle, down: with decreasing angle."""
@@ -56,6 +58,18 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
         for d in DIRECTIONS
     )
     return BidirectionalRuns(np.array(targets) * DEGREE, up, down)
+
+
+def runs_of(result: Result) -> BidirectionalRuns | None:
+    """Return the repeated runs in both directions that a result keeps in its details, or None.
+
+    ``details["runs"]``: ``targets`` (m,), ``forward`` and ``reverse`` (m, n), radians.
+    """
+    kept = result.details.get("runs")
+    if not kept or np.ndim(kept.get("reverse")) != 2 or np.shape(kept["forward"])[1] < 2:
+        return None
+    arrays = (np.asarray(kept[name], dtype=np.float64) for name in RUNS)
+    return BidirectionalRuns(*arrays)
 
 
 def _row(cells: list[str], where: str) -> tuple[tuple[float, str, str], float]:

@@ -16,15 +16,11 @@ from numpy.typing import NDArray
 
 from rotcal_ros.observations import Observation
 from rotcal_ros.report import style
+from rotcal_ros.report.units import unit_of
 from rotcal_ros.results import COMPONENTS, Result
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 
 COVERAGE_FACTOR = 2.0
-
-
-def unit_of(component: str) -> tuple[float, str]:
-    """Return factor and label of the unit in which a deviation is shown."""
-    return (MICROMETRE, "µm") if component in ("EXC", "EYC", "EZC") else (ARCSEC, "arcsec")
 
 
 @style.styled

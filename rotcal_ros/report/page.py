@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from rotcal_ros import __version__
 from rotcal_ros.observations import Observation
 from rotcal_ros.report import figures
+from rotcal_ros.report.template import environment
+from rotcal_ros.report.units import unit_of
 from rotcal_ros.results import COMPONENTS, Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -40,23 +40,20 @@ class ReportInput:
 def render_report(report: ReportInput) -> str:
     """Return the report as one HTML page without any reference to other files."""
     result = report.result
-    environment = Environment(
-        loader=PackageLoader("rotcal_ros.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html.j2").render(
-        report=report,
-        result=result,
-        version=__version__,
-        figures=_figures(report),
-        columns=_columns(result),
-        rows=_deviation_rows(result),
-        summary=_summary(result),
-        sections=_detail_sections(result.details),
-        attempts=[o for o in report.observations if not o.accepted],
+    return (
+        environment()
+        .get_template("report.html.j2")
+        .render(
+            report=report,
+            result=result,
+            version=__version__,
+            figures=_figures(report),
+            columns=_columns(result),
+            rows=_deviation_rows(result),
+            summary=_summary(result),
+            sections=_detail_sections(result.details),
+            attempts=[o for o in report.observations if not o.accepted],
+        )
     )
 
 
@@ -109,9 +106,7 @@ def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
 
 
 def _columns(result: Result) -> list[str]:
-    return [
-        f"{name} / {figures.unit_of(name)[1]}" for name in COMPONENTS if name in result.deviations
-    ]
+    return [f"{name} / {unit_of(name)[1]}" for name in COMPONENTS if name in result.deviations]
 
 
 def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
@@ -121,7 +116,7 @@ def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
         cells = []
         for name in COMPONENTS:
             if name in result.deviations:
-                factor, _ = figures.unit_of(name)
+                factor, _ = unit_of(name)
                 value = result.deviations[name][i] / factor
                 band = figures.COVERAGE_FACTOR * result.std[name][i] / factor
                 cells.append(f"{value:+.3f} ± {band:.3f}")
