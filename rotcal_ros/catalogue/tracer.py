@@ -82,6 +82,14 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     return tracer.solve(problem(settings, plan, observations))
 
 
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tracer.TracerTrials:
+    """Prepare Monte Carlo trials about the accepted observations of a laser-tracer plan."""
+    settings = configuration.group("solver", TracerSolverSettings)
+    return tracer.tracer_trials(problem(settings, plan, observations))
+
+
 def problem(
     settings: TracerSolverSettings, plan: Plan, observations: Sequence[Observation]
 ) -> TracerProblem:
@@ -144,4 +152,5 @@ TRACER_MULTISTATION = Method(
     settings={"plan": TracerPlanSettings, "solver": TracerSolverSettings},
     plan=plan,
     solve=solve,
+    trials=trials,
 )

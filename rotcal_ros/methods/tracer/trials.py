@@ -1,9 +1,9 @@
 """Monte Carlo trials of the laser-tracer method, vectorised: hundreds of solutions in one go.
 
-Every trial is solved to the end: Gauss-Newton with the exact gradient, only the normal matrix is
-that of the measurement for all of them. Its error is of the order of noise over distance (1e-5), so
-that three steps leave nothing but rounding. A trial that is not settled then, as some are in a free
-network of weak geometry, is solved alone.
+Every trial is solved to the end: Gauss-Newton with the exact gradient; only the normal matrix is
+that of the measurement for all of them. Its error is of the order of noise over distance (1e-5):
+a few steps leave nothing but rounding. A trial that does not settle so, as some of a free network
+with weak geometry, is solved alone.
 """
 
 from __future__ import annotations
@@ -92,10 +92,11 @@ class TracerTrials:
     def _solve(self, length: Floats, places: Floats, wobble: Floats) -> Floats:
         state = np.broadcast_to(self.state, (len(length), *self.state.shape)).copy()
         if self.network is None:
+            assert self.inverse is not None
             targets = places
             for _ in range(STEPS):
                 by_station, _ = self._gradients(state, targets, length)
-                state -= np.einsum("jab,tjb->tja", self.inverse, by_station)
+                state -= (self.inverse @ by_station[..., None])[..., 0]
         else:
             targets = np.broadcast_to(self.targets, places.shape).copy()
             for _ in range(MOST_STEPS):
@@ -141,7 +142,8 @@ def tracer_trials(problem: TracerProblem) -> TracerTrials:
         difference = fit.stations[:, None] - fit.targets
         unit = difference / np.linalg.norm(difference, axis=2, keepdims=True)
         design = np.concatenate([unit, -np.ones((*unit.shape[:2], 1))], axis=2)
-        inverse = np.linalg.inv(design.swapaxes(1, 2) @ (design * weights[..., None]))
+        normal = design.swapaxes(1, 2) @ (design * weights[..., None])
+        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return TracerTrials(
         grid=grid,
         angles=problem.table_angles[grid.station_ids],
