@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros import __version__
+from rotcal_ros.evaluation.iso230 import iso230
+from rotcal_ros.evaluation.runs import runs_of
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import figures
+from rotcal_ros.report import figures, harmonics
+from rotcal_ros.report.iso230 import section as iso230_section
 from rotcal_ros.report.template import environment
 from rotcal_ros.report.units import unit_of
 from rotcal_ros.results import COMPONENTS, Result
@@ -51,6 +54,7 @@ def render_report(report: ReportInput) -> str:
             columns=_columns(result),
             rows=_deviation_rows(result),
             summary=_summary(result),
+            extra=[*_evaluation_sections(result), *report.extra],
             sections=_detail_sections(result.details),
             attempts=[o for o in report.observations if not o.accepted],
         )
@@ -103,6 +107,19 @@ def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
         ),
     ]
     return [candidate for candidate in candidates if candidate[2]]
+
+
+def _evaluation_sections(result: Result) -> list[tuple[str, str]]:
+    """Return (title, HTML) of what the curves say about the axis."""
+    runs = runs_of(result)
+    candidates = [
+        ("Harmonic content", harmonics.section(result)),
+        (
+            "ISO 230-2: positioning of the axis",
+            "" if runs is None else iso230_section(runs, iso230(runs)),
+        ),
+    ]
+    return [candidate for candidate in candidates if candidate[1]]
 
 
 def _columns(result: Result) -> list[str]:
