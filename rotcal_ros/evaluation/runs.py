@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -63,13 +64,16 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
 def runs_of(result: Result) -> BidirectionalRuns | None:
     """Return the repeated runs in both directions that a result keeps in its details, or None.
 
-    ``details["runs"]``: ``targets`` (m,), ``forward`` and ``reverse`` (m, n), radians.
+    ``details["runs"]``: ``targets`` (m,), ``forward`` and ``reverse`` (m, n), radians. DataError
+    names an arrival that is missing.
     """
     kept = result.details.get("runs")
-    if not kept or np.ndim(kept.get("reverse")) != 2 or np.shape(kept["forward"])[1] < 2:
+    if not isinstance(kept, Mapping) or not all(name in kept for name in RUNS):
         return None
-    arrays = (np.asarray(kept[name], dtype=np.float64) for name in RUNS)
-    return BidirectionalRuns(*arrays)
+    targets, forward, reverse = (np.asarray(kept[name], dtype=np.float64) for name in RUNS)
+    if forward.shape[1] < 2:
+        return None
+    return BidirectionalRuns(targets, forward, reverse)
 
 
 def _row(cells: list[str], where: str) -> tuple[tuple[float, str, str], float]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from markupsafe import escape
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
+from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
+from rotcal_ros.evaluation.runs import runs_of
 from rotcal_ros.report import style
 from rotcal_ros.report.template import environment
+from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
 UP, DOWN = style.BLUE, style.ORANGE
@@ -64,14 +68,18 @@ def _spread(ax: Axes, angles: NDArray[np.float64], figures: Iso230) -> None:
     ax.legend(loc="best")
 
 
-def section(runs: BidirectionalRuns, figures: Iso230) -> str:
-    """Return the HTML of the report's section: diagrams, figures, warnings."""
+def section(result: Result) -> str:
+    """Return the HTML of the report's section, empty for a result without repeated runs."""
+    try:
+        runs = runs_of(result)
+    except DataError as error:
+        return str(escape(f"Not evaluated: {error}."))
+    if runs is None:
+        return ""
+    figures = iso230(runs)
     rows = [
         (name, ["–" if v is None else f"{v / ARCSEC:.3f}" for v in values])
         for name, values in figures.summary()
     ]
-    return (
-        environment()
-        .get_template("iso230.html.j2")
-        .render(figure=diagrams(runs, figures), rows=rows, warnings=figures.warnings)
-    )
+    template = environment().get_template("iso230.html.j2")
+    return template.render(figure=diagrams(runs, figures), rows=rows, warnings=figures.warnings)

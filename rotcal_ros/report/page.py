@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros import __version__
-from rotcal_ros.evaluation.iso230 import iso230
-from rotcal_ros.evaluation.runs import runs_of
 from rotcal_ros.observations import Observation
 from rotcal_ros.report import figures, harmonics
 from rotcal_ros.report.iso230 import section as iso230_section
@@ -111,13 +109,9 @@ def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
 
 def _evaluation_sections(result: Result) -> list[tuple[str, str]]:
     """Return (title, HTML) of what the curves say about the axis."""
-    runs = runs_of(result)
     candidates = [
         ("Harmonic content", harmonics.section(result)),
-        (
-            "ISO 230-2: positioning of the axis",
-            "" if runs is None else iso230_section(runs, iso230(runs)),
-        ),
+        ("ISO 230-2: positioning of the axis", iso230_section(result)),
     ]
     return [candidate for candidate in candidates if candidate[1]]
 

@@ -105,7 +105,9 @@ def adjusted(problem: TracerProblem) -> Solution:
         lengths=lengths,
         circle=circle_test(motion, total),
         radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
-        closures=closures(commanded, motion.cumulative, angles.covariance, grid.station_ids),
+        closures=()
+        if problem.repeated_runs
+        else closures(commanded, motion.cumulative, angles.covariance, grid.station_ids),
         n_lengths=len(problem.length) - len(repeated),
         n_rejected=len(unfit) + len(outliers),
         missing=missing,
