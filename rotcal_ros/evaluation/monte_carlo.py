@@ -158,9 +158,7 @@ def _stable(figures: Floats, digits: int) -> bool:
     return bool(np.all(2.0 * spread <= tolerance))
 
 
-def _blocks(
-    model: Model, seed: int, block: int, n_blocks: int, workers: int
-) -> Blocks:
+def _blocks(model: Model, seed: int, block: int, n_blocks: int, workers: int) -> Blocks:
     """Trials of block after block, in order, computed ahead by the workers."""
     if workers == 1:
         for index in range(n_blocks):
