@@ -1,7 +1,6 @@
 # `make demo` and `make test` first make .venv with all they need; see README.md.
 PYTHON ?= python3
 BIN := .venv/bin
-DEMO := out/demo
 
 # A sourced ROS installation must not leak into .venv, which brings its own ROS.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
@@ -10,8 +9,7 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 .PHONY: demo test bench lint setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2; results in out/demo
-	@rm -rf $(DEMO)
-	@$(BIN)/rotcal run config/tracer_demo.yaml --output $(DEMO)
+	@$(BIN)/rotcal run config/tracer_demo.yaml --output out/demo --keep-previous
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 	@$(BIN)/python -m pytest $(PYTEST_ARGS)

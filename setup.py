@@ -12,26 +12,25 @@ SHARED = ["config", "config/plates", "foxglove", "launch"]
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
 
 
-def files(folder):
-    """Return the plain files of a folder; none when the folder does not exist."""
-    return sorted(str(path) for path in Path(folder).glob("*.*") if path.is_file())
+def shared_files():
+    """Return (destination, files) for every shared folder that holds any."""
+    found = {folder: sorted(map(str, Path(folder).glob("*.*"))) for folder in SHARED}
+    return [(f"share/{NAME}/{folder}", files) for folder, files in found.items() if files]
 
 
 setup(
     name=NAME,
     version=version,
     description="Calibration of rotary tables: six small errors at every angle",
-    long_description=Path("README.md").read_text(encoding="utf-8"),
-    long_description_content_type="text/markdown",
     maintainer="rotcal maintainers",
     maintainer_email="maintainers@rotcal.invalid",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={"": ["py.typed", "templates/*"]},
+    package_data={"": ["py.typed", "*.xml", "templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *((f"share/{NAME}/{folder}", files(folder)) for folder in SHARED),
+        *shared_files(),
     ],
     python_requires=">=3.10",
     install_requires=[

@@ -94,10 +94,13 @@ touch build/COLCON_IGNORE
 exec 9>"$BUILD/lock"
 flock 9 # two terminals, one set-up
 # An environment can neither be moved nor serve another Python.
-environment=$(python_says 'print(sys.version, sys.base_prefix)' && pwd)
-packages=$({ echo "$environment" && cat constraints.txt setup.py setup.cfg; } | hash_of)
-messages=$({ echo "$packages" && find msg_defs -type f -print0 | sort -z | xargs -0 sha256sum; } | hash_of)
-if is_made messages "$messages"; then
+environment=$({ python_says 'print(sys.version, sys.base_prefix)' && pwd; } | hash_of)
+packages=$({ echo "$environment" && cat constraints.txt setup.* rotcal_ros/__init__.py; } | hash_of)
+messages=$({
+    echo "$environment" && cat constraints.txt
+    find msg_defs -type f -print0 | sort -z | xargs -0 sha256sum
+} | hash_of)
+if is_made packages "$packages" && is_made messages "$messages"; then
     exit 0
 fi
 : >"$LOG"
@@ -108,11 +111,13 @@ if ! is_made packages "$packages"; then
         make_environment
         stamp environment "$environment"
     fi
-    rm -f "$VENV/.packages" "$VENV/.messages"
+    rm -f "$VENV/.packages"
     install_packages
     stamp packages "$packages"
 fi
-rm -f "$VENV/.messages"
-build_messages
-stamp messages "$messages"
+if ! is_made messages "$messages"; then
+    rm -f "$VENV/.messages"
+    build_messages
+    stamp messages "$messages"
+fi
 say "done in $SECONDS s"

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 from configparser import ConfigParser
 from importlib import metadata, util
 from pathlib import Path
@@ -80,6 +81,21 @@ def test_every_command_leads_to_a_function():
         assert found, script.value
         tree = ast.parse(Path(found.origin).read_text())
         assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def test_every_data_file_of_the_package_is_installed(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    setup = {}
+    monkeypatch.setattr("setuptools.setup", lambda **arguments: setup.update(arguments))
+    runpy.run_path("setup.py")
+    patterns = setup["package_data"][""]
+    data = [
+        path.relative_to(ROOT)
+        for path in (ROOT / "rotcal_ros").rglob("*")
+        if path.is_file() and path.suffix not in {".py", ".pyc"}
+    ]
+    assert data
+    assert [path for path in data if not any(path.match(pattern) for pattern in patterns)] == []
 
 
 def test_ros_run_finds_the_executables():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -9,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord, record_header
+from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord
 
 Indices = NDArray[np.int64]
 
@@ -22,6 +23,8 @@ HEADER_TYPE: Final = np.dtype(
     ]
 )
 """What stands before the payload of a message; packed, 22 bytes."""
+
+_length = struct.Struct("<Q")
 
 
 @dataclass(frozen=True)
@@ -65,13 +68,12 @@ def gather(raw: NDArray[np.uint8], start: Indices, size: int) -> NDArray[np.uint
     return windows[start]
 
 
-def block_of_records(data: bytes, positions: list[int], sizes: list[int]) -> Block:
-    """Return the block of the message records whose contents begin at ``positions``."""
-    content = np.asarray(positions, np.int64)
+def block_of_records(data: bytes, contents: Indices, sizes: Indices) -> Block:
+    """Return the block of the message records whose contents begin at ``contents``."""
     header_size = HEADER_TYPE.itemsize
     raw = np.frombuffer(data, np.uint8)
-    headers = gather(raw, content, header_size).view(HEADER_TYPE)[:, 0]
-    return Block(data, content + header_size, np.asarray(sizes, np.int64) - header_size, headers)
+    headers = gather(raw, contents, header_size).view(HEADER_TYPE)[:, 0]
+    return Block(data, contents + header_size, sizes - header_size, headers)
 
 
 def split_chunk(data: bytes) -> tuple[Block, list[tuple[int, bytes]]]:
@@ -79,21 +81,60 @@ def split_chunk(data: bytes) -> tuple[Block, list[tuple[int, bytes]]]:
 
     Raises DamagedRecord when the records do not fill the chunk exactly.
     """
+    raw = np.frombuffer(data, np.uint8)
+    begins = _only_messages(raw)
+    if begins is None:
+        begins = _walk(data)
+    sizes = np.diff(begins, append=len(data)) - HEADER_SIZE
+    is_message = raw[begins] == MESSAGE
+    if (sizes[is_message] < HEADER_TYPE.itemsize).any():
+        raise DamagedRecord("a message of a chunk is too short")
+    contents = begins + HEADER_SIZE
+    others = [
+        (data[content - HEADER_SIZE], data[content : content + size])
+        for content, size in zip(
+            contents[~is_message].tolist(), sizes[~is_message].tolist(), strict=True
+        )
+    ]
+    return block_of_records(data, contents[is_message], sizes[is_message]), others
+
+
+def _walk(data: bytes) -> Indices:
+    """Return where the records of a chunk begin, going from one to the next."""
     positions: list[int] = []
-    sizes: list[int] = []
-    others: list[tuple[int, bytes]] = []
-    unpack = record_header.unpack_from
+    append, length_at = positions.append, _length.unpack_from
     position, end = 0, len(data)
     last_header = end - HEADER_SIZE
     while position <= last_header:
-        opcode, length = unpack(data, position)
-        position += HEADER_SIZE
-        if opcode == MESSAGE:
-            positions.append(position)
-            sizes.append(length)
-        else:
-            others.append((opcode, data[position : position + length]))
-        position += length
-    if position != end or (sizes and min(sizes) < HEADER_TYPE.itemsize):
+        append(position)
+        position += HEADER_SIZE + length_at(data, position + 1)[0]
+    if position != end:
         raise DamagedRecord("the records of a chunk do not fill it")
-    return block_of_records(data, positions, sizes), others
+    return np.array(positions, np.int64)
+
+
+def _only_messages(raw: NDArray[np.uint8]) -> Indices | None:
+    """Return where the records of a chunk begin if all are messages, without a loop; else None.
+
+    Every byte that might be the opcode of a message is a candidate; those whose length leads
+    to another candidate stay, and they must form one chain from the first byte to the last.
+    """
+    end = len(raw)
+    begins = np.flatnonzero(raw[: max(0, end - HEADER_SIZE)] == MESSAGE)
+    if not len(begins) or begins[0] != 0:
+        return None
+    lengths = gather(raw, begins + 1, 8).view("<u8")[:, 0]
+    plausible = (lengths >= HEADER_TYPE.itemsize) & (lengths < end)
+    begins, lengths = begins[plausible], lengths[plausible].astype(np.int64)
+    ends = begins + HEADER_SIZE + lengths
+    is_begin = np.zeros(end + 1, np.bool_)
+    is_begin[begins] = is_begin[end] = True
+    linked = is_begin[np.minimum(ends, end)] & (ends <= end)
+    begins, ends = begins[linked], ends[linked]
+    chained = (
+        len(begins) > 0
+        and begins[0] == 0
+        and ends[-1] == end
+        and np.array_equal(begins[1:], ends[:-1])
+    )
+    return begins if chained else None

@@ -64,6 +64,14 @@ class Decoder:
         try:
             return self._store.deserialize_cdr(data, self.channel.type_name)
         except Exception:
+            return self._message_without_rest(data)
+
+    def _message_without_rest(self, data: bytes) -> Any | None:
+        """Decode a message behind which a serialiser left unused bytes, as rclpy's does."""
+        try:
+            end = work_out_layout(data, self.channel.type_name, self._definitions).end
+            return self._store.deserialize_cdr(data[:end], self.channel.type_name)
+        except Exception:
             self.broken += 1
             return None
 

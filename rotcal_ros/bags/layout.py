@@ -37,9 +37,11 @@ class Layout:
     ``fields`` maps a dotted name (``header.stamp.sec``, ``position``) to (dtype, offset);
     a list of numbers is one field with a shape. ``texts`` maps names to lists of texts.
     ``fixed`` are (begin, end) ranges of bytes that every message of this shape has in common.
+    The fields end at ``end``; some serialisers leave unused bytes behind them, up to ``size``.
     """
 
     size: int
+    end: int = 0
     fields: dict[str, tuple[np.dtype[Any], int]] = field(default_factory=dict)
     texts: dict[str, list[str]] = field(default_factory=dict)
     fixed: list[tuple[int, int]] = field(default_factory=list)
@@ -58,9 +60,11 @@ class Layout:
 
     def fits(self, rows: Rows, template: Rows) -> NDArray[np.bool_]:
         """Tell which rows have the shape of ``template``, of which this is the layout."""
-        same = np.ones(len(rows), np.bool_)
-        for begin, end in self.fixed:
-            same &= (rows[:, begin:end] == template[begin:end]).all(axis=1)
+        common = np.r_[tuple(slice(begin, end) for begin, end in self.fixed)]
+        wrong = rows[:, common] != template[common]
+        if not wrong.any():
+            return np.ones(len(rows), np.bool_)
+        same: NDArray[np.bool_] = ~wrong.any(axis=1)
         return same
 
 
@@ -83,6 +87,7 @@ class _Walk:
 
     def layout(self, type_name: str) -> Layout:
         self._message_fields(type_name, "")
+        self._layout.end = self._position
         return self._layout
 
     def _message_fields(self, type_name: str, prefix: str) -> None:

@@ -265,9 +265,8 @@ class McapScan:
 
 def _block_of_run(run: list[bytes]) -> Block:
     """Return the block of messages that stand outside chunks."""
-    sizes = [len(content) for content in run]
-    positions = (np.cumsum(sizes) - sizes).tolist()
-    return block_of_records(b"".join(run), positions, sizes)
+    sizes = np.array([len(content) for content in run], np.int64)
+    return block_of_records(b"".join(run), np.cumsum(sizes) - sizes, sizes)
 
 
 def _integers(texts: dict[str, str]) -> dict[str, int]:

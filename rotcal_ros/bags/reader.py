@@ -12,6 +12,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.mcap_records import Attachment
 from rotcal_ros.bags.mcap_scan import McapScan
+from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
 from rotcal_ros.bags.sqlite_scan import SqliteScan
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.errors import BagError
@@ -83,6 +84,19 @@ def check_files(
 ) -> tuple[FileVerdict, ...]:
     """Read files to their ends and return their verdicts."""
     return tuple(scan.verdict() for scan, block in read_blocks(files, progress) if block is None)
+
+
+def session_files(folder: Path, progress: Progress | None = None) -> tuple[FileInfo, ...]:
+    """Return the files of an interrupted session, for a BagWriter that continues it."""
+    return tuple(
+        FileInfo(
+            verdict.path.name,
+            INFINITE_NS if verdict.start_ns is None else verdict.start_ns,
+            verdict.end_ns or 0,
+            {name: topic.messages for name, topic in verdict.topics.items() if topic.messages},
+        )
+        for verdict in check_files(bag_files(folder), progress)
+    )
 
 
 def sha256_of(path: Path) -> str:

@@ -68,8 +68,8 @@ class _Channel:
 class BagWriter:
     """One recording session: a new folder with ``<name>_0.mcap`` and ``metadata.yaml``.
 
-    The folder must not exist; with ``earlier`` (the files of an interrupted session, as
-    the reader describes them) the session in an existing folder is continued in a new file.
+    The folder must not exist; with ``earlier`` (the files of an interrupted session, from
+    reader.session_files) the session in an existing folder is continued in a new file.
     Data are on disk after :meth:`sync`; :meth:`tick` calls it when the interval has passed.
     When the disk fails, the file is closed at its last whole record and BagError is raised.
     The caller serialises the calls.
@@ -359,6 +359,7 @@ class BagWriter:
                 self._file.close()
         reason = {
             errno.ENOSPC: "the disk is full",
+            errno.EFBIG: "the file has reached the size that this system allows",
             errno.EDQUOT: "the disk quota is used up",
             errno.EROFS: "the file system is read-only",
             errno.EACCES: "writing is not permitted",

@@ -1,7 +1,7 @@
 """Whether two deviation curves of one table agree within their stated uncertainties.
 
-Differences are aligned by the offset that no method can know, estimated by weighted least
-squares; its uncertainty and its correlation with the values are part of what the normalised
+Differences are aligned by the offset that no method can know: their mean is taken off. The
+uncertainty of that mean and its correlation with every value are part of what the normalised
 error E_n is divided by (ISO/IEC 17043, k = 2).
 """
 
@@ -121,19 +121,31 @@ def compare(first: MeasuredCurve, second: MeasuredCurve, align_order: int = 0) -
 def _align(
     angles: Floats, raw: Floats, covariance: Floats, order: int
 ) -> tuple[float, Floats, Floats, float, int]:
-    """Return offset, aligned difference, its std, chi-square and degrees of freedom."""
+    """Return offset, aligned difference, its std, chi-square and degrees of freedom.
+
+    The differences are projected, unweighted, on what the unknowns cannot explain, and their
+    covariance with them. So the outcome does not depend on where either curve has its zero: a
+    weighted alignment would lean on the angle whose value is zero by definition.
+    """
     basis = harmonic_basis(angles, order)
     n, unknowns = basis.shape
     if n <= unknowns:
         raise DataError(f"{n} common angles: more than {unknowns} are needed to compare")
+    q, _ = np.linalg.qr(basis)
+    keep = np.eye(n) - q @ q.T
+    aligned = keep @ raw
+    std = np.sqrt(np.maximum(np.diag(keep @ covariance @ keep), 0.0))
+    offset = float(np.linalg.lstsq(basis, raw, rcond=None)[0][0])
+    chi2 = _chi_square(aligned, basis, covariance) if np.any(covariance) else 0.0
+    return offset, aligned, std, chi2, n - unknowns
+
+
+def _chi_square(difference: Floats, basis: Floats, covariance: Floats) -> float:
+    """Return the weighted sum of squares that no choice of the unknowns can make smaller."""
     root = regular_root(covariance)
-    q, r = np.linalg.qr(np.linalg.solve(root, basis))
-    white = np.linalg.solve(root, raw)
-    fitted = np.linalg.solve(r, q.T @ white)
-    keep = root @ (np.eye(n) - q @ q.T) @ np.linalg.inv(root)
-    std = np.sqrt(np.maximum(np.diag(keep @ covariance @ keep.T), 0.0))
-    chi2 = float(np.sum((white - q @ (q.T @ white)) ** 2)) if np.any(covariance) else 0.0
-    return float(fitted[0]), raw - basis @ fitted, std, chi2, n - unknowns
+    white = np.linalg.solve(root, difference)
+    q, _ = np.linalg.qr(np.linalg.solve(root, basis))
+    return float(np.sum((white - q @ (q.T @ white)) ** 2))
 
 
 def compare_all(

@@ -135,9 +135,10 @@ def compare_with_linear(
     low = np.abs(value - cover * std - result.low)
     high = np.abs(value + cover * std - result.high)
     return [
-        f"{names[i] if names else f'output {i}'}: the linear standard uncertainty is {std[i]:.3g}, the trials say "
-        f"{result.std[i]:.3g} (mean shifted by {result.mean[i] - value[i]:.2g}); trust the trials"
-        for i in np.flatnonzero((low > tolerance) | (high > tolerance))
+        f"{names[i] if names else f'output {i}'}: the linear standard uncertainty is "
+        f"{std[i]:.3g}, the trials say {result.std[i]:.3g} (mean shifted by "
+        f"{result.mean[i] - value[i]:.2g}); trust the trials"
+        for i in np.flatnonzero((low > tolerance) | (high > tolerance)).tolist()
     ]
 
 

@@ -45,7 +45,7 @@ class Client(Node):
         self._done = False
         self._canceling = False
         self._client = ActionClient(self, Calibrate, "calibrate")
-        self._health = Health(self, lambda: ("calibrating" if self._handle else "waiting", {}))
+        self._health = Health(self, None)
         self.create_timer(PERIOD_S, self._health.guarded(self._watch))
         _say("waiting")
 
@@ -64,8 +64,6 @@ class Client(Node):
 
     def stopped(self) -> bool:
         """Return whether the result is here."""
-        if self._done:
-            self._health.leave()
         return self._done
 
     def _watch(self) -> None:
@@ -75,7 +73,7 @@ class Client(Node):
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
             _say("alive", planner=self._planner_state())
-        if not self._sent and self._client.server_is_ready() and self._planner_state() == "ready":
+        if not self._sent and self._client.server_is_ready() and self._planner_state():
             self._send()
         elif "planner" in self._health.lost:
             self._fail(Calibrate.Result.NODE_LOST, "node planner fell silent")

@@ -32,14 +32,15 @@ class Health:
     """The health of one node.
 
     ``lost`` holds the names of the others that fell silent, as of the last beat.
-    ``report`` returns (state in words, values) at any time; the state goes into every beat.
+    ``report`` returns (state in words, values) at any time for every beat; without it the node
+    only listens, and nobody will miss it.
     ``on_lost`` is called once for every other node that falls silent, with its name.
     """
 
     def __init__(
         self,
         node: Node,
-        report: Callable[[], tuple[str, Values]],
+        report: Callable[[], tuple[str, Values]] | None,
         on_lost: Callable[[str], None] | None = None,
     ) -> None:
         self._node = node
@@ -54,10 +55,8 @@ class Health:
         self._heard = DrainedSubscription(
             node, DiagnosticStatus, "heartbeat", QoSProfile(depth=100), self.guarded(self._hear)
         )
-        self._timers = (
-            node.create_timer(BEAT_PERIOD_S, self.guarded(self._beat)),
-            node.create_timer(DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose)),
-        )
+        node.create_timer(BEAT_PERIOD_S, self.guarded(self._beat))
+        node.create_timer(DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Keep an exception in ``callback`` from ending the node: count it, log it once."""
@@ -111,7 +110,8 @@ class Health:
                 self.others[status.name] = status
 
     def _beat(self) -> None:
-        self._beats.publish(self._status(*self._report()))
+        if self._report is not None:
+            self._beats.publish(self._status(*self._report()))
         silent = self._roll.silent(time.monotonic())
         for name in silent.keys() - self.lost:
             self._node.get_logger().error(f"node {name} fell silent {silent[name]:.1f} s ago")
@@ -120,6 +120,8 @@ class Health:
         self.lost = set(silent)
 
     def _diagnose(self) -> None:
+        if self._report is None:
+            return
         array = DiagnosticArray(status=[self._status(*self._report())])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(array)

@@ -1,8 +1,8 @@
 """Predicted uncertainty of ball layouts: closed form per harmonic, many layouts at once.
 
-With F(q) = sum over the balls of exp(-2 pi i q j / N) the normal matrices of a harmonic (see
-rotcal_ros.methods.ball_plate.harmonics) are 3 x 3 with entries made of F at q - 1, q, q + 1 and
-of F(1), F(2): their inverse is written out, so a layout costs one short transform and a few
+With P(q) = sum over the balls of exp(-2 pi i q j / N) the normal matrices of a harmonic (see
+rotcal_ros.methods.ball_plate.harmonics) are 3 x 3 with entries made of P at q - 1, q, q + 1 and
+of P(1), P(2): their inverse is written out, so a layout costs one short transform and a few
 hundred operations. Complete measurements (all CMM positions) only.
 """
 
@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.methods.ball_plate.harmonics import couplings
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Complexes = NDArray[np.complex128]
@@ -21,7 +23,7 @@ VARIANCES: Final = ("ECC", "EXC, EYC", "EAC, EBC", "EZC")
 """Order of the four mean variances; rotations are multiplied by the circle's radius squared."""
 SINGULAR: Final = 1e-7
 """Relative determinant below which a layout counts as not separable."""
-CHUNK: Final = 2048
+CHUNK: Final = 256  # keeps the work in the processor cache
 
 
 def mean_variances(grid: int, layouts: Ints) -> Floats:
@@ -39,11 +41,11 @@ def mean_variances(grid: int, layouts: Ints) -> Floats:
 
 
 def spectrum(grid: int, layouts: Ints) -> Complexes:
-    """Return F(q) of layouts (L, R) for q = 0 .. N//2 + 1, (L, N//2 + 2)."""
+    """Return P(q) of layouts (L, R) for q = 0 .. N//2 + 1, (L, N//2 + 2)."""
     present = np.zeros((len(layouts), grid))
     present[np.arange(len(layouts))[:, None], layouts] = 1.0
     half = np.fft.rfft(present, axis=1)
-    beyond = half[:, grid - grid // 2 - 1].conj()  # F(N//2 + 1), by symmetry
+    beyond = half[:, grid - grid // 2 - 1].conj()  # P(N//2 + 1), by symmetry
     extended: Complexes = np.concatenate([half, beyond[:, None]], axis=1)
     return extended
 
@@ -51,12 +53,12 @@ def spectrum(grid: int, layouts: Ints) -> Complexes:
 def proven_bound(grid: int, n_balls: int) -> Floats:
     """Return what no layout of so many balls can beat, (4,), in the order of ``VARIANCES``.
 
-    The sum of |F(q)|^2 over all q is N R (Parseval) and the diagonal terms are convex in it, so
+    The sum of |P(q)|^2 over all q is N R (Parseval) and the diagonal terms are convex in it, so
     spreading it evenly is best (Jensen); the couplings between unknowns only add variance.
     """
     power = grid * n_balls - n_balls**2
     each = (grid - 1) / grid / (n_balls - power / (grid - 1) / n_balls)
-    # The pair meets F(-1) but not F(1), which have the same size: some more power there is best.
+    # The pair meets P(-1) but not P(1), which have the same size: some more power there is best.
     others = grid - 3
     first = ((np.sqrt(2.0) - 1.0) * n_balls**2 + power / others) / (np.sqrt(2.0) + 2.0 / others)
     first = min(first, 0.5 * power)
@@ -73,17 +75,10 @@ def _multiplicity(grid: int) -> Floats:
     return twice
 
 
-def _variances(f: Complexes, grid: int, n_balls: int) -> Floats:
-    """Evaluate the inverses (L, 4) from F (L, N//2 + 2)."""
-    below, own, above = f[:, :-2], f[:, 1:-1], f[:, 2:]
-    diagonal = n_balls - (f.real**2 + f.imag**2) / n_balls
-    lower, middle, upper = diagonal[:, :-2].copy(), diagonal[:, 1:-1], diagonal[:, 2:]
-    first, second = f[:, 1, None], f[:, 2, None]
-    up = first - above * own.conj() / n_balls  # couples the unknowns of q + 1 and q
-    down = first - below.conj() * own / n_balls  # those of q - 1 and q
-    across = second - above * below.conj() / n_balls  # those of q + 1 and q - 1
-    # At q = 1 the unknown of q - 1 is fixed: no coupling, and its variance is left out.
-    lower[:, 0], down[:, 0], across[:, 0] = n_balls, 0.0, 0.0
+def _variances(sums: Complexes, grid: int, n_balls: int) -> Floats:
+    """Evaluate the inverses (L, 4) from P (L, N//2 + 2)."""
+    diagonal, up, down, across = couplings(sums, n_balls)
+    lower, middle, upper = diagonal[:, :-2], diagonal[:, 1:-1], diagonal[:, 2:]
     up_power, down_power = _power(up), _power(down)
     cross_power = _power(across)
     with np.errstate(divide="ignore", invalid="ignore"):

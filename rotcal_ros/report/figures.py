@@ -123,6 +123,7 @@ def residual_map(result: Result) -> str:
     grid[rows.table_index, rows.target] = rows.test_value
     (ax,) = style.grid(height=2.6)
     ax.grid(visible=False)
+    ax.set_facecolor(style.MISSING)
     image = ax.imshow(grid, cmap="RdBu_r", vmin=-4, vmax=4, aspect="auto", interpolation="nearest")
     ax.set_xlabel("target (index)")
     ax.set_ylabel("table position")

@@ -23,6 +23,7 @@ ORANGE: Final = "#d9772b"
 GREEN: Final = "#2e8b57"
 RED: Final = "#c0392b"
 GREY: Final = "#8795a1"
+MISSING: Final = "#c9d1d8"
 
 _RC: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",

@@ -135,18 +135,42 @@ def measure(
     noise = noise if noise is not None else TrackerNoise()
     rows: list[tuple[int, int, PointKind, int]] = []
     points: list[Floats] = []
-    for s, station in enumerate(cell.stations):
-        for k, nest in enumerate(cell.nests):
+    for s in range(len(cell.stations)):
+        for k in range(len(cell.nests)):
             rows.append((-1, s, PointKind.NEST, k + 1))
-            points.append(station.seen(nest))
+            points.append(look(cell, s, PointKind.NEST, k + 1))
         for i in cell.visits[s]:
-            centre, frame = _mirror_pose(cell, i, deviations[i])
-            places = _put_up(cell, station, centre, frame)
-            for k, place in enumerate(places):
-                image = _image(cell.mirror, centre, frame, station, place, f"position {i}")
-                rows += [(i, s, PointKind.DIRECT, k + 1), (i, s, PointKind.MIRRORED, k + 1)]
-                points += [station.seen(place), station.seen(image)]
+            for k in range(cell.reflectors):
+                for kind in (PointKind.DIRECT, PointKind.MIRRORED):
+                    rows.append((i, s, kind, k + 1))
+                    points.append(look(cell, s, kind, k + 1, cell.angles[i], deviations[i]))
     return _problem(cell.angles, rows, points, noise, rng, settings)
+
+
+def look(
+    cell: MirrorCell,
+    station: int,
+    kind: PointKind,
+    nest: int,
+    angle: float = 0.0,
+    deviation: Floats | None = None,
+) -> Floats:
+    """Return what the tracker sees (3,), in its own frame and without noise.
+
+    ``nest`` counts from 1. A NEST stands still; DIRECT and MIRRORED are the reflector that was put
+    up for the commanded table ``angle`` (rad), the table having its ``deviation`` (6,). Raises
+    PlanError when the beam misses the mirror.
+    """
+    stand = cell.stations[station]
+    if kind is PointKind.NEST:
+        return stand.seen(cell.nests[nest - 1])
+    place = _put_up(cell, stand, *_mirror_pose(cell, angle, np.zeros(6)))[nest - 1]
+    if kind is PointKind.DIRECT:
+        return stand.seen(place)
+    actual = deviation if deviation is not None else np.zeros(6)
+    centre, frame = _mirror_pose(cell, angle, actual)
+    where = f"table at {angle / DEGREE:g} deg, tracker station {station}"
+    return stand.seen(_image(cell.mirror, centre, frame, stand, place, where))
 
 
 def measure_direct(
@@ -207,8 +231,8 @@ def _problem(
     return PlaneMirrorProblem(angles, position, station, kind, nest, xyz, noise, **settings)
 
 
-def _mirror_pose(cell: MirrorCell, i: int, deviation: Floats) -> tuple[Floats, Floats]:
-    rotation, shift = table_pose(cell.angles[i], deviation)
+def _mirror_pose(cell: MirrorCell, angle: float, deviation: Floats) -> tuple[Floats, Floats]:
+    rotation, shift = table_pose(angle, deviation)
     return rotation @ np.array(cell.mirror.centre) + shift, rotation @ cell.mirror.frame()
 
 

@@ -198,11 +198,28 @@ def test_asking_for_counts_changes_nothing(seed):
     assert tuple(found) == EXPECTED
 
 
-def test_decided_as_soon_as_the_streams_have_passed_the_window():
+@pytest.mark.parametrize("asking", [False, True])
+def test_decided_as_soon_as_the_streams_have_passed_the_window(asking):
     capture = Capture(PLAN, SETTINGS)
     for record in make_scene(PLAN, 1).by_stamp():
-        if capture.feed(record):
+        found = capture.feed(record)
+        if asking:
+            assert capture.counts
+        if found:
             assert record.stamp_ns == 220 * MS + 1  # the first feedback past the window's end
+            return
+    pytest.fail("no observation")
+
+
+@pytest.mark.parametrize("silent", ["tracer", "table"])
+def test_a_silent_stream_is_noticed_by_the_others(silent):
+    capture = Capture(PLAN, replace(SETTINGS, clock_tolerance_s=0.4))
+    scene = make_scene(PLAN, 1)
+    scene.edit(silent, lambda _: None, 100 * MS, SECOND)
+    for record in scene.by_stamp():
+        for observation in capture.feed(record):
+            assert "behind the other streams, allowed 0.4 s" in observation.reason
+            assert 490 * MS <= record.stamp_ns <= 510 * MS + 1
             return
     pytest.fail("no observation")
 

@@ -150,6 +150,19 @@ def test_closing_position_is_checked_and_averaged():
         table_from_result(result_of(angles, deviation))
 
 
+def test_closure_knows_correlations():
+    """Errors common to both readings of one position do not excuse a gap between them."""
+    angles = np.append(even(16), TAU)
+    deviation = np.append(np.zeros(16), 3.0 * ARCSEC)
+    free = result_of(angles, deviation, 2.0 * ARCSEC)
+    loose = type(free)(**{**vars(free), "covariance": {"ECC": np.eye(17) * ARCSEC**2}})
+    assert table_from_result(loose).closed
+    common = (np.full((17, 17), 0.99) + 0.01 * np.eye(17)) * ARCSEC**2
+    tight = type(free)(**{**vars(free), "covariance": {"ECC": common}})
+    with pytest.raises(DataError, match=r"standard uncertainty of 0\.141 arcsec"):
+        table_from_result(tight)
+
+
 def test_an_arc_says_that_it_is_one():
     angles = np.deg2rad(np.arange(0, 151, 15))
     table = table_from_result(result_of(angles, wavy(angles)))

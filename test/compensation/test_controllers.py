@@ -166,6 +166,12 @@ def test_fagor_would_take_the_positive_column_for_both():
         example("fagor", table)
 
 
+def test_fagor_control_takes_the_positive_column_when_the_other_is_all_zero():
+    kind, made = controller("fagor"), make_settings("fagor", {})
+    text = "P001 C 0 EC 0 EC 0\nP002 C 180 EC 0.004 EC 0\nP003 C 360 EC 0 EC 0\n"
+    np.testing.assert_allclose(applied({"x.txt": text}, kind, made, 180, DOWN), -0.004)
+
+
 # The round trip.
 
 
@@ -232,6 +238,25 @@ def test_what_is_left_is_below_the_stated_residual(variant, curve, rows, referen
             assert np.sum(left**2) < 0.5 * np.sum((deviation(command) - up(reference)) ** 2) + (
                 len(command) * done.residual.direction**2
             )
+
+
+def test_second_order_is_simulated_and_stated():
+    """e = A sin t: commanded t, moved by -e(t), left is e'(t) e(t), at most A^2 / 2."""
+    amplitude = 0.01
+    angles = even(360)
+    done = export(table_from_result(result_of(angles, amplitude * np.sin(angles))), "csv")
+    assert done.residual.simulated == pytest.approx(amplitude**2 / 2, rel=0.02)
+    assert done.residual.second_order == pytest.approx(amplitude**2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "step_arcsec"), [("twincat", 0.36), ("fagor", 0.36), ("heidenhain", 0.036)]
+)
+def test_rounding_is_half_a_step(name, step_arcsec):
+    angles = even(36)
+    done = export(table_from_result(result_of(angles, wavy(angles))), name)
+    assert done.residual.rounding / ARCSEC == pytest.approx(step_arcsec / 2, rel=1.1, abs=0)
+    assert done.residual.rounding / ARCSEC >= step_arcsec / 2
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

@@ -109,6 +109,12 @@ def test_writer_never_makes_a_table_that_loads_only_partly(rows, turns, first, f
     assert max(len(line) for line in files["t.comp"].splitlines()) < 254
 
 
+def test_trims_are_held_in_single_precision():
+    trim = correction(load("0 0.1 0.1\n360 0.1 0.1\n", 1), np.array([1.0]), UP)[0] / DEGREE
+    assert trim == pytest.approx(float(np.float32(0.1)), abs=1e-16)
+    assert trim != pytest.approx(0.1, abs=1e-12)
+
+
 def test_every_turn_has_the_same_trim():
     angles = even(24)
     table = table_from_result(result_of(angles, wavy(angles)))

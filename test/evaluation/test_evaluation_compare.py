@@ -55,6 +55,20 @@ def test_normalised_errors_and_chi_square_follow_their_distributions(to_first):
     assert agreed / 1500 > 0.96
 
 
+def test_zero_of_a_curve_does_not_matter():
+    """The same two measurements, counted from nowhere or from their first angles."""
+    free, tied = (
+        compare(
+            curve(12, 0.3 * ARCSEC, np.random.default_rng(1), to_first=to_first),
+            curve(24, 0.2 * ARCSEC, np.random.default_rng(2), to_first=to_first),
+        )
+        for to_first in (False, True)
+    )
+    np.testing.assert_allclose(tied.difference, free.difference, atol=1e-12 * ARCSEC)
+    np.testing.assert_allclose(tied.normalised_error, free.normalised_error, atol=1e-9)
+    assert tied.chi2 == pytest.approx(free.chi2, rel=1e-6)
+
+
 def test_uncertainty_after_alignment_in_closed_form():
     """Equal independent values: the mean takes off one n-th of the variance."""
     result = compare(curve(12, 0.3 * ARCSEC), curve(12, 0.4 * ARCSEC))

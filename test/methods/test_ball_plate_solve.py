@@ -140,6 +140,15 @@ def test_dirt_is_rejected_and_the_result_stays_right():
     assert np.abs(error / result.std["ECC"]).max() < 4.5
 
 
+@pytest.mark.parametrize("size", [1e-5, 1e-3])
+def test_a_gross_error_costs_no_other_centre(size):
+    problem, _ = simulated(72, PAPER_PLATE, seed=6)
+    centres = problem.centres.copy()
+    centres[200] += size
+    result = solve(replace(problem, centres=centres))
+    assert [r.index for r in result.rejected] == [200]
+
+
 def test_nan_is_set_aside_with_its_row():
     problem, _ = simulated(72, PAPER_PLATE)
     centres = problem.centres.copy()
@@ -173,7 +182,7 @@ def test_nan_is_set_aside_with_its_row():
             "looks like millimetres, metres are expected",
         ),
         (
-            replace(at(lambda b: b), centres=at(lambda b: b).centres + [0.01, 0, 0]),
+            replace(at(lambda b: b), centres=at(lambda b: b).centres + np.array([0.01, 0, 0])),
             r"\(10.000, .*\) mm off the origin",
         ),
     ],
@@ -237,7 +246,7 @@ def test_contradictory_data_are_refused_not_trimmed():
 
 def test_unseparable_plate_is_refused_in_words():
     problem, _ = simulated(24, range(0, 24, 2))
-    with pytest.raises(ObservabilityError, match="share the factor 2.*harmonic 12 of ECC"):
+    with pytest.raises(ObservabilityError, match=r"share the factor 2.*harmonic 12 of ECC"):
         solve(problem)
 
 

@@ -13,6 +13,8 @@ from rotcal_ros.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.closed_form import closed_form
 from rotcal_ros.methods.ball_plate.dense import design_matrix, solve_dense
+from rotcal_ros.methods.ball_plate.estimate import least_squares
+from rotcal_ros.methods.ball_plate.gaps import gap_cells, solve_with_gaps
 from rotcal_ros.methods.ball_plate.general import solve_general
 from rotcal_ros.methods.ball_plate.model import FIELDS, TABLE_COMPONENTS
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, select
@@ -74,6 +76,35 @@ def test_general_agrees_with_dense_on_reduced_positions_and_gaps(grid, count, po
     keep[rng.choice(len(keep), 4, replace=False)] = False
     assert_same(solve_dense(part), solve_general(part))
     assert_same(solve_dense(part.take(keep)), solve_general(part.take(keep)))
+
+
+@pytest.mark.parametrize(("grid", "count", "missing"), [(12, 7, 3), (24, 8, 9), (72, 6, 12)])
+def test_spectral_solution_corrected_for_gaps_agrees_with_dense(grid, count, missing):
+    problem, _ = simulated(grid, random_balls(grid, count, 8), seed=grid)
+    rng = np.random.default_rng(missing)
+    gone = rng.choice(len(problem.centres), missing, replace=False)
+    part = problem.take(np.setdiff1d(np.arange(len(problem.centres)), gone))
+    gaps = gap_cells(part)
+    assert gaps.tolist() == sorted(gone.tolist())
+    assert_same(solve_dense(part), solve_with_gaps(part, gaps), covariance=grid < 72)
+    assert least_squares(part).way == "spectral with gaps"
+
+
+def test_gaps_that_leave_something_open_are_refused():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14])
+    alone = (problem.cmm_index != 5) | (problem.ball_step == 3)
+    part = problem.take(alone & ((problem.ball_step != 3) | (problem.cmm_index == 5)))
+    with pytest.raises(ObservabilityError):
+        solve_with_gaps(part, gap_cells(part))
+
+
+def test_large_grids_with_gaps_do_not_need_the_elimination():
+    problem, truth = simulated(1440, [20 * b + b % 7 for b in PAPER_PLATE], seed=3)
+    solution = least_squares(problem.take(np.arange(len(problem.centres)) != 1234))
+    assert solution.way == "spectral with gaps"
+    error = solution.estimate.component("ECC") - truth.component("ECC")
+    expected = 5e-8 * solution.unit_std.component("ECC")
+    assert np.sqrt(np.mean((error / expected) ** 2)) == pytest.approx(1.0, abs=0.07)
 
 
 def test_general_agrees_with_dense_on_unequal_weights_and_repeated_centres():

@@ -184,6 +184,11 @@ def _check(problem: BallPlateProblem) -> None:
             f"{unknowns} unknowns: incomplete or weighted data are solved up to {MAX_UNKNOWNS}; "
             "use a coarser grid, or measure the missing centres (complete data have no limit)"
         )
+    require_balls(problem)
+
+
+def require_balls(problem: BallPlateProblem) -> None:
+    """Raise ObservabilityError that names the table positions with fewer than three balls."""
     cells = np.unique(problem.table_index * problem.grid + problem.ball_step)
     count = np.bincount(cells // problem.grid, minlength=problem.grid)
     poor = np.flatnonzero(count < MIN_BALLS)

@@ -68,25 +68,49 @@ def design(phase: Complexes) -> Complexes:
     return matrix
 
 
-def centre(matrix: Complexes) -> tuple[Complexes, Complexes, Complexes]:
-    """Eliminate the CMM: centred design (2, Q, 2R, 3), its mean, normal matrix (2, Q, 3, 3).
+def couplings(sums: Complexes, n_balls: int) -> tuple[Floats, Complexes, Complexes, Complexes]:
+    """Return the pieces of all normal matrices from P(q) = sum of the phases over the balls.
 
-    The unknown that a constraint fixes at q = 1 (its column is constant) is set apart: its row
-    and column of the normal matrix become those of the unit matrix.
+    ``sums`` (..., Q + 2) holds q = 0..N//2 + 1. Returns R - |P(q)|^2 / R (..., Q + 2), and for
+    q = 1..N//2 the couplings of the unknowns of q + 1 with those of q, of q - 1 with q and of
+    q + 1 with q - 1, (..., Q) each. At q = 1 a constraint fixes the unknown of q - 1: its
+    couplings are zero, and its diagonal is R so that the matrices stay regular.
     """
-    _, n_harmonics, n_balls, _, _ = matrix.shape
-    mean = matrix.sum(axis=2) / n_balls
-    centred = (matrix - mean[:, :, None]).reshape(2, n_harmonics, 2 * n_balls, 3)
-    normal = centred.conj().swapaxes(2, 3) @ centred
-    normal[:, 0, 1, :] = normal[:, 0, :, 1] = 0.0
-    normal[:, 0, 1, 1] = 1.0
-    return centred, mean, normal
+    below, own, above = sums[..., :-2], sums[..., 1:-1], sums[..., 2:]
+    share = 1.0 / n_balls
+    diagonal = n_balls - share * (sums.real**2 + sums.imag**2)
+    diagonal[..., 0] = n_balls
+    up = sums[..., 1, None] - share * above * own.conj()
+    down = sums[..., 1, None] - share * below.conj() * own
+    across = sums[..., 2, None] - share * above * below.conj()
+    down[..., 0] = across[..., 0] = 0.0
+    return diagonal, up, down, across
+
+
+def normal_matrices(sums: Complexes, n_balls: int) -> Complexes:
+    """Return the normal matrices (2, Q, 3, 3) after the CMM is eliminated."""
+    diagonal, up, down, across = couplings(sums, n_balls)
+    lower, middle, upper = diagonal[:-2], diagonal[1:-1], diagonal[2:]
+    normal = np.zeros((2, len(middle), 3, 3), dtype=np.complex128)
+    normal[PLANE, :, 0, 0], normal[AXIS, :, 0, 0] = upper, 0.5 * upper
+    normal[PLANE, :, 1, 1], normal[AXIS, :, 1, 1] = lower, 0.5 * lower
+    normal[..., 2, 2] = middle
+    up, down, across = (1j * ROOT_HALF) * up.conj(), (-1j * ROOT_HALF) * down, -0.5 * across
+    normal[PLANE, :, 0, 2], normal[PLANE, :, 2, 0] = up, up.conj()
+    normal[PLANE, :, 1, 2], normal[PLANE, :, 2, 1] = down, down.conj()
+    normal[AXIS, :, 0, 1], normal[AXIS, :, 1, 0] = across.conj(), across
+    normal[AXIS, :, :2, 2] = -normal[PLANE, :, :2, 2]
+    normal[AXIS, :, 2, :2] = -normal[PLANE, :, 2, :2]
+    return normal
 
 
 def factor(grid: int, balls: Ints) -> Harmonics:
     """Invert the systems of all harmonics; raise ObservabilityError when one is singular."""
-    centred, mean, normal = centre(design(phases(grid, balls)))
-    inverse: Complexes
+    phase = phases(grid, balls)
+    sums = phase.sum(axis=1)
+    normal = normal_matrices(sums, len(balls))
+    mean = design(sums[:, None] / len(balls))[:, :, 0]
+    centred = (design(phase) - mean[:, :, None]).reshape(2, len(sums) - 2, -1, 3)
     try:
         inverse = np.asarray(np.linalg.inv(normal), dtype=np.complex128)
     except np.linalg.LinAlgError:

@@ -12,6 +12,8 @@ from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
 
 FALSE_ALARM = 0.01
 """Probability that good data lose any centre at all."""
+LEAK = 0.3
+"""Part of the worst normalised residual below which a row may only follow a worse one."""
 DETERMINED = 1e-8
 """Residual cofactors below this part of the largest belong to coordinates without a check."""
 
@@ -71,11 +73,15 @@ def judge_centres(
 def choose(problem: BallPlateProblem, test: CentreTest) -> Ints:
     """Return the rows to reject together: the worst, and others that share nothing with it.
 
-    A gross error leaks into the residuals of the same ball, table and CMM position; rows that
-    share none of the three with a worse one are guilty on their own account.
+    A gross error leaks into the residuals of the same ball, table and CMM position, and a little
+    into all others; rows that share none of the three with a worse one, and are not much
+    smaller than the worst, are guilty on their own account. The others wait for the next fit.
     """
     chosen: list[int] = []
-    for row in test.outside:
+    outside = test.outside
+    for row in outside:
+        if test.value[row] < LEAK * test.value[outside[0]]:
+            continue
         shares = (
             problem.ball_step[row] == problem.ball_step[chosen],
             problem.table_index[row] == problem.table_index[chosen],

@@ -70,8 +70,8 @@ def common_divisor(grid: int, balls: Ints) -> int:
 def separability(grid: int, balls: Ints) -> Separability:
     """Judge a layout of balls (steps) that is measured at all CMM positions."""
     balls = np.unique(balls)
-    _, _, normal = harmonics.centre(harmonics.design(harmonics.phases(grid, balls)))
-    values, vectors = np.linalg.eigh(normal)
+    sums = harmonics.phases(grid, balls).sum(axis=1)
+    values, vectors = np.linalg.eigh(harmonics.normal_matrices(sums, len(balls)))
     lost = _by_component(grid, values < TOLERANCE * len(balls), vectors)
     weak_mask = (values < WEAK * len(balls)) & ~(values < TOLERANCE * len(balls))
     return Separability(

@@ -1,5 +1,6 @@
 """Laser tracker and plane mirror: direct, by stitching, by registration, or all in one."""
 
+from rotcal_ros.methods.plane_mirror.nest_tests import check_nests
 from rotcal_ros.methods.plane_mirror.problem import (
     WAYS,
     PlaneMirrorProblem,
@@ -15,6 +16,7 @@ __all__ = [
     "WAYS",
     "PlaneMirrorProblem",
     "TrackerNoise",
+    "check_nests",
     "mirror_trials",
     "problem_from_observations",
     "read_points",

@@ -23,7 +23,7 @@ from rotcal_ros.methods.plane_mirror.stitching import stitch
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_TRIAL_STEPS: Final = 3  # Gauss-Newton from the nominal solution: noise squared, then rounding
+_TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared, then rounding
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.plane_mirror.layout import Nests
+from rotcal_ros.methods.plane_mirror.layout import Nests, find_nests
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import (
     Poses,
@@ -79,6 +79,17 @@ def register(problem: PlaneMirrorProblem, nests: Nests) -> tuple[Poses, Nests, l
         members, text = found
         moved.append(text)
         nests = nests.split(members)
+
+
+def check_nests(problem: PlaneMirrorProblem) -> list[str]:
+    """Return what moved among the nests measured so far, in words; empty when all is well.
+
+    For use while measuring, after the tracker was moved: ``problem`` needs NEST rows only. Raises
+    DataError and GeometryError as :func:`register`.
+    """
+    if problem.station.max() == 0:
+        return []
+    return register(problem, find_nests(problem))[2]
 
 
 def nest_fit(points: Floats, nests: Nests, weight: Floats, poses: Poses) -> NestFit:

@@ -20,7 +20,7 @@ from rotcal_ros.methods.plane_mirror.problem import TrackerNoise
 
 Floats = NDArray[np.float64]
 
-_STEPS: Final = 3  # quadratic convergence from the mean of M - M': rounding is reached in two
+_STEPS: Final = 2  # from the mean of M - M': first noise squared, then rounding
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,8 @@ MIN_SEPARATION: Final = 1e-3
 """Two reflectors, or a reflector and its image, are never closer than this (m)."""
 MAX_MISFIT: Final = 2.0 * DEGREE
 """Normals of one station are closer to the command than this, leaning by up to 8 degrees."""
+GROSS: Final = 25.0
+"""A chi square this many times its limit is a blunder, not noise stated too small."""
 MAX_DEVIATION: Final = 1.0 * DEGREE
 """No rotary table is this wrong; a commanded angle or a nest is."""
 
@@ -81,19 +83,29 @@ def drop_inconsistent(
     """Leave out the pair that contradicts the others of its group; returns pairs and weights.
 
     All pairs of a group show the same plane. Of three or more, the one that does not fit is found
-    and left out; two that disagree cannot say which is wrong and are refused.
+    and left out. Two that disagree cannot say which is wrong: they are refused when no noise
+    explains it, and left to the test of all residuals when more noise than stated would.
     """
     rejected: list[Rejection] = []
+    undecided: set[tuple[int, int]] = set()
     while True:
         normals = fit_normals(problem.xyz, pairs, weight)
         squares = np.einsum("pi,pij,pj->p", normals.misclosure, weight, normals.misclosure)
         total = np.add.reduceat(squares, pairs.start)
         count = np.bincount(pairs.group)
         limit = chi2.isf(problem.significance / pairs.n_groups, np.maximum(3 * count - 3, 1))
-        bad = np.flatnonzero((count > 1) & (total > limit))
+        places = list(zip(pairs.position.tolist(), pairs.station.tolist(), strict=True))
+        known = np.array([place in undecided for place in places])
+        bad = np.flatnonzero((count > 1) & (total > limit) & ~known)
         if not len(bad):
             return pairs, weight, rejected
-        pair = _culprit(problem, pairs, weight, int(bad[np.argmax(total[bad] / limit[bad])]))
+        group = int(bad[np.argmax(total[bad] / limit[bad])])
+        pair = _culprit(problem, pairs, weight, group)
+        if pair is None:
+            if total[group] > GROSS * limit[group]:
+                raise DataError(_undecided(problem, pairs, group))
+            undecided.add(places[group])
+            continue
         nest = problem.nest[pairs.direct[pair]]
         why = f"reflector {nest} shows another mirror plane than the others of its position"
         rejected += [Rejection(int(rows[pair]), why) for rows in (pairs.direct, pairs.mirrored)]
@@ -170,8 +182,8 @@ def repeats(
     return entries, warnings
 
 
-def _culprit(problem: PlaneMirrorProblem, pairs: Pairs, weight: Floats, group: int) -> int:
-    """Pair of a group without which the others agree best; refuses when that is undecided."""
+def _culprit(problem: PlaneMirrorProblem, pairs: Pairs, weight: Floats, group: int) -> int | None:
+    """Return the pair of a group without which the others agree; None when that is undecided."""
     members = np.flatnonzero(pairs.group == group)
     left = []
     for pair in members:
@@ -179,13 +191,17 @@ def _culprit(problem: PlaneMirrorProblem, pairs: Pairs, weight: Floats, group: i
         rest = pairs.keep(wanted)
         e = fit_normals(problem.xyz, rest, weight[wanted]).misclosure
         left.append(float(np.einsum("pi,pij,pj->", e, weight[wanted], e)))
-    names = ", ".join(str(problem.nest[row]) for row in pairs.direct[members])
     dof = 3 * len(members) - 6
     if dof == 0 or min(left) > chi2.isf(problem.significance / pairs.n_groups, dof):
-        raise DataError(
-            f"{problem.source}: {problem.position_name(int(pairs.position[group]))}, tracker "
-            f"station {problem.station_name(int(pairs.station[group]))}: reflectors {names} "
-            "show different mirror planes and nothing tells which is right: reflector on the "
-            "wrong nest, nest or mirror moved in between; measure this position again"
-        )
+        return None
     return int(members[int(np.argmin(left))])
+
+
+def _undecided(problem: PlaneMirrorProblem, pairs: Pairs, group: int) -> str:
+    names = ", ".join(str(problem.nest[row]) for row in pairs.direct[pairs.group == group])
+    return (
+        f"{problem.source}: {problem.position_name(int(pairs.position[group]))}, tracker "
+        f"station {problem.station_name(int(pairs.station[group]))}: reflectors {names} "
+        "show different mirror planes and nothing tells which is right: reflector on the "
+        "wrong nest, nest or mirror moved in between; measure this position again"
+    )

@@ -1,5 +1,6 @@
 """The figures that must hold: exactness, coverage, and which way is better."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from scipy.stats import chi2
 from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
 from rotcal_ros.methods.plane_mirror.estimate import estimate
 from rotcal_ros.methods.plane_mirror.prepare import prepare
+from rotcal_ros.observations import PointKind
+from rotcal_ros.results import Result
 from rotcal_ros.simulation.tracker_mirror import (
     TrackerStation,
     add_noise,
@@ -52,7 +55,9 @@ def test_exact_points_give_exact_deviations(way, lean_deg):
 @pytest.mark.parametrize("way", MIRROR_WAYS)
 def test_any_overlap_any_positions_any_sense(way):
     """Unequal steps, a table turned backwards over two turns, stations that see what they like."""
-    angles = -np.radians([0, 17, 40, 61, 90, 117, 150, 176, 205, 233, 262, 290, 321, 345, 361, 725])
+    angles = -np.radians(
+        [0, 17, 40, 61, 90, 117, 150, 176, 205, 233, 262, 290, 321, 345, 361, 725]
+    )
     visits = ((0, 1, 2, 14, 15), (2, 3, 4, 5), (4, 5, 6, 7), (7, 8, 9), (9, 10, 11, 12),
               (12, 13, 14))  # fmt: skip
     stations = ring_cell(np.abs(angles), visits).stations
@@ -67,6 +72,36 @@ def test_any_overlap_any_positions_any_sense(way):
     # The commanded sense is taken for counter-clockwise: angles and deviations mirror with it.
     assert np.abs(np.abs(result.deviations["ECC"]) - np.abs(truth)).max() < 1e-10
     assert np.abs(result.deviations["ECC"] - truth).max() < 1e-10
+
+
+@pytest.mark.parametrize("way", ["direct", *MIRROR_WAYS])
+def test_covariance_is_the_noise_sent_through_the_numerical_derivative(way):
+    """Every coordinate of every row moved by a micrometre, both ways; a mirror that leans much."""
+    problem = measured(way, paper_cell(lean=0.15), table(17)[0], tilt_std=1e-8)
+    n, step = problem.xyz.size, 1e-6
+    moved = problem.xyz + step * np.eye(n).reshape(n, *problem.xyz.shape)
+    prepared = prepare(problem).prepared
+    ahead = estimate(prepared, moved)
+    behind = estimate(prepared, 2.0 * problem.xyz - moved)
+    derivative = ((ahead - behind) / (2.0 * step)).reshape(-1, 3, 17)
+    noise = problem.noise.covariance(problem.xyz)
+    expected = np.einsum("rik,rij,rjl->kl", derivative, noise, derivative)
+    covariance = solve(problem).covariance["ECC"]
+    np.testing.assert_allclose(covariance, expected, atol=2e-4 * expected.max())
+
+
+@pytest.mark.parametrize("way", ["direct", *MIRROR_WAYS])
+def test_result_survives_json_and_accounts_for_every_row(way):
+    problem = measured(way, paper_cell(), table(17)[0], rng=np.random.default_rng(2))
+    result = solve(problem)
+    again = Result.from_dict(json.loads(result.to_json()))
+    np.testing.assert_array_equal(again.deviations["ECC"], result.deviations["ECC"])
+    assert again.details["way"] == way
+    assert len(result.residuals.used) == result.n_observations == len(problem.xyz)
+    nests = problem.kind == PointKind.NEST
+    np.testing.assert_array_equal(result.residuals.used, ~nests | (way != "stitching"))
+    if way != "stitching":  # nests: 3 (36 - 6) - 30 of 108 are redundant
+        assert 3.0 * result.residuals.redundancy[nests].sum() == pytest.approx(60.0)
 
 
 def test_wobbling_table_reaches_the_angle_only_through_the_lean():

@@ -1,0 +1,156 @@
+"""A nearly complete measurement: the spectral solution, corrected exactly for a few gaps.
+
+A missing centre is filled with the value that gives it a zero residual; the fit of the filled
+data is then the least squares fit of the others. The fill values follow from the residual
+cofactors at the gaps (a 3m x 3m system for m gaps), and the same matrix corrects the
+covariances. Works for any grid, where the general solution would not fit into memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate import model
+from rotcal_ros.methods.ball_plate.model import FIELDS, Parameters, Solution
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.ball_plate.spectral import solve_spectral
+
+DETERMINED = 1e-7
+"""Smallest accepted eigenvalue of the residual cofactor at the gaps."""
+
+
+def gap_cells(problem: BallPlateProblem) -> Ints | None:
+    """Return the missing cells (place in the complete canonical order), None if some repeat."""
+    ball = np.searchsorted(problem.balls, problem.ball_step)
+    cells = ball * problem.grid + problem.table_index
+    if len(np.unique(cells)) < len(cells):
+        return None
+    return np.setdiff1d(np.arange(len(problem.balls) * problem.grid), cells)
+
+
+def solve_with_gaps(problem: BallPlateProblem, gaps: Ints) -> Solution:
+    """Solve an equally weighted problem of which only the cells ``gaps`` (m,) are missing.
+
+    Raises ObservabilityError when the remaining centres do not determine all parameters.
+    """
+    complete, measured = _complete(problem, gaps)
+    responses, inverse = _correction(complete, gaps)
+    start = solve_spectral(complete)
+    filled = complete.centres.copy()
+    filled[gaps] -= (inverse @ start.residuals[gaps].ravel()).reshape(-1, 3)
+    final = solve_spectral(replace(complete, centres=filled))
+    residuals = final.residuals[measured]
+    estimates = tuple(response.estimate for response in responses)
+    return Solution(
+        estimate=final.estimate,
+        unit_std=_corrected_std(start.unit_std, estimates, inverse),
+        unit_covariance=_GapCovariance(start, estimates, inverse),
+        residuals=residuals,
+        cofactor=_GapCofactor(start, measured, _moved(responses, measured), inverse),
+        weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
+        dof=model.degrees_of_freedom(problem),
+        way="spectral with gaps",
+    )
+
+
+def residual_operator(problem: BallPlateProblem, gaps: Ints) -> Callable[[Floats], Floats]:
+    """Return the function that takes deviations (n, 3) of the measured rows to residuals."""
+    complete, measured = _complete(problem, gaps)
+    responses, inverse = _correction(complete, gaps)
+    moved = _moved(responses, measured)
+    nominal = complete.centres - complete.deviations
+
+    def residuals(observed: Floats) -> Floats:
+        centres = nominal.copy()
+        centres[measured] += observed
+        start = solve_spectral(replace(complete, centres=centres)).residuals
+        left: Floats = start[measured] - moved @ (inverse @ start[gaps].ravel())
+        return left
+
+    return residuals
+
+
+def _correction(complete: BallPlateProblem, gaps: Ints) -> tuple[list[Solution], Floats]:
+    """Return the responses (3m) to unit deviations at the gaps, and the inverse at the gaps."""
+    responses = [_response(complete, int(cell), axis) for cell in gaps for axis in range(3)]
+    at_gaps = np.array([response.residuals[gaps].ravel() for response in responses])
+    at_gaps = 0.5 * (at_gaps + at_gaps.T)
+    if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
+        raise ObservabilityError(
+            "without the missing or rejected centres not all errors of table, plate and CMM are "
+            "determined: measure more balls at the table positions of the gaps"
+        )
+    return responses, np.linalg.inv(at_gaps)
+
+
+def _moved(responses: list[Solution], measured: Ints) -> Floats:
+    """Return how the residuals of the measured rows follow the gaps, (n, 3, 3m)."""
+    return np.stack([response.residuals[measured] for response in responses], axis=2)
+
+
+def _complete(problem: BallPlateProblem, gaps: Ints) -> tuple[BallPlateProblem, Ints]:
+    """Fill the gaps with nominal centres; also return the places of the measured rows."""
+    grid, n_balls = problem.grid, len(problem.balls)
+    measured = np.setdiff1d(np.arange(n_balls * grid), gaps)
+    table, ball = np.tile(np.arange(grid), n_balls), np.repeat(problem.balls, grid)
+    angle = problem.angles[(table + ball) % grid]
+    centres = problem.radius * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    centres[measured] = problem.centres
+    return BallPlateProblem(grid, problem.radius, table, ball, centres), measured
+
+
+def _response(complete: BallPlateProblem, cell: int, axis: int) -> Solution:
+    """Solve for a unit deviation of one coordinate: a column of the solution operator."""
+    centres = complete.centres - complete.deviations
+    centres[cell, axis] += 1.0
+    return solve_spectral(replace(complete, centres=centres))
+
+
+def _added(first: Floats, second: Floats, inverse: Floats) -> Floats:
+    """Variance that the gaps add: columns (..., 3m) of the responses through the inverse."""
+    added: Floats = np.einsum("...i,ij,...j->...", first, inverse, second)
+    return added
+
+
+def _corrected_std(
+    std: Parameters, responses: tuple[Parameters, ...], inverse: Floats
+) -> Parameters:
+    fields = {}
+    for name in FIELDS:
+        columns = np.stack([getattr(response, name) for response in responses], axis=-1)
+        fields[name] = np.sqrt(getattr(std, name) ** 2 + _added(columns, columns, inverse))
+    return Parameters(**fields)
+
+
+@dataclass(frozen=True)
+class _GapCovariance:
+    """Unit covariance of two components: that of complete data and what the gaps add."""
+
+    start: Solution
+    responses: tuple[Parameters, ...]
+    inverse: Floats
+
+    def __call__(self, first: str, second: str) -> Floats:
+        columns = np.stack([response.component(first) for response in self.responses], axis=1)
+        others = np.stack([response.component(second) for response in self.responses], axis=1)
+        covariance: Floats = self.start.unit_covariance(first, second)
+        return covariance + columns @ self.inverse @ others.T
+
+
+@dataclass(frozen=True)
+class _GapCofactor:
+    """Unit covariance of the residuals: that of complete data less what the gaps take."""
+
+    start: Solution
+    measured: Ints
+    moved: Floats
+    inverse: Floats
+
+    def __call__(self) -> Floats:
+        taken = self.moved @ self.inverse @ self.moved.swapaxes(1, 2)
+        cofactor: Floats = self.start.cofactor()[self.measured] - taken
+        return cofactor

@@ -1,0 +1,89 @@
+"""Repair saves everything that can be read and leaves the original alone."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import pytest
+from bag_samples import STORE, TYPES, Run
+from rosbags.highlevel import AnyReader
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.mcap_records import CHUNK, MAGIC
+from rotcal_ros.bags.reader import check_files
+from rotcal_ros.bags.repair import repair
+from rotcal_ros.bags.replay import read_recording
+from rotcal_ros.errors import BagError
+
+
+def damaged(run_bag: Path, tmp_path: Path, cut: float = 1.0, flips: int = 0) -> Path:
+    data = bytearray((run_bag / "run_0.mcap").read_bytes())
+    data = data[: int(len(data) * cut)]
+    chance = random.Random(7)
+    for _ in range(flips):
+        data[chance.randrange(100, len(data))] ^= 0x10
+    path = tmp_path / "bad_0.mcap"
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize(("cut", "flips"), [(0.6, 0), (1.0, 3), (0.9, 20)])
+def test_repaired_bag_is_sound_and_holds_all_that_was_readable(
+    run_bag: Path, tmp_path: Path, cut: float, flips: int
+) -> None:
+    path = damaged(run_bag, tmp_path, cut, flips)
+    original = path.read_bytes()
+    (before,) = check_files((path,))
+    outcome = repair(path, tmp_path / "good")
+    assert path.read_bytes() == original
+    (after,) = outcome.after
+    assert after.state == "complete"
+    assert after.messages == before.messages > 0
+    with AnyReader([tmp_path / "good"]) as reader:
+        assert sum(1 for _ in reader.messages()) == before.messages
+        for connection in reader.connections:
+            role = connection.topic.rpartition("/")[2]
+            assert connection.digest == STORE.hash_rihs01(TYPES[role])
+
+
+def test_truncated_bag_solves_the_same_after_repair(
+    run_bag: Path, simulated_run: Run, tmp_path: Path
+) -> None:
+    path = damaged(run_bag, tmp_path, cut=0.7)
+    repair(path, tmp_path / "good")
+    before, after = read_recording(path), read_recording(tmp_path / "good")
+    assert after.observations == before.observations
+    assert after.observations == tuple(simulated_run.observations[: len(after.observations)])
+    assert len(after.observations) > 10
+
+
+def test_schema_chunk_damaged_and_no_index(run_bag: Path, tmp_path: Path) -> None:
+    data = bytearray((run_bag / "run_0.mcap").read_bytes()[:200_000])
+    position = len(MAGIC)
+    while data[position] != CHUNK:
+        position += 9 + int.from_bytes(data[position + 1 : position + 9], "little")
+    data[position + 300] ^= 0xFF
+    path = tmp_path / "bad_0.mcap"
+    path.write_bytes(data)
+    (after,) = repair(path, tmp_path / "good").after
+    assert after.state == "complete"
+    assert after.topics["/cell/tracer_length"].messages > 1000
+    assert "configuration.yaml" in read_recording(tmp_path / "good").attachments
+
+
+def test_nothing_is_overwritten(run_bag: Path, tmp_path: Path) -> None:
+    path = damaged(run_bag, tmp_path)
+    (tmp_path / "good").mkdir()
+    with pytest.raises(BagError, match="exists already"):
+        repair(path, tmp_path / "good")
+
+
+def test_sound_bag_keeps_sequence_and_times(run_bag: Path, tmp_path: Path) -> None:
+    repair(run_bag, tmp_path / "copy")
+    streams = []
+    for folder in (run_bag, tmp_path / "copy"):
+        with AnyReader([folder]) as reader:
+            streams.append([(c.topic, t, bytes(d)) for c, t, d in reader.messages()])
+    assert streams[0] == streams[1]
+    assert names.REPAIR == "rotcal_repair"

@@ -1,0 +1,178 @@
+"""Offline equals live, also for cut-off, split and unordered bags."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bag_samples import CONFIGURATION, START_NS, Run, encode, open_writer, serialised, write_run
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.replay import read_recording
+from rotcal_ros.bags.topics import Topics
+from rotcal_ros.bags.writer import WriterSettings
+from rotcal_ros.configuration import parse_configuration
+from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.observations import Observation, TracerSample
+
+
+def test_streams_give_the_live_observations_to_the_last_bit(
+    run_bag: Path, simulated_run: Run
+) -> None:
+    recording = read_recording(run_bag)
+    assert len(recording.observations) == 32
+    assert recording.observations == tuple(simulated_run.observations)
+    assert recording.recorded == tuple(simulated_run.observations)
+    assert recording.same_as_recorded
+    assert recording.warnings() == ()
+    assert recording.calibration.configuration.text == CONFIGURATION
+    tracer = sum(isinstance(record, TracerSample) for record in simulated_run.records)
+    assert recording.counts["tracer"] == {"received": tracer}
+    digest = hashlib.sha256((run_bag / "run_0.mcap").read_bytes()).hexdigest()
+    assert recording.sha256 == {"run_0.mcap": digest}
+
+
+def test_recorded_observations_are_taken_as_they_are(run_bag: Path, simulated_run: Run) -> None:
+    recording = read_recording(run_bag, "observations")
+    assert recording.observations == tuple(simulated_run.observations)
+    assert recording.counts == {}
+
+
+def test_given_configuration_wins(run_bag: Path) -> None:
+    text = CONFIGURATION.replace("window_samples: 30", "window_samples: 20")
+    assert text != CONFIGURATION
+    recording = read_recording(run_bag, configuration=parse_configuration(text))
+    assert {o.n_samples for o in recording.observations} == {20}
+    assert not recording.same_as_recorded
+    assert any("differ from those captured live" in text for text in recording.warnings())
+
+
+def test_truncated_bag_gives_the_first_observations(
+    run_bag: Path, simulated_run: Run, tmp_path: Path
+) -> None:
+    data = (run_bag / "run_0.mcap").read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(data[: len(data) // 2])
+    recording = read_recording(path)
+    n = len(recording.observations)
+    assert 5 < n < 32
+    assert recording.observations == tuple(simulated_run.observations[:n])
+    assert [v.state for v in recording.verdicts] == ["truncated"]
+    assert "truncated at byte" in recording.warnings()[0]
+
+
+def test_split_session_is_one(simulated_run: Run, tmp_path: Path) -> None:
+    settings = WriterSettings(min_free_bytes=0, split_bytes=200_000, chunk_bytes=20_000)
+    write_run(tmp_path / "split", simulated_run, settings, tick_every=100)
+    assert len(list((tmp_path / "split").glob("*.mcap"))) > 3
+    (tmp_path / "split" / "metadata.yaml").unlink()
+    recording = read_recording(tmp_path / "split")
+    assert recording.observations == tuple(simulated_run.observations)
+
+
+def test_order_between_streams_does_not_matter(simulated_run: Run, tmp_path: Path) -> None:
+    """A recorder may get the streams in another order than the live capture did."""
+    chance = random.Random(3)
+    delays = {kind: chance.uniform(0, 40) for kind in (TracerSample,)}
+    shuffled = sorted(
+        enumerate(simulated_run.records),
+        key=lambda pair: pair[0] + delays.get(type(pair[1]), 0.0),
+    )
+    run = Run([record for _, record in shuffled], simulated_run.observations)
+    write_run(tmp_path / "other", run)
+    assert read_recording(tmp_path / "other").observations == tuple(simulated_run.observations)
+
+
+def test_configuration_from_the_plan_topic(simulated_run: Run, tmp_path: Path) -> None:
+    writer, channels = open_writer(tmp_path / "bag")
+    writer.close()
+    shutil.rmtree(tmp_path / "bag")
+    writer, channels = open_writer(tmp_path / "bag", configuration="not: this")
+    with writer:
+        data = serialised(
+            "rotcal_msgs/msg/CalibrationPlan", stamp_ns=START_NS, plan_id="", method="",
+            configuration=CONFIGURATION, total_steps=32, start_index=0,
+        )  # fmt: skip
+        writer.write(channels[names.PLAN], data, START_NS, START_NS)
+    # the attachment comes first; without one the topic is used
+    with pytest.raises(ConfigurationError, match=r"bag_0\.mcap"):
+        read_recording(tmp_path / "bag")
+    path = tmp_path / "bag" / "bag_0.mcap"
+    path.write_bytes(path.read_bytes().replace(b"configuration.yaml", b"configuration.yamX"))
+    assert read_recording(path).calibration.configuration.text == CONFIGURATION
+
+
+def test_two_cells_in_one_bag_must_be_told_apart(simulated_run: Run, tmp_path: Path) -> None:
+    writer, channels = open_writer(tmp_path / "bag")
+    with writer:
+        other = writer.channel("/cell2/tracer_length", "a/msg/B", "uint8 x\n")
+        tracer = next(r for r in simulated_run.records if isinstance(r, TracerSample))
+        for channel in (channels[names.TRACER_LENGTH], other):
+            writer.write(channel, encode(tracer)[0][1], START_NS, START_NS)
+    with pytest.raises(BagError, match="two topics of the bag are called tracer_length"):
+        read_recording(tmp_path / "bag")
+    assert read_recording(tmp_path / "bag", topics=Topics("/cell")).observations == ()
+
+
+def test_renamed_topics(simulated_run: Run, tmp_path: Path) -> None:
+    topics = Topics(renamed={names.TRACER_LENGTH: "/interferometer/reading"})
+    assert topics.role("/interferometer/reading") == names.TRACER_LENGTH
+    assert topics.role("/cell/tracer_length") is None
+    assert topics.role("/cell/probe_point") == names.PROBE_POINT
+    assert topics.role("/rosout") is None
+
+
+def test_messages_that_cannot_be_decoded_are_counted(simulated_run: Run, tmp_path: Path) -> None:
+    writer, channels = open_writer(tmp_path / "bag")
+    with writer:
+        for record in simulated_run.records[:2000]:
+            for role, data in encode(record):
+                writer.write(channels[role], data, START_NS, START_NS)
+        for role in (names.TRACER_LENGTH, names.PROBE_POINT, names.OBSERVATION):
+            writer.write(channels[role], b"\0\1\0\0nonsense", START_NS, START_NS)
+    recording = read_recording(tmp_path / "bag")
+    assert recording.broken == {
+        f"/cell/{role}": 1 for role in (names.TRACER_LENGTH, names.PROBE_POINT, names.OBSERVATION)
+    }
+
+
+def test_losses_counted_live_are_told(simulated_run: Run, tmp_path: Path) -> None:
+    writer, channels = open_writer(tmp_path / "bag")
+    with writer:
+        writer.write(channels[names.TRACER_LENGTH], encode(simulated_run.records[1])[0][1], 1, 1)
+        writer.note(names.LOSSES, {"tracer_length: queue full": 4, "probe_point: gap": 0})
+    assert read_recording(tmp_path / "bag").warnings() == (
+        "bag_0.mcap: 4 lost live (tracer_length: queue full)",
+    )
+
+
+def test_bag_without_messages(tmp_path: Path) -> None:
+    writer, _ = open_writer(tmp_path / "bag")
+    writer.close()
+    with pytest.raises(BagError, match="holds no messages"):
+        read_recording(tmp_path / "bag")
+
+
+def test_progress_ends_at_the_size_of_the_bag(run_bag: Path) -> None:
+    calls: list[tuple[int, int]] = []
+    read_recording(run_bag, progress=lambda done, total: calls.append((done, total)))
+    size = (run_bag / "run_0.mcap").stat().st_size
+    assert {total for _, total in calls} == {size}
+    assert [done for done, _ in calls] == sorted(done for done, _ in calls)
+    assert calls[-1][0] <= size
+
+
+def test_attempts_are_kept_apart(simulated_run: Run, tmp_path: Path) -> None:
+    """The bag gives every attempt; the last accepted one counts, as live."""
+    first: Any = simulated_run.observations[0]
+    assert isinstance(first, Observation)
+    again = replace(first, attempt=1, mean=(first.mean[0] + 1e-6,))
+    run = Run([first, again, replace(first, attempt=2, accepted=False, reason="drift")])
+    write_run(tmp_path / "bag", run)
+    recording = read_recording(tmp_path / "bag", "observations")
+    assert recording.observations == tuple(run.records)

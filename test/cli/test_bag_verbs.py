@@ -1,0 +1,172 @@
+"""``rotcal bag`` and ``rotcal solve``: output, JSON and exit codes."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from rotcal_ros import catalogue
+from rotcal_ros.cli.main import rotcal
+from rotcal_ros.errors import DataError
+from rotcal_ros.results import Result as Solution
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
+import bag_samples
+
+
+@pytest.fixture(scope="module")
+def simulated() -> bag_samples.Run:
+    return bag_samples.simulate()
+
+
+@pytest.fixture(scope="module")
+def bag(simulated: bag_samples.Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cli") / "run"
+    bag_samples.write_run(folder, simulated)
+    return folder
+
+
+@pytest.fixture
+def cut(bag: Path, tmp_path: Path) -> Path:
+    data = (bag / "run_0.mcap").read_bytes()
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(data[: len(data) // 2])
+    return path
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(rotcal, [str(argument) for argument in arguments])
+
+
+def stand_in(verdict: str) -> Any:
+    """Return a solver that only tells what it was given."""
+
+    def solve(_configuration: Any, plan: Any, observations: Any) -> Solution:
+        if len(observations) < 3:
+            raise DataError("3 observations are needed")
+        angles = np.array(plan.table_angles)
+        total = sum(o.mean[0] for o in observations)
+        return Solution(
+            method=plan.method, angles=angles, deviations={"ECC": angles * total},
+            std={"ECC": angles * 0}, covariance={}, sigma0=1.0, dof=1,
+            n_observations=len(observations), verdict=verdict,  # type: ignore[arg-type]
+        )  # fmt: skip
+
+    return solve
+
+
+@pytest.fixture
+def solver(monkeypatch: pytest.MonkeyPatch) -> Any:
+    def install(verdict: str) -> None:
+        method = catalogue.METHODS["tracer_multistation"]
+        changed = catalogue.Method(
+            method.name, method.title, method.topics, method.plan, stand_in(verdict)
+        )
+        monkeypatch.setitem(catalogue.METHODS, method.name, changed)
+
+    install("ok")
+    return install
+
+
+def test_info(bag: Path) -> None:
+    result = run("bag", "info", bag)
+    assert result.exit_code == 0
+    assert "rotcal_msgs/msg/TracerLength" in result.stdout
+    assert "tracer_multistation" in result.stdout
+    data = json.loads(run("bag", "info", bag, "--json").stdout)
+    assert data["topics"]["/cell/observation"]["messages"] == 32
+    assert data["duration_s"] > 0
+
+
+def test_check_tells_by_exit_code(bag: Path, cut: Path) -> None:
+    assert run("bag", "check", bag).exit_code == 0
+    result = run("bag", "check", cut)
+    assert result.exit_code == 1
+    assert "truncated at byte" in result.stdout
+    data = json.loads(run("bag", "check", cut, "--json").stdout)
+    assert data["files"][0]["verdict"] == "truncated"
+
+
+def test_repair(cut: Path, tmp_path: Path) -> None:
+    before = cut.read_bytes()
+    data = json.loads(run("bag", "repair", cut, "--json").stdout)
+    assert Path(data["folder"]) == tmp_path / "cut_repaired"
+    assert data["after"][0]["messages"] == data["before"][0]["messages"]
+    assert cut.read_bytes() == before
+    again = run("bag", "repair", cut)
+    assert again.exit_code == 2
+    assert "exists already" in again.stderr
+    assert run("bag", "check", tmp_path / "cut_repaired").exit_code == 0
+
+
+@pytest.mark.parametrize("verb", ["bag info", "bag check", "bag repair", "solve"])
+@pytest.mark.parametrize("content", [None, b"", b"text"])
+def test_unreadable_input(verb: str, content: bytes | None, tmp_path: Path) -> None:
+    path = tmp_path / "thing.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    result = run(*verb.split(), path)
+    # an empty file is a bag that was begun and lost at once
+    empty = {"bag info": 0, "bag check": 1, "bag repair": 0, "solve": 2}
+    assert result.exit_code == (empty[verb] if content == b"" else 2)
+    assert "Traceback" not in result.output
+
+
+@pytest.mark.usefixtures("solver")
+def test_solve_gives_json_and_nothing_else(bag: Path, tmp_path: Path) -> None:
+    output = tmp_path / "result.json"
+    result = run("solve", bag, "--json", "-o", output)
+    assert result.exit_code == 0
+    assert json.loads(result.stdout) == json.loads(output.read_text())
+    assert json.loads(result.stdout)["n_observations"] == 32
+    recorded = run("solve", bag, "--json", "--from", "observations")
+    assert recorded.stdout == result.stdout
+
+
+@pytest.mark.usefixtures("solver")
+def test_solve_for_people(bag: Path) -> None:
+    result = run("solve", bag)
+    assert "ECC/arcsec" in result.stdout
+    assert "verdict ok: 32 observations" in result.stdout
+
+
+@pytest.mark.usefixtures("solver")
+def test_solve_a_cut_off_bag_warns(cut: Path) -> None:
+    result = run("solve", cut, "--json")
+    assert result.exit_code == 0
+    assert "warning: cut.mcap: truncated at byte" in result.stderr
+    assert 3 <= json.loads(result.stdout)["n_observations"] < 32
+
+
+@pytest.mark.parametrize(("verdict", "code"), [("ok", 0), ("suspect", 1), ("failed", 1)])
+def test_exit_code_follows_the_verdict(bag: Path, solver: Any, verdict: str, code: int) -> None:
+    solver(verdict)
+    assert run("solve", bag, "--json").exit_code == code
+
+
+@pytest.mark.usefixtures("solver")
+def test_not_enough_data(simulated: bag_samples.Run, tmp_path: Path) -> None:
+    bag_samples.write_run(tmp_path / "short", bag_samples.Run([*simulated.observations[:2]]))
+    result = run("solve", tmp_path / "short", "--from", "observations")
+    assert result.exit_code == 3
+    assert "3 observations are needed" in result.stderr
+
+
+@pytest.mark.usefixtures("solver")
+def test_solve_a_table(tmp_path: Path) -> None:
+    setup = tmp_path / "setup.yaml"
+    setup.write_text(bag_samples.CONFIGURATION)
+    table = tmp_path / "lengths.csv"
+    table.write_text("station,target,length_m\n0,0,0.5\n1,0,0.5\n2,1,0.6\n")
+    result = run("solve", table, "--setup", setup, "--json")
+    assert result.exit_code == 0
+    assert json.loads(result.stdout)["n_observations"] == 3
+    without = run("solve", table)
+    assert without.exit_code == 2
+    assert "--setup" in without.stderr

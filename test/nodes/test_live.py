@@ -1,0 +1,196 @@
+"""Whole calibrations of the simulated cell over DDS."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import SUITE, wait_until
+
+from rotcal_ros.bags.replay import read_recording
+from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.configuration import parse_configuration
+from rotcal_ros.results import Result
+from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+BAD_CONFIGURATION, TOPIC_MISSING, NODE_LOST, CANCELED = 601, 602, 603, 607
+
+
+def verdicts(live) -> tuple[FileVerdict, ...]:
+    return read_recording(live.session / "bag").verdicts
+
+
+def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(cell):
+    live = cell()
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert outcome["bag_folder"] == str(live.session / "bag")
+    # The beam to target 1 is blocked at one table angle: given up after all attempts.
+    assert outcome["skipped_steps"] == [9]
+    assert outcome["n_used"] == 59
+    assert outcome["n_rejected"] >= 3
+
+    recording = read_recording(live.session / "bag")
+    text = (live.session / "result.json").read_text()
+    assert recording.same_as_recorded
+    assert recording.solve().to_json() == text
+    assert all(
+        v.state == "complete" and not any(v.losses_recorded.values()) for v in recording.verdicts
+    )
+
+    result = Result.from_dict(json.loads(text))
+    settings = parse_configuration(live.file.read_text()).group("simulation", SimulationSettings)
+    truth = SimulatedCell(settings).truth(result.angles)["ECC"]
+    error = result.deviations["ECC"] - truth
+    assert np.all(np.abs(error - error[0]) <= 5 * result.std["ECC"] + 1e-12)
+
+    topics = recording.verdicts[0].topics
+    for name in ("tracer_length", "joint_states", "probe_point", "temperature", "table_angle",
+                 "probe_target", "observation", "observation_recorded", "plan", "deviations",
+                 "compensation_table", "heartbeat"):  # fmt: skip
+        assert topics[f"/cell/{name}"].messages > 0, name
+    assert {
+        "configuration.yaml",
+        "versions.json",
+        "definitions.json",
+    } <= recording.attachments.keys()
+    assert recording.attachments["configuration.yaml"].decode() == live.file.read_text()
+    metadata = (live.session / "bag" / "metadata.yaml").read_text()
+    assert "durability: transient_local" in metadata
+    assert "RIHS01_" in metadata
+
+
+def test_the_parameters_are_enough_and_a_second_goal_is_refused_with_the_reason(cell):
+    live = cell("simulation.time_scale=4.0")
+    live.start(*SUITE, "simulated_cell")
+    first = live.client("first", with_configuration=False)
+    step = first.wait_for_step(1)
+    assert step["total"] == 60  # from the parameter file that the planner was started with
+    refused = live.client("second").wait_for("refused", "result")
+    assert refused["event"] == "refused"
+    assert "calibrating: step" in refused["reason"]
+    first.cancel()
+    assert first.result()["error_code"] == CANCELED
+
+
+def test_cancel_leaves_a_valid_bag_and_the_plan_can_be_continued(cell):
+    live = cell()
+    live.start(*SUITE, "simulated_cell")
+    client = live.client()
+    client.wait_for_step(3)
+    client.cancel()
+    outcome = client.result()
+    assert outcome["canceled"]
+    assert outcome["error_code"] == CANCELED
+    assert "continue with start_index" in outcome["error_msg"]
+    assert [v.state for v in verdicts(live)] == ["complete"]
+    recording = read_recording(live.session / "bag")
+    assert sum(o.accepted for o in recording.recorded) >= outcome["n_used"] >= 3
+
+    # The same nodes go on with the rest and solve all steps together.
+    start = int(outcome["error_msg"].rsplit("start_index ", 1)[1])
+    (live.session).rename(live.folder / "first")
+    rest = live.client("rest", start_index=start).result()
+    assert rest["error_code"] == 0, rest["error_msg"]
+    result = json.loads((live.session / "result.json").read_text())
+    assert result["n_observations"] == 59
+
+
+def test_the_preflight_names_what_is_missing(cell):
+    live = cell("planner.preflight_timeout_s=3.0")
+    live.start(*SUITE)
+    outcome = live.client().result()
+    assert outcome["error_code"] == TOPIC_MISSING
+    for topic in ("tracer_length", "probe_point", "joint_states"):
+        assert f"nobody publishes /cell/{topic}" in outcome["error_msg"]
+    assert not live.session.exists()
+
+
+def test_a_missing_node_is_named(cell):
+    live = cell("planner.preflight_timeout_s=3.0")
+    live.start("planner", "capture", "recorder", "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == NODE_LOST
+    assert "node solver does not beat" in outcome["error_msg"]
+
+
+def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
+    live = cell("planner.preflight_timeout_s=5.0")
+    live.start(*SUITE, "simulated_cell")
+    live.start("simulated_cell", name="other_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == TOPIC_MISSING
+    assert (
+        "2 publishers on /cell/tracer_length (nodes other_cell, simulated_cell)"
+        in (outcome["error_msg"])
+    )
+
+
+def test_a_wrong_configuration_is_refused_with_the_reason(cell):
+    live = cell()
+    live.start(*SUITE)
+    live.file.write_text(
+        live.file.read_text().replace("table_positions: 5", "table_positions: -5")
+    )
+    outcome = live.client().result()
+    assert outcome["error_code"] == BAD_CONFIGURATION
+    assert "table_positions" in outcome["error_msg"]
+    assert "-5" in outcome["error_msg"]
+
+
+@pytest.mark.parametrize("victim", ["capture", "solver", "recorder", "simulated_cell"])
+def test_a_killed_node_ends_the_calibration_and_is_named_by_all_others(cell, victim):
+    live = cell()
+    live.start(*SUITE, "simulated_cell")
+    client = live.client()
+    client.wait_for_step(3)
+    live.kill(victim)
+    outcome = client.result()
+    assert outcome["error_code"] == NODE_LOST
+    assert f"node {victim} fell silent" in outcome["error_msg"]
+    for name in {*SUITE, "simulated_cell"} - {victim}:
+        live.wait_for_log(name, f"node {victim} fell silent")
+    if victim != "recorder":
+        assert [v.state for v in verdicts(live)] == ["complete"]
+    recording = read_recording(live.session / "bag")
+    accepted = {o.step for o in recording.recorded if o.accepted}
+    assert set(range(outcome["n_used"])) - {9} <= accepted
+
+
+def test_without_planner_the_recorder_closes_the_bag(cell):
+    live = cell()
+    live.start(*SUITE, "simulated_cell")
+    client = live.client()
+    client.wait_for_step(2)
+    live.kill("planner")
+    assert "planner fell silent" in client.result()["error_msg"]
+    wait_until(lambda: verdicts(live)[0].state == "complete", "the recorder closes the bag")
+
+
+def test_a_recorder_ended_by_sigterm_closes_the_bag(cell):
+    import signal
+
+    live = cell()
+    live.start(*SUITE, "simulated_cell")
+    client = live.client()
+    client.wait_for_step(2)
+    live.processes.signal("recorder", signal.SIGTERM)
+    client.result()
+    wait_until(lambda: "recorder" in live.processes.ended(), "the recorder ends")
+    assert live.processes.ended()["recorder"] == 0
+    assert [v.state for v in verdicts(live)] == ["complete"]
+    assert "Traceback" not in live.log("recorder")
+
+
+def test_a_wrong_parameter_is_one_clear_line(cell):
+    live = cell("simulation.time_scale=-1.0")
+    live.start("simulated_cell")
+    wait_until(lambda: live.processes.ended(), "the node refuses its parameters")
+    assert live.processes.ended() == {"simulated_cell": 2}
+    assert "time_scale: -1.0 is out of range" in live.log("simulated_cell")
+    assert "Traceback" not in live.log("simulated_cell")

@@ -1,0 +1,199 @@
+"""Plain tables: what fits the plan is taken, everything else is refused with file and row."""
+
+from __future__ import annotations
+
+import hashlib
+from itertools import product
+from math import dist
+from pathlib import Path
+
+import pytest
+
+from rotcal_ros.catalogue import Calibration
+from rotcal_ros.configuration import Configuration, dump_configuration, parse_configuration
+from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.tables import read_measurements, read_targets
+from rotcal_ros.units import DEGREE
+
+TARGETS = [(0.1 * x, 0.2 * y, 0.5 + 0.1 * z) for x, y, z in product(range(2), repeat=3)]
+STATIONS = [(0.3, 0.0, 0.2), (0.0, 0.3, 0.2), (-0.3, 0.0, 0.2)]
+
+
+@pytest.fixture
+def configuration() -> Configuration:
+    return parse_configuration(
+        dump_configuration(
+            "tracer_multistation", {"plan": {"table_angles_deg": [0.0, 90.0, 180.0]}}
+        )
+    )
+
+
+def tracer_rows(factor: float = 1.0) -> list[str]:
+    return [
+        f"{s},{t},{factor * (dist(STATIONS[s], TARGETS[t]) - 0.25)!r}"
+        for s, t in product(range(3), range(8))
+    ]
+
+
+def write_tracer(
+    folder: Path, rows: list[str], targets: list[tuple[float, float, float]] | None = None
+) -> Path:
+    lines = [f"{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(targets or TARGETS)]
+    (folder / "targets.csv").write_text("\n".join(["target,x_m,y_m,z_m", *lines]))
+    path = folder / "lengths.csv"
+    path.write_text("\n".join(["# made by hand", "station,target,length_m", "", *rows]) + "\n")
+    return path
+
+
+def test_tracer_table_becomes_observations(configuration: Configuration, tmp_path: Path) -> None:
+    path = write_tracer(tmp_path, tracer_rows())
+    data = read_measurements(path, configuration)
+    assert data.calibration.plan.targets == tuple(TARGETS)
+    assert data.calibration.plan.table_angles == (0.0, 90 * DEGREE, 180 * DEGREE)
+    assert len(data.observations) == 24
+    observation = data.observations[9]
+    assert (observation.table_index, observation.target) == (1, 1)
+    assert observation.mean == (dist(STATIONS[1], TARGETS[1]) - 0.25,)
+    assert observation.probe_position == TARGETS[1]
+    assert observation.accepted
+    assert len({o.step for o in data.observations}) == 24
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert data.sha256["lengths.csv"] == digest
+    assert set(data.sha256) == {"lengths.csv", "targets.csv"}
+
+
+def test_rows_may_be_missing_and_in_any_order(
+    configuration: Configuration, tmp_path: Path
+) -> None:
+    rows = tracer_rows()
+    path = write_tracer(tmp_path, [rows[i] for i in (23, 4, 17)])
+    data = read_measurements(path, configuration)
+    assert [(o.table_index, o.target) for o in data.observations] == [(2, 7), (0, 4), (2, 1)]
+
+
+@pytest.mark.parametrize(
+    ("row", "text"),
+    [
+        ("0,1", "expected 3 values"),
+        ("0,1,nan", "length_m must be a finite number, found 'nan'"),
+        ("0,1,inf", "finite"),
+        ("0,1,", "finite"),
+        ("0,1,0,3", "expected 3 values"),
+        ("a,1,0.3", "station must be a whole number from 0, found 'a'"),
+        ("-1,1,0.3", "whole number"),
+        ("1.0,1,0.3", "whole number"),
+        ("3,1,0.3", "positions 0 to 2"),
+        ("0,8,0.3", "targets 0 to 7"),
+        ("0,1,312.5", "millimetres"),
+        ("0,0,0.2", "measured already"),
+    ],
+)
+def test_bad_row_is_named(
+    configuration: Configuration, tmp_path: Path, row: str, text: str
+) -> None:
+    path = write_tracer(tmp_path, [tracer_rows()[0], row])
+    with pytest.raises(DataError, match=text) as caught:
+        read_measurements(path, configuration)
+    assert f"{path}, row 5" in str(caught.value)
+
+
+def test_lengths_in_millimetres_do_not_fit_the_targets(
+    configuration: Configuration, tmp_path: Path
+) -> None:
+    """Short enough to be metres, but they change more than the targets are apart."""
+    path = write_tracer(tmp_path, tracer_rows(100.0))
+    with pytest.raises(DataError, match="millimetres instead of metres"):
+        read_measurements(path, configuration)
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("", "expected the header line"),
+        ("station;target;length_m\n0;0;1\n", "expected the header line 'station,target,length_m'"),
+        ("station,target,length_mm\n0,0,1\n", "found 'station,target,length_mm'"),
+        ("0,0,0.25\n", "expected the header line"),
+    ],
+)
+def test_wrong_header(configuration: Configuration, tmp_path: Path, text: str, error: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    with pytest.raises(BagError, match=error):
+        read_measurements(path, configuration)
+
+
+def test_empty_missing_and_binary_tables(configuration: Configuration, tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    with pytest.raises(BagError, match="cannot read the table"):
+        read_measurements(path, configuration)
+    path.write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(BagError, match="cannot read the table"):
+        read_measurements(path, configuration)
+    path.write_text("station,target,length_m\n")
+    with pytest.raises(DataError, match="no rows"):
+        read_measurements(path, configuration)
+
+
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        (["0,0,0,0", "2,0,0,0"], "target 1 is missing"),
+        (["1,0,0,0", "2,0,0,0"], "target 0 is missing"),
+        (["0,0,0,0", "0,0,0,1"], "listed twice"),
+        (["0,0,450,0"], "y_m is 450 m"),
+    ],
+)
+def test_bad_targets(tmp_path: Path, rows: list[str], text: str) -> None:
+    path = tmp_path / "targets.csv"
+    path.write_text("\n".join(["target,x_m,y_m,z_m", *rows]))
+    with pytest.raises(DataError, match=text):
+        read_targets(path)
+
+
+def calibration_of(steps: list[tuple[int, int, int, PointKind]]) -> Calibration:
+    """Return a calibration with given (table_index, target, station, kind)."""
+    plan = Plan(
+        method="any",
+        table_angles=(0.0, 1.0),
+        targets=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        steps=tuple(
+            Step(i, table, float(table), Approach.POSITIVE, kind, target, (0.0, 0.0, 0.0), station)
+            for i, (table, target, station, kind) in enumerate(steps)
+        ),
+    )
+    return Calibration(None, None, plan)  # type: ignore[arg-type]
+
+
+def test_ball_plate_table(
+    configuration: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = [(t, b, 0, PointKind.SURFACE) for t in range(2) for b in range(2)]
+    monkeypatch.setattr("rotcal_ros.catalogue.prepare", lambda _: calibration_of(steps))
+    path = tmp_path / "plate.csv"
+    path.write_text("table_index,ball_step,x_m,y_m,z_m\n1,0,0.1,0.2,0.3\n0,1,1,2,3\n")
+    data = read_measurements(path, configuration)
+    assert [(o.step, o.mean, o.kind) for o in data.observations] == [
+        (2, (0.1, 0.2, 0.3), PointKind.CENTRE),
+        (1, (1.0, 2.0, 3.0), PointKind.CENTRE),
+    ]
+
+
+def test_plane_mirror_table(
+    configuration: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kinds = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
+    steps = [(t, 0, s, k) for t in range(2) for s in range(2) for k in kinds]
+    monkeypatch.setattr("rotcal_ros.catalogue.prepare", lambda _: calibration_of(steps))
+    path = tmp_path / "mirror.csv"
+    header = "position,tracker_station,kind,nest,x_m,y_m,z_m\n"
+    path.write_text(header + "1,0,mirrored,0,1,2,3\n0,1,nest,0,1,2,4\n")
+    data = read_measurements(path, configuration)
+    assert [(o.step, o.kind, o.station) for o in data.observations] == [
+        (7, PointKind.MIRRORED, 0),
+        (5, PointKind.NEST, 1),
+    ]
+    path.write_text(header + "1,0,reflected,0,1,2,3\n")
+    with pytest.raises(DataError, match="kind must be direct, mirrored, nest"):
+        read_measurements(path, configuration)
