@@ -87,7 +87,9 @@ def test_all_that_was_measured_as_a_volumetric_table(export, tmp_path):
         (["--to", "csv", "--axis", "c"], 2, "axis name 'c'"),
     ],
 )
-def test_what_cannot_be_is_refused_and_nothing_is_written(export, tmp_path, arguments, code, words):
+def test_what_cannot_be_is_refused_and_nothing_is_written(
+    export, tmp_path, arguments, code, words
+):
     run = export(*arguments)
     assert run.exit_code == code
     assert words in run.stderr
