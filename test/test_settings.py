@@ -20,7 +20,7 @@ class Outer:
     order: str = setting("a", doc="order", choices=("a", "b"))
     centre_m: tuple[float, float, float] = setting((0.0, 0.0, 0.0), doc="m, centre")
     angles_deg: tuple[float, ...] = setting((), doc="deg, angles")
-    inner: Inner = group(Inner)  # noqa: RUF009
+    inner: Inner = group(Inner)
 
 
 def test_defaults_and_whole_numbers_for_floats() -> None:

@@ -7,6 +7,7 @@ from itertools import product
 from math import dist
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rotcal_ros.catalogue import Calibration
@@ -15,7 +16,7 @@ from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.tables import read_measurements, read_targets
-from rotcal_ros.units import DEGREE
+from rotcal_ros.units import ARCSEC, DEGREE
 
 TARGETS = [(0.1 * x, 0.2 * y, 0.5 + 0.1 * z) for x, y, z in product(range(2), repeat=3)]
 STATIONS = [(0.3, 0.0, 0.2), (0.0, 0.3, 0.2), (-0.3, 0.0, 0.2)]
@@ -197,3 +198,25 @@ def test_plane_mirror_table(
     path.write_text(header + "1,0,reflected,0,1,2,3\n")
     with pytest.raises(DataError, match="kind must be direct, mirrored, nest"):
         read_measurements(path, configuration)
+
+
+def test_table_solves_to_the_injected_deviations(tmp_path: Path) -> None:
+    """Exact lengths from a table whose angles are off by known amounts."""
+    commanded = [30.0 * i for i in range(7)]
+    errors = np.array([0.0, 5.0, -3.0, 8.0, 1.0, -6.0, 2.0]) * ARCSEC
+    grid = [(0.2 * x, 0.25 * y, 0.4 + 0.2 * z) for x, y, z in product((-1, 0, 1), repeat=3)]
+    rows = []
+    for number, (angle, error) in enumerate(zip(commanded, errors, strict=True)):
+        phi = angle * DEGREE + error
+        station = (0.3 * np.cos(phi), 0.3 * np.sin(phi), 0.1)
+        rows += [
+            f"{number},{target},{dist(station, point) - 0.4 - 0.01 * number!r}"
+            for target, point in enumerate(grid)
+        ]
+    path = write_tracer(tmp_path, rows, grid)
+    setup = parse_configuration(
+        dump_configuration("tracer_multistation", {"plan": {"table_angles_deg": commanded}})
+    )
+    result = read_measurements(path, setup).solve()
+    np.testing.assert_allclose(result.deviations["ECC"], errors, atol=1e-3 * ARCSEC)
+    assert result.n_observations == 7 * 27

@@ -15,7 +15,8 @@ def print_result(result: Result) -> None:
     """Print deviations with their standard uncertainties, warnings and the verdict."""
     console = Console(highlight=False)
     names = [name for name in COMPONENTS if name in result.deviations]
-    table = Table(title=f"{result.method}: actual - commanded, +- standard uncertainty")
+    console.print(f"{result.method}: deviation = actual - commanded, +- standard uncertainty")
+    table = Table()
     table.add_column("angle/deg", justify="right")
     for name in names:
         table.add_column(f"{name}/{'arcsec' if name in _ROTATIONS else 'um'}", justify="right")

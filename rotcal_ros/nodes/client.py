@@ -1,8 +1,8 @@
 """A client of the action ``calibrate`` that speaks JSON lines, for programs without ROS.
 
 It reads the configuration from a file, sends one goal and prints one JSON object per line:
-``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``result``. SIGINT or SIGTERM cancels the
-goal; the result is waited for.
+``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``result``. SIGINT or SIGTERM
+cancels the goal; the result is waited for.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CalibrationPlan
@@ -20,7 +20,7 @@ from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.waiting import until
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
-Outcome = Calibrate.Result
+Outcome: TypeAlias = Calibrate.Result
 CLOSE_TIMEOUT_S: Final = 10.0
 BAG: Final = "bag"
 """Folder of the bag inside the session folder."""

@@ -41,13 +41,11 @@ def missing_topics(links: CellLinks, health: Health, topics: Sequence[str]) -> l
             )
         elif heard.get(f"valid.{topic}", "0") == "0":
             found.append(f"{name} has not delivered a valid message (node {publishers[0]})")
-    for topic in ORDERS:
-        if not set(links.listeners(topic)) - {"capture", "recorder"}:
-            found.append(f"nobody obeys {links.resolve(topic)}: start the machine's node")
-    for topic in (*topics, *ORDERS, "plan", "observation"):
-        if "recorder" not in links.listeners(topic):
-            found.append(f"the recorder does not listen to {links.resolve(topic)} yet")
-    return found
+    disobeyed = (t for t in ORDERS if not set(links.listeners(t)) - {"capture", "recorder"})
+    found += [f"nobody obeys {links.resolve(t)}: start the machine's node" for t in disobeyed]
+    recorded = (*topics, *ORDERS, "plan", "observation")
+    unheard = (topic for topic in recorded if "recorder" not in links.listeners(topic))
+    return found + [f"the recorder does not listen to {links.resolve(t)} yet" for t in unheard]
 
 
 def missing_plan(health: Health, run: str) -> list[str]:

@@ -27,6 +27,7 @@ from rotcal_ros.nodes.conversions import stamp_ns
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
 from rotcal_ros.nodes.goal_run import BAG
 from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.parameter_snapshot import parameters_json
 from rotcal_ros.nodes.parameters import declare_settings
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.recording import Attachment, Channel, Messages, Receipt, Recording
@@ -206,7 +207,13 @@ class RecorderNode(Node):
             (names.VERSIONS, "application/json", versions_json()),
         ):
             self._recording.put(Attachment(name, media_type, text.encode()))
+        self.executor.create_task(self._attach_parameters, self._recording)
         return folder
+
+    async def _attach_parameters(self, recording: Recording) -> None:
+        """Ask all nodes for their parameters, while the calibration begins."""
+        text = await parameters_json(self)
+        recording.put(Attachment(names.PARAMETERS, "application/json", text.encode()))
 
     async def _stop(
         self, _request: StopRecording.Request, response: StopRecording.Response

@@ -16,13 +16,20 @@ _PACKAGES = ("numpy", "scipy", "mcap", "rclpy", "ros-rclpy", "rotcal_msgs")
 
 def versions_json() -> str:
     """Return the versions of packages, Python, operating system and middleware as JSON."""
-    versions = {"rotcal_ros": __version__, "python": platform.python_version()}
-    for name in _PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    versions["system"] = platform.platform()
-    versions["ros_distro"] = os.environ.get("ROS_DISTRO", "")
-    versions["rmw"] = get_rmw_implementation_identifier()
+    installed = {package: _version(package) for package in _PACKAGES}
+    versions = {
+        "rotcal_ros": __version__,
+        "python": platform.python_version(),
+        **{package: found for package, found in installed.items() if found},
+        "system": platform.platform(),
+        "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        "rmw": get_rmw_implementation_identifier(),
+    }
     return json.dumps(versions, indent=1)
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""

@@ -49,10 +49,11 @@ class LiveCell:
                 own += ["-r", f"__node:={name}"]
             self.processes.start(name or node, [*self._python(node), *own])
 
-    def client(self, name="client", *, with_configuration=True, start_index=0):
+    def client(self, name="client", *, configuration="", start_index=0):
+        """Start a client; configuration None: the planner shall take its own parameters."""
         own = ["-p", f"start_index:={start_index}"]
-        if with_configuration:
-            own += ["-p", f"configuration_file:={json.dumps(str(self.file))}"]
+        if configuration is not None:
+            own += ["-p", f"configuration_file:={json.dumps(str(configuration or self.file))}"]
         self.processes.start(name, [*self._python("client"), *own], piped=True)
         return Client(self.processes, name)
 

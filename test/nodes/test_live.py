@@ -1,6 +1,7 @@
 """Whole calibrations of the simulated cell over DDS."""
 
 import json
+import signal
 
 import numpy as np
 import pytest
@@ -60,6 +61,10 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
         "definitions.json",
     } <= recording.attachments.keys()
     assert recording.attachments["configuration.yaml"].decode() == live.file.read_text()
+    parameters = json.loads(recording.attachments["parameters.json"])
+    assert parameters["simulated_cell"]["simulation.time_scale"] == 20.0
+    assert parameters["planner"]["plan.box_points"] == [3, 2, 2]
+    assert parameters.keys() >= {*SUITE, "simulated_cell"}
     metadata = (live.session / "bag" / "metadata.yaml").read_text()
     assert "durability: transient_local" in metadata
     assert "RIHS01_" in metadata
@@ -68,7 +73,7 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
 def test_the_parameters_are_enough_and_a_second_goal_is_refused_with_the_reason(cell):
     live = cell("simulation.time_scale=4.0")
     live.start(*SUITE, "simulated_cell")
-    first = live.client("first", with_configuration=False)
+    first = live.client("first", configuration=None)
     step = first.wait_for_step(1)
     assert step["total"] == 60  # from the parameter file that the planner was started with
     refused = live.client("second").wait_for("refused", "result")
@@ -134,10 +139,10 @@ def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
 def test_a_wrong_configuration_is_refused_with_the_reason(cell):
     live = cell()
     live.start(*SUITE)
-    live.file.write_text(
-        live.file.read_text().replace("table_positions: 5", "table_positions: -5")
-    )
-    outcome = live.client().result()
+    wrong = live.folder / "wrong.yaml"
+    text = live.file.read_text()
+    wrong.write_text(text.replace("table_positions: 5", "table_positions: -5"))
+    outcome = live.client(configuration=wrong).result()
     assert outcome["error_code"] == BAD_CONFIGURATION
     assert "table_positions" in outcome["error_msg"]
     assert "-5" in outcome["error_msg"]
@@ -173,8 +178,6 @@ def test_without_planner_the_recorder_closes_the_bag(cell):
 
 
 def test_a_recorder_ended_by_sigterm_closes_the_bag(cell):
-    import signal
-
     live = cell()
     live.start(*SUITE, "simulated_cell")
     client = live.client()

@@ -1,0 +1,33 @@
+"""Draw the figures of the documentation again: ``python docs/make_figures.py FOLDER ...``.
+
+Every folder is the output of a ``rotcal run``; the figure's name follows the method.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from rotcal_ros.report import figures
+from rotcal_ros.results import Result
+
+IMAGES = Path(__file__).parent / "images"
+NAMES = {"tracer_multistation": "demo_deviations"}
+"""Method -> name of the figure of its demonstration."""
+
+
+def draw_run(folder: Path) -> Path:
+    """Draw the deviations of one run with their truth and return the file."""
+    result = Result.from_dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
+    truth_file = folder / "truth.json"
+    truth = json.loads(truth_file.read_text(encoding="utf-8")) if truth_file.exists() else None
+    target = IMAGES / f"{NAMES.get(result.method, result.method)}.svg"
+    target.write_text(figures.deviations(result, truth), encoding="utf-8")
+    return target
+
+
+if __name__ == "__main__":
+    IMAGES.mkdir(exist_ok=True)
+    for argument in sys.argv[1:]:
+        print(draw_run(Path(argument)))  # noqa: T201

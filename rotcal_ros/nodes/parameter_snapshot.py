@@ -1,0 +1,58 @@
+"""All parameters of all nodes of the cell, for the bag."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Final
+
+from rcl_interfaces.srv import GetParameters, ListParameters
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+
+from rotcal_ros.nodes.waiting import until
+
+TIMEOUT_S: Final = 3.0
+
+
+async def parameters_json(node: Node) -> str:
+    """Return node name -> parameter -> value as JSON; a node that does not answer is null."""
+    namespace = node.get_namespace()
+    names = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
+    found: dict[str, Any] = {}
+    for name in sorted(names):
+        if name == node.get_name():
+            own = node.get_parameters_by_prefix("")
+            found[name] = {key: _plain(parameter.value) for key, parameter in own.items()}
+        else:
+            found[name] = await _parameters_of(node, f"{namespace.rstrip('/')}/{name}")
+    return json.dumps(found, indent=1)
+
+
+async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
+    lister = node.create_client(ListParameters, f"{remote}/list_parameters")
+    getter = node.create_client(GetParameters, f"{remote}/get_parameters")
+    try:
+        listed = await _ask(lister, ListParameters.Request())
+        if listed is None:
+            return None
+        names = sorted(listed.result.names)
+        answer = await _ask(getter, GetParameters.Request(names=names))
+        if answer is None:
+            return None
+        values = map(parameter_value_to_python, answer.values)
+        return dict(zip(names, map(_plain, values), strict=False))
+    finally:
+        node.destroy_client(lister)
+        node.destroy_client(getter)
+
+
+async def _ask(client: Client, request: Any) -> Any | None:
+    if not await until(client.service_is_ready, TIMEOUT_S):
+        return None
+    future = client.call_async(request)
+    return future.result() if await until(future.done, TIMEOUT_S) else None
+
+
+def _plain(value: Any) -> Any:
+    return value if value is None or isinstance(value, bool | int | float | str) else list(value)
