@@ -46,7 +46,7 @@ def declare_settings(node: Node, group: str, cls: type[T], *, read_only: bool = 
     for name, hint, info in _walk(cls):
         value = _get(settings, name)
         default = list(value) if isinstance(value, tuple) else value
-        if value is None or default == []:
+        if default == []:
             default = Parameter(f"{group}.{name}", _parameter_type(hint), default).value
         node.declare_parameter(
             f"{group}.{name}",
