@@ -71,7 +71,7 @@ def command(
     accept_unverified: bool,
     as_json: bool,
 ) -> int:
-    """Write the correction table of BAG (a folder, .mcap, .db3) or RESULT (.json) for a controller.
+    """Write the table of BAG (a folder, .mcap, .db3) or RESULT (.json) for a controller.
 
     The files are read back and applied by the controller's own rule before they are written,
     all or none, and nothing is ever overwritten. Only the verdict ok may be fed.
