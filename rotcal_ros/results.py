@@ -76,6 +76,19 @@ class Result:
     residuals: Residuals | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Refuse deviations and uncertainties that are no numbers, or not one per angle.
+
+        Raises DataError: a component that was not measured is absent, never NaN.
+        """
+        for columns in (self.deviations, self.std):
+            for name, values in columns.items():
+                if np.shape(values) != np.shape(self.angles) or not np.isfinite(values).all():
+                    raise DataError(
+                        f"{self.method}: {name} must hold one finite number for each of the "
+                        f"{len(self.angles)} angles, found {np.asarray(values).tolist()}"
+                    )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable form described in docs/conventions.md (SI, plain types)."""
         data: dict[str, Any] = {

@@ -193,9 +193,9 @@ class _Finder:
         self._plan = plan
         self._steps: dict[tuple[int, int, int, PointKind | None], Step] = {}
         for step in plan.steps:
-            key = (step.table_index, step.target, step.station)
-            self._steps[(*key, step.kind)] = step
-            self._steps.setdefault((*key, None), step)
+            index, target, station = step.table_index, step.target, step.station
+            self._steps[index, target, station, step.kind] = step
+            self._steps.setdefault((index, target, station, None), step)
         self._seen: dict[int, str] = {}
 
     def __call__(

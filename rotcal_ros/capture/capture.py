@@ -74,7 +74,6 @@ class Capture:
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
         self._probe_stamp: int | None = None
-        self._run_begin_ns: int | None = None
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
         self._waiting: Wait | None = None
@@ -195,18 +194,12 @@ class Capture:
 
     def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
         step = self._plan.steps[sample.step]
+        if self._streams.since_ns is None:
+            self._streams.since_ns = sample.stamp_ns
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        if self._run_begin_ns is None:
-            self._run_begin_ns = sample.stamp_ns
-        attempt = Attempt(
-            step,
-            sample.attempt,
-            [sample],
-            search_ns=sample.stamp_ns,
-            run_begin_ns=self._run_begin_ns,
-        )
+        attempt = Attempt(step, sample.attempt, [sample], search_ns=sample.stamp_ns)
         attempt.points_seen.add(sample.point)
         attempt.refusal = self._refusal(attempt, sample)
         self._pending.append(attempt)
@@ -276,7 +269,7 @@ class Capture:
 
     def _judge(self, attempt: Attempt) -> Observation | Wait:
         """Judge an attempt by the streams; a temperature too far behind is done without."""
-        wait = missing_temperature(self._streams, attempt, self._settings)
+        wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
         if wait is not None and not self._too_far_behind(attempt, wait):
             return wait
         decide = decide_length if attempt.step.kind == PointKind.REFLECTOR else decide_points

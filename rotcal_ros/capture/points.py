@@ -61,7 +61,7 @@ def decide_points(
         n_samples=len(samples),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(table, begin_ns, end_ns, angle),
-        temperature_c=temperature_at(streams, attempt, settings),
+        temperature_c=temperature_at(streams, attempt.begin_ns, settings),
     )
 
 

@@ -29,7 +29,7 @@ topic missing."""
 path_type = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(short_help="Run the nodes of one cell and calibrate.")
 @click.argument("configuration", type=path_type, metavar="CONFIG")
 @click.option(
     "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."
@@ -125,6 +125,7 @@ def _follow(running: Any, silence_timeout_s: float) -> dict[str, Any]:
             if kind == "refused":
                 raise ConfigurationError(f"the goal was refused: {event['reason']}")
             if kind == "end":
+                _check(running, begun, 0.0, silence_timeout_s)
                 raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
             begun = begun or kind == "started"
             if kind == "feedback":

@@ -24,6 +24,7 @@ from rotcal_ros.catalogue import Calibration, prepare
 from rotcal_ros.cli.processes import Processes
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.configuration import (
+    GROUPS,
     Configuration,
     dump_configuration,
     parse_configuration,
@@ -193,6 +194,10 @@ def changed(configuration: Configuration, changes: Sequence[str]) -> Configurati
         *groups, last = name.split(".")
         if not equals or not last:
             raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
+        if groups and groups[0] not in GROUPS:
+            raise ConfigurationError(
+                f"--set {change}: unknown group {groups[0]!r}; known: {', '.join(GROUPS)}"
+            )
         place = parameters
         for group in groups:
             place = place.setdefault(group, {})

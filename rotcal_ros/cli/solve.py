@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 path_type = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(short_help="Solve a recorded bag or a plain table, without ROS.")
 @click.argument("source", type=path_type, metavar="BAG|TABLE")
 @click.option("--setup", type=path_type, help="Configuration; default: the one in the bag.")
 @click.option(

@@ -75,7 +75,7 @@ class Client(Node):
             _say("alive", planner=self._planner_state())
         if not self._sent and self._client.server_is_ready() and self._planner_state():
             self._send()
-        elif "planner" in self._health.lost:
+        elif self._sent and self._health.missing(["planner"]):
             self._fail(Calibrate.Result.NODE_LOST, "node planner fell silent")
         elif (self._handle is None or self._canceling) and time.monotonic() > self._deadline:
             state = self._planner_state() or "silent"

@@ -24,6 +24,8 @@ Outcome: TypeAlias = Calibrate.Result
 CLOSE_TIMEOUT_S: Final = 10.0
 BAG: Final = "bag"
 """Folder of the bag inside the session folder."""
+FAILED: Final = "recording failed"
+"""How the state of a recorder begins that cannot write any more."""
 
 
 class GoalError(Exception):
@@ -216,10 +218,10 @@ class GoalRun:
 
     async def _close_after_failure(self) -> None:
         """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
-        if self._health.is_lost(["recorder"]):
-            return
         future = self._links.stop_recording.call_async(StopRecording.Request())
-        await until(lambda: future.done() or "recorder" in self._health.lost, CLOSE_TIMEOUT_S)
+        await until(
+            lambda: future.done() or bool(self._health.missing(["recorder"])), CLOSE_TIMEOUT_S
+        )
 
     def _write(self, result_json: str) -> None:
         path = self._session / "result.json"
@@ -255,15 +257,22 @@ class GoalRun:
                 Outcome.CANCELED,
                 f"canceled {place}; continue with start_index {self.progress.step}",
             )
-        lost = sorted(self._health.lost & self._watched)
-        if lost:
-            raise GoalError(Outcome.NODE_LOST, f"node {', '.join(lost)} fell silent {place}")
-        self._check_streams(place)
+        if missing := self._health.missing(self._watched):
+            how = "fell silent" if set(missing) & self._health.lost else "was ended"
+            raise GoalError(Outcome.NODE_LOST, f"node {', '.join(missing)} {how} {place}")
+        if self.outcome.bag_folder:
+            self._check_recorder(place)
+            self._check_streams(place)
+
+    def _check_recorder(self, place: str) -> None:
+        """Raise when the recorder tells of a failing disk."""
+        if self._health.state("recorder").startswith(FAILED):
+            raise GoalError(Outcome.RECORDER_FAILED, f"{self._health.state('recorder')}, {place}")
 
     def _check_streams(self, place: str) -> None:
         """Raise when the capture tells of an instrument that fell silent after it had spoken."""
         beat = self._health.others.get("capture")
-        if not self.outcome.bag_folder or beat is None or beat is self._stream_beat:
+        if beat is self._stream_beat:
             return
         self._stream_beat = beat
         for key, value in self._health.values("capture").items():

@@ -80,10 +80,10 @@ class Health:
 
     def present(self) -> set[str]:
         """Return the names of the other nodes that beat."""
-        return self._roll.present(time.monotonic())
+        return self._roll.known() - self.lost
 
-    def is_lost(self, names: Iterable[str]) -> list[str]:
-        """Return those of ``names`` that do not beat."""
+    def missing(self, names: Iterable[str]) -> list[str]:
+        """Return those of ``names`` that fell silent, left, or never were there."""
         return sorted(set(names) - self.present())
 
     def values(self, name: str) -> dict[str, str]:

@@ -36,12 +36,13 @@ async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
         listed = await _ask(lister, ListParameters.Request())
         if listed is None:
             return None
-        names = sorted(listed.result.names)
-        answer = await _ask(getter, GetParameters.Request(names=names))
-        if answer is None:
-            return None
-        values = map(parameter_value_to_python, answer.values)
-        return dict(zip(names, map(_plain, values), strict=False))
+        found: dict[str, Any] = {}
+        for name in sorted(listed.result.names):
+            # One by one: asked for many, a node answers nothing if one of them has no value.
+            answer = await _ask(getter, GetParameters.Request(names=[name]))
+            if answer is not None and answer.values:
+                found[name] = _plain(parameter_value_to_python(answer.values[0]))
+        return found
     finally:
         node.destroy_client(lister)
         node.destroy_client(getter)

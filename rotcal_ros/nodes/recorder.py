@@ -25,7 +25,7 @@ from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.conversions import stamp_ns
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
-from rotcal_ros.nodes.goal_run import BAG
+from rotcal_ros.nodes.goal_run import BAG, FAILED
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameter_snapshot import parameters_json
 from rotcal_ros.nodes.parameters import declare_settings
@@ -253,11 +253,13 @@ class RecorderNode(Node):
         values: dict[str, Any] = {"topics": len(self._topics), **self._refused}
         values |= {f"lost {where}": count for where, count in self._losses.items()}
         recording = self._recording
+        if recording is not None and recording.error:
+            return f"{FAILED}: {recording.error}", values
         if recording is None or recording.finished:
             return "idle", values
         values |= {f"lost {where}": count for where, count in recording.losses.items()}
         values |= {"file": recording.file, "messages": recording.messages}
-        return recording.error or "recording", values
+        return "recording", values
 
 
 def make() -> Node:
