@@ -16,6 +16,7 @@ UNREADABLE: Final = 2
 
 VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
+    "verify": "Measure the simulated cell, compensate it, and measure again.",
     "solve": "Solve a recorded bag or a plain table, without ROS.",
     "export": "Write the correction table of a calibration for a controller.",
     "report": "Write the self-contained HTML report of a calibration.",
