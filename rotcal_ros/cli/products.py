@@ -24,7 +24,9 @@ FORMATS: Final = ("csv", "linuxcnc")
 """Controller files that need no settings of the user's machine."""
 
 
-def write_products(session: Session, *, report: bool) -> dict[str, str]:
+def write_products(
+    session: Session, *, report: bool = True, export: bool = True
+) -> dict[str, str]:
     """Write what follows from the result; return name -> absolute path of all there is."""
     result_file = session.folder / "result.json"
     paths = {"bag": session.folder / "bag", "result": result_file}
@@ -32,7 +34,7 @@ def write_products(session: Session, *, report: bool) -> dict[str, str]:
         paths["truth"] = _write_truth(session)
     if report:
         paths |= _write_report(session, result_file, paths)
-    folder = _write_compensation(session, result_file)
+    folder = _write_compensation(session, result_file) if export else None
     if folder is not None:
         paths["compensation"] = folder
     return {name: str(path) for name, path in paths.items()}

@@ -39,6 +39,7 @@ path_type = click.Path(path_type=Path)
 )
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
+@click.option("--no-export", is_flag=True, help="Write no controller files.")
 @json_option
 def command(
     configuration: Path,
@@ -46,6 +47,7 @@ def command(
     changes: tuple[str, ...],
     keep_previous: bool,
     no_report: bool,
+    no_export: bool,
     as_json: bool,
 ) -> int:
     """Start the nodes of the cell that CONFIG describes, calibrate, end them.
@@ -57,19 +59,12 @@ def command(
     started = time.monotonic()
     folder = output or Path("out") / configuration.stem
     session = prepare_session(configuration, folder, changes, keep_previous=keep_previous)
-    previous = signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        outcome = _calibrate(session)
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+    outcome = calibrate(session)
     if outcome.get("interrupted"):
-        say(f"interrupted; the bag is closed: {outcome.get('bag_folder') or 'none was begun'}")
         return INTERRUPTED
-    if outcome["error_code"]:
-        _fail(session, outcome)
     from rotcal_ros.cli.products import write_products
 
-    files = write_products(session, report=not no_report)
+    files = write_products(session, report=not no_report, export=not no_export)
     outcome |= {"seconds": round(time.monotonic() - started, 1), "files": files}
     if as_json:
         print_json(outcome)
@@ -82,7 +77,24 @@ def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _calibrate(session: Session) -> dict[str, Any]:
+def calibrate(session: Session) -> dict[str, Any]:
+    """Run the nodes of a session to the end and return the outcome of the goal.
+
+    Its ``interrupted`` is true when the user ended it. Raises RotcalError when it failed.
+    """
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        outcome = _run(session)
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    if outcome.get("interrupted"):
+        say(f"interrupted; the bag is closed: {outcome.get('bag_folder') or 'none was begun'}")
+    elif outcome["error_code"]:
+        _fail(session, outcome)
+    return outcome
+
+
+def _run(session: Session) -> dict[str, Any]:
     """Run the nodes until the client tells the result."""
     with session.start() as running:
         try:

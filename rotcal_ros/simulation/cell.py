@@ -16,6 +16,7 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.simulation.external_table import ExternalTable
 from rotcal_ros.simulation.probe import SimulatedProbe
 from rotcal_ros.simulation.settings import SimulationSettings
 from rotcal_ros.simulation.table import SimulatedTable, truth
@@ -62,7 +63,10 @@ class SimulatedCell:
     def __init__(self, settings: SimulationSettings, start_ns: int = 0) -> None:
         self.settings, self.now_ns = settings, start_ns
         seed = settings.seed
-        self._table = SimulatedTable(settings.table, seed, start_ns)
+        self._external = (
+            ExternalTable(settings.table, start_ns) if settings.table.external else None
+        )
+        self._table = self._external or SimulatedTable(settings.table, seed, start_ns)
         self._probe = SimulatedProbe(settings.probe, seed, start_ns)
         self._tracer = SimulatedTracer(settings.tracer, settings.faults, seed)
         self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)
@@ -82,6 +86,11 @@ class SimulatedCell:
         """Turn the table to ``command.table_angle``."""
         self._table.order(self.now_ns, command.table_angle, command.approach)
         self._table_order = (command.step, command.attempt)
+
+    def follow_table(self, stamp_ns: int, angle: float) -> None:
+        """Take the actual ``angle`` (rad) of an external table."""
+        if self._external is not None:
+            self._external.follow(stamp_ns, angle)
 
     def order_probe(self, command: Command) -> None:
         """Carry the reflector to ``command.position`` and report the point."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import group, setting
 
 
@@ -26,6 +28,30 @@ class AngularHarmonics:
 
 
 @dataclass(frozen=True)
+class CompensationSettings:
+    """The correction table that the table's control applies, linear between its rows."""
+
+    angles_deg: tuple[float, ...] = setting(
+        (), doc="deg, ascending commanded angles; 0 to 360 repeats; none: no compensation"
+    )
+    forward_arcsec: tuple[float, ...] = setting(
+        (), doc="arcsec, added to the command when the angle increases, one for each row"
+    )
+    reverse_arcsec: tuple[float, ...] = setting(
+        (), doc="arcsec, added to the command when the angle decreases, one for each row"
+    )
+
+    def __post_init__(self) -> None:
+        counts = {len(self.angles_deg), len(self.forward_arcsec), len(self.reverse_arcsec)}
+        if len(counts) > 1 or any(b <= a for a, b in pairwise(self.angles_deg)):
+            raise ConfigurationError(
+                f"simulation.table.compensation: {len(self.angles_deg)} angles with "
+                f"{len(self.forward_arcsec)} forward and {len(self.reverse_arcsec)} reverse "
+                "corrections: expected ascending angles and one of both for each"
+            )
+
+
+@dataclass(frozen=True)
 class TableSettings:
     """The rotary table: deviations, axis, motion and feedback."""
 
@@ -35,6 +61,10 @@ class TableSettings:
     eac: AngularHarmonics = group(AngularHarmonics)
     ebc: AngularHarmonics = group(AngularHarmonics)
     ecc: AngularHarmonics = group(AngularHarmonics)
+    compensation: CompensationSettings = group(CompensationSettings)
+    external: bool = setting(
+        False, doc="another program moves the table and tells its actual angle on table_actual"
+    )
     backlash_arcsec: float = setting(
         0.0, doc="arcsec, by which the angle stays larger when approached from above"
     )
@@ -174,3 +204,10 @@ class SimulationSettings:
     probe: ProbeSettings = group(ProbeSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
     faults: FaultSettings = group(FaultSettings)
+
+    def __post_init__(self) -> None:
+        if self.table.external and self.time_scale != 1.0:
+            raise ConfigurationError(
+                f"simulation: an external table moves at life speed, time_scale is "
+                f"{self.time_scale:g}: set it to 1"
+            )
