@@ -19,6 +19,10 @@ class Method:
     ``plan`` builds the plan from a configuration; ``solve`` turns a configuration, its plan
     and accepted observations into a result; ``topics`` are the instrument topics that must
     have delivered before the first motion.
+
+    ``check`` says in words what the observations so far tell about a person's work (see
+    :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``solve_table`` solves the
+    text of a plain table, given with its name, where rows need not be steps of a plan.
     """
 
     name: str
@@ -27,6 +31,8 @@ class Method:
     settings: Mapping[str, type]
     plan: Callable[[Configuration], Plan]
     solve: Callable[[Configuration, Plan, Sequence[Observation]], Result]
+    check: Callable[[Configuration, Plan, Sequence[Observation]], tuple[str, ...]] | None = None
+    solve_table: Callable[[Configuration, str, str], Result] | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,12 @@ class Calibration:
     def solve(self, observations: Iterable[Observation]) -> Result:
         """Solve with the observations that count; see :func:`final_observations`."""
         return self.method.solve(self.configuration, self.plan, final_observations(observations))
+
+    def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
+        """Return in words what a person has to put right, as far as the method can tell."""
+        if self.method.check is None:
+            return ()
+        return self.method.check(self.configuration, self.plan, final_observations(observations))
 
 
 def final_observations(observations: Iterable[Observation]) -> tuple[Observation, ...]:
