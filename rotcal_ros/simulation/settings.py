@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from rotcal_ros.settings import group, setting
+from rotcal_ros.simulation.tracker_settings import SimulatedMirrorSettings, TrackerSettings
+
+TRACER: Final = "tracer"
+TRACKER: Final = "tracker"
 
 
 @dataclass(frozen=True)
@@ -169,7 +174,14 @@ class SimulationSettings:
     hold_s: float = setting(
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )
+    instrument: str = setting(
+        TRACER,
+        doc="tracer on the table with a reflector on the machine, or tracker with nests and mirror",
+        choices=(TRACER, TRACKER),
+    )
     table: TableSettings = group(TableSettings)
+    tracker: TrackerSettings = group(TrackerSettings)
+    mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings)
     tracer: TracerSettings = group(TracerSettings)
     probe: ProbeSettings = group(ProbeSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
