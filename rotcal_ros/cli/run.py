@@ -14,8 +14,10 @@ import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, print_json, progress_bar, say
 from rotcal_ros.cli.main import INTERRUPTED
+from rotcal_ros.cli.person import Person
 from rotcal_ros.cli.session import Session, prepare_session, require_ros
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.units import ARCSEC
 
 SILENCE_TIMEOUT_S: Final = 60.0
@@ -39,6 +41,9 @@ path_type = click.Path(path_type=Path)
 )
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
+@click.option(
+    "-y", "--yes", is_flag=True, help="Take every work asked of a person as done at once."
+)
 @json_option
 def command(
     configuration: Path,
@@ -46,12 +51,15 @@ def command(
     changes: tuple[str, ...],
     keep_previous: bool,
     no_report: bool,
+    yes: bool,
     as_json: bool,
 ) -> int:
     """Start the nodes of the cell that CONFIG describes, calibrate, end them.
 
     With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
-    running. Ctrl-C cancels: the bag stays valid.
+    running. Where the plan needs a person, the instruction is shown: a simulated person does it
+    at once, a real one presses Enter when done (or calls the service 'resume' of the cell).
+    Ctrl-C cancels: the bag stays valid.
     """
     require_ros()
     started = time.monotonic()
@@ -59,7 +67,7 @@ def command(
     session = prepare_session(configuration, folder, changes, keep_previous=keep_previous)
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        outcome = _calibrate(session)
+        outcome = _calibrate(session, Person(session, yes))
     finally:
         signal.signal(signal.SIGTERM, previous)
     if outcome.get("interrupted"):
@@ -82,11 +90,11 @@ def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _calibrate(session: Session) -> dict[str, Any]:
+def _calibrate(session: Session, person: Person) -> dict[str, Any]:
     """Run the nodes until the client tells the result."""
     with session.start() as running:
         try:
-            return _follow(running, SILENCE_TIMEOUT_S)
+            return _follow(running, SILENCE_TIMEOUT_S, person)
         except KeyboardInterrupt:
             say("canceling: the bag is being closed")
             running.cancel()
@@ -107,12 +115,14 @@ def _last_words(running: Any) -> dict[str, Any]:
     return {}
 
 
-def _follow(running: Any, silence_timeout_s: float) -> dict[str, Any]:
+def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str, Any]:
     """Show the progress; return the result event."""
     with progress_bar() as bar:
         task = bar.add_task("starting the nodes", total=None)
         heard, decile, begun = time.monotonic(), 0, False
         while True:
+            if person.is_done():
+                running.resume()
             try:
                 event = running.events.get(timeout=_POLL_S)
             except Empty:
@@ -127,7 +137,12 @@ def _follow(running: Any, silence_timeout_s: float) -> dict[str, Any]:
             if kind == "end":
                 raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
             begun = begun or kind == "started"
+            if kind == "paused":
+                person.ask(event["instruction"])
+            if kind == "resumed" and not event["success"]:
+                say(event["reason"])
             if kind == "feedback":
+                person.follow(event["activity"])
                 text = describe(event)
                 bar.update(task, completed=event["step"], total=event["total"], description=text)
                 if bar.disable and event["step"] * 10 // event["total"] > decile:
@@ -137,7 +152,8 @@ def _follow(running: Any, silence_timeout_s: float) -> dict[str, Any]:
 
 def describe(feedback: Mapping[str, Any]) -> str:
     """Return what a feedback says in words: activity, standard deviation, time left."""
-    words = [str(feedback["activity"])]
+    activity = str(feedback["activity"])
+    words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
     if feedback["current_std_rad"] is not None:
         words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
     if feedback["time_left_s"] is not None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from rotcal_ros.errors import PlanError
 from rotcal_ros.observations import Approach, Command, PointKind
 
 Point = tuple[float, float, float]
+
+PAUSED: Final = "paused: "
+"""What a planner says it does begins with this while it waits for a person."""
 
 
 @dataclass(frozen=True, slots=True)

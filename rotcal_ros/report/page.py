@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from rotcal_ros import __version__
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import figures
+from rotcal_ros.report import figures, mirror_figures
 from rotcal_ros.results import COMPONENTS, Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -105,6 +105,7 @@ def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
             figures.temperature(report.observations),
         ),
     ]
+    candidates[1:1] = mirror_figures.sections(result, report.truth)
     return [candidate for candidate in candidates if candidate[2]]
 
 
