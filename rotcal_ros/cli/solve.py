@@ -91,9 +91,7 @@ def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str)
     return recording
 
 
-def _read_table(
-    source: Path, setup: Path | None, targets: Path | None
-) -> TableData | WholeTable:
+def _read_table(source: Path, setup: Path | None, targets: Path | None) -> TableData | WholeTable:
     from rotcal_ros.tables import read_measurements
 
     configuration = _configuration(setup)

@@ -91,9 +91,7 @@ class SimulatedTracker:
         """Return where the person put the tracker for station ``number``, and turned how."""
         settings = self.settings
         azimuth = settings.station_azimuths_deg[number % len(settings.station_azimuths_deg)]
-        nominal = on_circle(
-            settings.station_radius_m, azimuth * DEGREE, settings.station_height_m
-        )
+        nominal = on_circle(settings.station_radius_m, azimuth * DEGREE, settings.station_height_m)
         off = settings.station_placing_mm * MILLIMETRE * self._stand_noise.normal(3 * number, 3)
         turned = float(self._stand_noise.uniform(number, 1)[0]) * 2.0 * np.pi
         x, y, z = (np.array(nominal) + off).tolist()
@@ -133,7 +131,7 @@ class SimulatedTracker:
         """Return by how many millimetres a nest stands, or a reflector sits, wrong."""
         settings = self.settings
         wrong = (
-            command.target == settings.displaced_nest
+            command.target == settings.displaced_nest != 0
             and command.station in settings.displaced_at_stations
             and command.attempt < settings.displaced_attempts
         )
@@ -144,7 +142,9 @@ class SimulatedTracker:
         rotation, shift = self._table.poses(np.array([stamp_ns]))
         centre = rotation[0] @ np.array(self._mirror.centre) + shift[0]
         try:
-            return image(self._mirror, centre, rotation[0] @ self._mirror.frame(), stand, place, "")
+            return image(
+                self._mirror, centre, rotation[0] @ self._mirror.frame(), stand, place, ""
+            )
         except PlanError:
             return np.full(3, np.nan)
 
@@ -184,6 +184,7 @@ def _flat_mirror(settings: SimulatedMirrorSettings) -> FlatMirror:
 
 def _same_place(before: Command | None, after: Command) -> bool:
     """Return whether two orders leave a reflector where it is: its image may be the second."""
-    return before is not None and replace(
-        before, step=after.step, attempt=after.attempt, kind=after.kind
-    ) == after
+    return (
+        before is not None
+        and replace(before, step=after.step, attempt=after.attempt, kind=after.kind) == after
+    )
