@@ -28,6 +28,10 @@ class Method:
     have delivered before the first motion. ``trials``, where there is one, prepares Monte Carlo
     trials about accepted observations: their outputs are the deviations of the result, component
     by component in the order of ``COMPONENTS``.
+
+    ``check`` says in words what the observations so far tell about a person's work (see
+    :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``solve_table`` solves the
+    text of a plain table, given with its name, where rows need not be steps of a plan.
     """
 
     name: str
@@ -37,6 +41,8 @@ class Method:
     plan: Callable[[Configuration], Plan]
     solve: Callable[[Configuration, Plan, Sequence[Observation]], Result]
     trials: Callable[[Configuration, Plan, Sequence[Observation]], Trials] | None = None
+    check: Callable[[Configuration, Plan, Sequence[Observation]], tuple[str, ...]] | None = None
+    solve_table: Callable[[Configuration, str, str], Result] | None = None
 
 
 @dataclass(frozen=True)
@@ -57,6 +63,12 @@ class Calibration:
             raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
         used = final_observations(observations)
         return self.method.trials(self.configuration, self.plan, used)
+
+    def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
+        """Return in words what a person has to put right, as far as the method can tell."""
+        if self.method.check is None:
+            return ()
+        return self.method.check(self.configuration, self.plan, final_observations(observations))
 
 
 def final_observations(observations: Iterable[Observation]) -> tuple[Observation, ...]:

@@ -17,7 +17,8 @@ from rotcal_ros.methods.tracer.problem import TracerProblem, TracerSettings
 from rotcal_ros.observations import Approach, Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.runs import visits
-from rotcal_ros.planning.tracer_plan import TracerPlanSettings, table_angles, tracer_plan
+from rotcal_ros.planning.table_angles import table_angles
+from rotcal_ros.planning.tracer_plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.results import Result
 from rotcal_ros.settings import setting
 

@@ -107,6 +107,10 @@ class RunningSession:
         """Ask the client to cancel its goal."""
         self._processes.signal(CLIENT, signal.SIGINT)
 
+    def resume(self) -> None:
+        """Tell the planner that the work it waits for is done."""
+        self._processes.tell(CLIENT, "resume")
+
     def log_tail(self, name: str) -> str:
         """Return the last lines of a process's log."""
         return self._processes.log_tail(name)

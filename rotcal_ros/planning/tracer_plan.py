@@ -8,7 +8,7 @@ each station.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 
@@ -16,23 +16,17 @@ from rotcal_ros.errors import PlanError
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.runs import visits
+from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
 
 STATIONS_PER_TARGET = "stations_per_target"
 TARGETS_PER_STATION = "targets_per_station"
 
 
 @dataclass(frozen=True)
-class TracerPlanSettings:
+class TracerPlanSettings(TableAngleSettings):
     """Where the table turns and where the reflector goes."""
 
-    table_start_deg: float = setting(0.0, doc="deg, first table angle")
-    table_step_deg: float = setting(30.0, doc="deg, step between table angles")
-    table_positions: int = setting(12, doc="number of table angles", minimum=2, maximum=3600)
-    table_angles_deg: tuple[float, ...] = setting(
-        (), doc="deg, explicit ascending table angles; replaces start, step and positions"
-    )
     box_centre_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.6), doc="m, centre of the block of targets"
     )
@@ -95,17 +89,6 @@ def tracer_plan(settings: TracerPlanSettings, method: str = "tracer_multistation
     )
     every = tuple(angles[visit.target] for visit in arrivals)
     return Plan(method=method, table_angles=every, targets=targets, steps=steps)
-
-
-def table_angles(settings: TracerPlanSettings) -> tuple[float, ...]:
-    """Return the commanded table angles in radians, ascending."""
-    degrees = settings.table_angles_deg or tuple(
-        settings.table_start_deg + i * settings.table_step_deg
-        for i in range(settings.table_positions)
-    )
-    if any(b <= a for a, b in pairwise(degrees)):
-        raise PlanError(f"table angles must ascend, found {list(degrees)} degrees")
-    return tuple(d * DEGREE for d in degrees)
 
 
 def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:

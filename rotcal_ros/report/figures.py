@@ -111,9 +111,15 @@ def _scatter_residuals(
 
 @style.styled
 def residual_map(result: Result) -> str:
-    """Draw the normalised residual of every table position and target as a map."""
+    """Draw the normalised residual of every table position and target as a map.
+
+    Where a cell would hold several residuals there is no map.
+    """
     rows = result.residuals
     if rows is None or rows.test_value.size == 0:
+        return ""
+    cells = np.column_stack([rows.table_index, rows.target])
+    if len(np.unique(cells, axis=0)) < len(cells):
         return ""
     grid = np.full((rows.table_index.max() + 1, rows.target.max() + 1), np.nan)
     grid[rows.table_index, rows.target] = rows.test_value

@@ -9,7 +9,7 @@ from typing import Any
 
 from rotcal_ros import __version__
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import figures, harmonics
+from rotcal_ros.report import figures, harmonics, mirror_figures
 from rotcal_ros.report.iso230 import section as iso230_section
 from rotcal_ros.report.template import environment
 from rotcal_ros.report.units import unit_of
@@ -104,6 +104,7 @@ def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
             figures.temperature(report.observations),
         ),
     ]
+    candidates[1:1] = mirror_figures.sections(result, report.truth)
     return [candidate for candidate in candidates if candidate[2]]
 
 
