@@ -8,12 +8,15 @@ are equal to the last bit.
 
 from __future__ import annotations
 
+from rotcal_ros.catalogue.ball_plate import BALL_PLATE
 from rotcal_ros.catalogue.calibration import Calibration, Method, final_observations
 from rotcal_ros.catalogue.tracer import TRACER_MULTISTATION
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError
 
-METHODS: dict[str, Method] = {method.name: method for method in (TRACER_MULTISTATION,)}
+METHODS: dict[str, Method] = {
+    method.name: method for method in (TRACER_MULTISTATION, BALL_PLATE)
+}
 
 __all__ = ["METHODS", "Calibration", "Method", "final_observations", "prepare"]
 

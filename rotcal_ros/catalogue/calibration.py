@@ -5,10 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.results import Result
+
+Floats = NDArray[np.float64]
+Curves = Mapping[str, Floats]
+
+
+def counted_from_the_first(_angles: Floats, deviations: Curves) -> dict[str, Floats]:
+    """Return the deviations (n,) by component, ECC counted from its first value."""
+    return {
+        name: values - values[0] if name == "ECC" else values
+        for name, values in deviations.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -18,7 +32,8 @@ class Method:
     ``settings`` names its own groups of settings, from which nodes declare parameters;
     ``plan`` builds the plan from a configuration; ``solve`` turns a configuration, its plan
     and accepted observations into a result; ``topics`` are the instrument topics that must
-    have delivered before the first motion.
+    have delivered before the first motion; ``gauge`` takes from the true deviations (n,) at
+    angles (n,) what the method cannot see, so that they can be compared with a result.
     """
 
     name: str
@@ -27,6 +42,7 @@ class Method:
     settings: Mapping[str, type]
     plan: Callable[[Configuration], Plan]
     solve: Callable[[Configuration, Plan, Sequence[Observation]], Result]
+    gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
 
 
 @dataclass(frozen=True)

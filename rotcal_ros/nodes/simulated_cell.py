@@ -41,7 +41,8 @@ class SimulatedCellNode(Node):
         self._order_text = "no order yet"
         self._health = Health(self, self._report)
         guarded = self._health.guarded
-        self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+        if self._cell.has_tracer:
+            self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
         self._table = self.create_publisher(JointState, "joint_states", STREAM)
         self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
         self._temperature = self.create_publisher(Temperature, "temperature", EVENT)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,10 @@ from rotcal_ros.observations import (
     TracerSample,
 )
 from rotcal_ros.simulation.probe import SimulatedProbe
-from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.simulation.settings import TOUCH_PROBE, TRACER, SimulationSettings
 from rotcal_ros.simulation.table import SimulatedTable, truth
 from rotcal_ros.simulation.temperature import SimulatedTemperature
+from rotcal_ros.simulation.touch_probe import SimulatedTouchProbe
 from rotcal_ros.simulation.tracer import SimulatedTracer
 from rotcal_ros.units import DEGREE, NANOSECOND
 
@@ -52,8 +53,31 @@ class Ticks:
         return first, self._start_ns + numbers * self._period_ns
 
 
+class PointInstrument(Protocol):
+    """What carries out the orders of the probe and reports its points."""
+
+    rest_ns: int
+    target: int
+
+    @property
+    def pending(self) -> Command | None:
+        """The order whose points have not all been reported yet."""
+
+    def order(self, now_ns: int, command: Command) -> None:
+        """Begin to carry out an order."""
+
+    def positions(self, stamps: Stamps) -> Floats:
+        """Return where it really is at ``stamps`` (n,), machine frame, m, shape (n, 3)."""
+
+    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
+        """Return the points of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
+
+    def unasked(self, now_ns: int) -> ProbeSample:
+        """Return a point of kind UNKNOWN."""
+
+
 class SimulatedCell:
-    """Table, probe, tracer and temperature on one machine clock (ns), started at ``start_ns``.
+    """Table, temperature and instrument on one machine clock (ns), started at ``start_ns``.
 
     The cell only moves on in :meth:`advance`. The samples depend on the settings and on the
     machine times of the orders, not on how the time between them is cut into pieces.
@@ -63,7 +87,8 @@ class SimulatedCell:
         self.settings, self.now_ns = settings, start_ns
         seed = settings.seed
         self._table = SimulatedTable(settings.table, seed, start_ns)
-        self._probe = SimulatedProbe(settings.probe, seed, start_ns)
+        self._probe = self._point_instrument(start_ns)
+        self.has_tracer = settings.instrument == TRACER
         self._tracer = SimulatedTracer(settings.tracer, settings.faults, seed)
         self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)
         self._tracer_ticks = Ticks(start_ns, settings.tracer.rate_hz)
@@ -84,7 +109,7 @@ class SimulatedCell:
         self._table_order = (command.step, command.attempt)
 
     def order_probe(self, command: Command) -> None:
-        """Carry the reflector to ``command.position`` and report the point."""
+        """Let the probe go to ``command.position`` and report its point or points."""
         self._probe.order(self.now_ns, command)
 
     def advance(self, duration_s: float) -> CellOutput:
@@ -122,7 +147,17 @@ class SimulatedCell:
         distances: Floats = np.linalg.norm(self._probe.positions(stamps) - station, axis=1)
         return distances
 
+    def _point_instrument(self, start_ns: int) -> PointInstrument:
+        settings, seed = self.settings, self.settings.seed
+        if settings.instrument == TOUCH_PROBE:
+            return SimulatedTouchProbe(
+                settings.touch_probe, settings.plate, self._table, seed, start_ns
+            )
+        return SimulatedProbe(settings.probe, seed, start_ns)
+
     def _read_tracer(self) -> tuple[TracerSample, ...]:
+        if not self.has_tracer:
+            return ()
         first, stamps = self._tracer_ticks.until(self.now_ns)
         if not len(stamps):
             return ()

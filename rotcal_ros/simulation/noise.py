@@ -27,6 +27,10 @@ class Source(IntEnum):
     PROBE_REPEAT = 8
     FOLLOWING = 9
     TEMPERATURE = 10
+    MACHINE = 30
+    TOUCH = 31
+    BALL = 32
+    DIRT = 33
 
 
 class IndexedNoise:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from rotcal_ros.settings import group, setting
+from rotcal_ros.simulation.touch_settings import SimulatedPlateSettings, TouchProbeSettings
+
+TRACER: Final = "tracer"
+TOUCH_PROBE: Final = "touch_probe"
 
 
 @dataclass(frozen=True)
@@ -157,8 +162,14 @@ class FaultSettings:
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """The simulated cell."""
+    """The simulated cell: a table, a temperature, and one of the instruments."""
 
+    instrument: str = setting(
+        TRACER,
+        doc="what measures: a laser tracer with a machine for its reflector, or a machine that "
+        "touches the balls of a plate",
+        choices=(TRACER, TOUCH_PROBE),
+    )
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
     time_scale: float = setting(
         1.0,
@@ -170,6 +181,8 @@ class SimulationSettings:
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )
     table: TableSettings = group(TableSettings)
+    plate: SimulatedPlateSettings = group(SimulatedPlateSettings)
+    touch_probe: TouchProbeSettings = group(TouchProbeSettings)
     tracer: TracerSettings = group(TracerSettings)
     probe: ProbeSettings = group(ProbeSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
