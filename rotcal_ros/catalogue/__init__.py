@@ -15,7 +15,11 @@ from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError
 
 METHODS: dict[str, Method] = {
-    method.name: method for method in (TRACER_MULTISTATION, BALL_PLATE)
+    method.name: method
+    for method in (
+        TRACER_MULTISTATION,
+        BALL_PLATE,
+    )
 }
 
 __all__ = ["METHODS", "Calibration", "Method", "final_observations", "prepare"]

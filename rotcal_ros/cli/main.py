@@ -17,6 +17,7 @@ UNREADABLE: Final = 2
 VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
     "solve": "Solve a recorded bag or a plain table, without ROS.",
+    "plan": "Design a ball plate and its measurement.",
     "report": "Write the self-contained HTML report of a calibration.",
     "bag": "Check, repair and describe recorded bags.",
     "doctor": "Check this machine and say what to do.",
