@@ -1,8 +1,8 @@
 """A rotary axis of LinuxCNC as the table of the cell: obeys ``table_angle``, has a feedback.
 
 LinuxCNC itself is spoken to by a process of its own, :mod:`rotcal_ros.nodes.linuxcnc_agent`,
-on the system's Python. Where a HAL pin knows the actual angle (a plant, a second encoder), it goes out on
-``table_actual``.
+on the system's Python. Where a HAL pin knows the actual angle (a plant, a second encoder), it
+goes out on ``table_actual``.
 """
 
 from __future__ import annotations
