@@ -21,8 +21,9 @@ import yaml
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, prepare
-from rotcal_ros.cli.domain import free_domain
+from rotcal_ros.cli.domains import free_domain
 from rotcal_ros.cli.processes import Processes
+from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.configuration import (
     GROUPS,
     Configuration,
@@ -37,6 +38,7 @@ from rotcal_ros.simulation import SimulationSettings
 
 NODES: Final = ("planner", "capture", "solver", "recorder")
 SIMULATION: Final = "simulation"
+FURTHER_NODES: Final = {"bridge": "bridge", SIMULATION: "simulated_cell"}
 CLIENT: Final = "client"
 _PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
 
@@ -68,6 +70,12 @@ class Session:
         """Whether the cell is a simulated one."""
         return SIMULATION in self.configuration.groups
 
+    @property
+    def further_nodes(self) -> list[str]:
+        """The nodes that run only when the configuration has a group for them."""
+        groups = self.configuration.groups
+        return [node for group, node in FURTHER_NODES.items() if group in groups]
+
     def start(self) -> RunningSession:
         """Start the nodes and the client; a context manager that ends them."""
         return RunningSession(self)
@@ -79,7 +87,7 @@ class RunningSession:
     def __init__(self, session: Session) -> None:
         self._processes = Processes(session.log_folder, node_environment())
         self.events: SimpleQueue[dict[str, Any]] = SimpleQueue()
-        nodes = [*NODES, "simulated_cell"] if session.simulated else [*NODES]
+        nodes = [*NODES, *session.further_nodes]
         try:
             for name in nodes:
                 self._processes.start(name, _node_command(session, name))
@@ -98,6 +106,10 @@ class RunningSession:
     def cancel(self) -> None:
         """Ask the client to cancel its goal."""
         self._processes.signal(CLIENT, signal.SIGINT)
+
+    def resume(self) -> None:
+        """Tell the planner that the work it waits for is done."""
+        self._processes.tell(CLIENT, "resume")
 
     def log_tail(self, name: str) -> str:
         """Return the last lines of a process's log."""
@@ -148,6 +160,7 @@ def prepare_session(
         ("capture", CaptureSettings),
         ("planner", PlannerSettings),
         ("recorder", RecorderSettings),
+        ("bridge", BridgeSettings),
         (SIMULATION, SimulationSettings),
     ):
         configuration.group(group, cls)
@@ -210,7 +223,7 @@ def node_environment() -> dict[str, str]:
     What the user has set stays.
     """
     environment = {
-        "ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID") or str(free_domain()),
+        "ROS_DOMAIN_ID": str(free_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         _PROFILES: str(files("rotcal_ros") / "nodes" / "fastdds.xml"),
         "PYTHONUNBUFFERED": "1",

@@ -33,15 +33,18 @@ WEAK = 100.0
 class Harmonics:
     """The factored systems of q = 1..N//2, Q of them, for R balls.
 
-    ``centred`` (2, Q, 2R, 3) is the table's design, rows ordered ball by ball, with the mean
-    over the balls taken off, which eliminates the CMM's unknowns; ``mean`` (2, Q, 2, 3) is that
-    mean; ``inverse`` (2, Q, 3, 3) is the unit covariance of the table's unknowns, zero where a
-    constraint fixes one.
+    ``shift`` (3, Q, R) are the phases that bring the rows +, - and z from the frame that turns
+    with the table to the one that turns with the CMM position; in the former the table's design
+    is the same for all harmonics, ``adjoint`` (3, R, 3) being its adjoint. ``mean`` (2, Q, 2, 3)
+    is the mean of the design over the balls in the latter; ``inverse`` (2, Q, 3, 3) is the unit
+    covariance of the table's unknowns, zero where a constraint fixes one.
     """
 
     grid: int
     balls: Ints
-    centred: Complexes
+    phase: Complexes
+    shift: Complexes
+    adjoint: Complexes
     mean: Complexes
     inverse: Complexes
 
@@ -109,8 +112,6 @@ def factor(grid: int, balls: Ints) -> Harmonics:
     phase = phases(grid, balls)
     sums = phase.sum(axis=1)
     normal = normal_matrices(sums, len(balls))
-    mean = design(sums[:, None] / len(balls))[:, :, 0]
-    centred = (design(phase) - mean[:, :, None]).reshape(2, len(sums) - 2, -1, 3)
     try:
         inverse = np.asarray(np.linalg.inv(normal), dtype=np.complex128)
     except np.linalg.LinAlgError:
@@ -121,25 +122,69 @@ def factor(grid: int, balls: Ints) -> Harmonics:
             "every harmonic; choose other steps (separability names the lost harmonics)"
         )
     inverse[:, 0, 1, 1] = 0.0
-    return Harmonics(grid, balls, centred, mean, inverse)
+    return Harmonics(
+        grid=grid,
+        balls=balls,
+        phase=phase,
+        shift=np.stack([phase[2:], phase[:-2], phase[1:-1]]),
+        adjoint=_adjoint(phase[1]),
+        mean=design(sums[:, None] / len(balls))[:, :, 0],
+        inverse=inverse,
+    )
+
+
+def _adjoint(turn: Complexes) -> Complexes:
+    """Return the adjoint (3, R, 3) of the design in the table's frame; ``turn`` is e_1 (R,)."""
+    half = (1j * ROOT_HALF) * turn
+    adjoint = np.zeros((3, len(turn), 3), dtype=np.complex128)
+    adjoint[0, :, 0] = adjoint[1, :, 1] = adjoint[2, :, 2] = 1.0
+    adjoint[0, :, 2] = -half
+    adjoint[2, :, 1] = half
+    adjoint[1, :, 2] = adjoint[2, :, 0] = half.conj()
+    adjoint[1, :, 2] *= -1.0
+    return adjoint
 
 
 def fit(system: Harmonics, spectrum: Complexes) -> tuple[Complexes, Complexes, Complexes]:
-    """Solve all harmonics: ``spectrum`` (2, Q, R, 2) to table (2, Q, 3), CMM (2, Q, 2), rest.
+    """Solve all harmonics: ``spectrum`` (3, Q, R) to table (2, Q, 3), CMM (3, Q), rest (3, Q, R).
 
-    Where a layout is weak, a step of iterative refinement takes the squared condition number
-    out of the answer.
+    Rows are +, - and z in the frame that turns with the table. Where a layout is weak, a step of
+    iterative refinement takes the squared condition number out of the answer.
     """
-    mean = spectrum.sum(axis=2) / len(system.balls)
-    right = (spectrum - mean[:, :, None]).reshape(*spectrum.shape[:2], -1, 1)
-    adjoint = system.centred.conj().swapaxes(2, 3)
-    table = system.inverse @ (adjoint @ right)
-    residual = right - system.centred @ table
+    table = _table_of(system, _centred(system, spectrum)[1])
+    cmm, rest = _centred(system, spectrum - _fitted(system, table))
     if np.abs(system.inverse).max() * len(system.balls) > WEAK:
-        table += system.inverse @ (adjoint @ residual)
-        residual = right - system.centred @ table
-    cmm = mean - (system.mean @ table)[..., 0]
-    return table[..., 0], cmm, residual.reshape(spectrum.shape)
+        table = table + _table_of(system, rest)
+        cmm, rest = _centred(system, spectrum - _fitted(system, table))
+    return table, cmm, rest
+
+
+def _centred(system: Harmonics, rows: Complexes) -> tuple[Complexes, Complexes]:
+    """Split rows (3, Q, R) into the mean over the balls at the CMM (3, Q) and what is left."""
+    shifted = system.shift * rows
+    mean = shifted.sum(axis=2) / len(system.balls)
+    shifted -= mean[:, :, None]
+    return mean, system.shift.conj() * shifted
+
+
+def _table_of(system: Harmonics, centred: Complexes) -> Complexes:
+    """Return the table's unknowns (2, Q, 3) from centred rows (3, Q, R)."""
+    right = centred @ system.adjoint
+    right[1] += right[0]
+    unknowns: Complexes = (system.inverse @ right[1:, :, :, None])[..., 0]
+    return unknowns
+
+
+def _fitted(system: Harmonics, table: Complexes) -> Complexes:
+    """Return the rows (3, Q, R) that the table's unknowns (2, Q, 3) cause."""
+    fitted: Complexes = table[[PLANE, PLANE, AXIS]] @ system.adjoint.conj().swapaxes(1, 2)
+    return fitted
+
+
+def centred_design(system: Harmonics) -> Complexes:
+    """Return the table's design (2, Q, R, 2, 3) at the CMM, its mean over the balls taken off."""
+    centred: Complexes = design(system.phase) - system.mean[:, :, None]
+    return centred
 
 
 def cmm_covariance(system: Harmonics) -> Complexes:
@@ -149,20 +194,28 @@ def cmm_covariance(system: Harmonics) -> Complexes:
     return covariance
 
 
-def from_plane(sequences: Complexes) -> tuple[Complexes, Complexes]:
-    """Transform x + i y, (N, ...), to w+ and w- (Q, ...) for q = 1..N//2."""
-    grid = len(sequences)
+def to_harmonics(plane: Complexes, axial: Floats) -> tuple[Complexes, Complexes]:
+    """Transform x + i y and z, (R, N) each: rows +, -, z (3, Q, R) of q = 1..N//2; mean (2, R)."""
+    n_balls, grid = plane.shape
     last = grid // 2 + 1
-    full = ROOT_HALF * np.fft.fft(sequences, axis=0)
-    return full[1:last], full[: grid - last : -1].conj()
+    full = np.fft.fft(np.concatenate([plane, axial]), axis=1)
+    rows = np.empty((3, last - 1, n_balls), dtype=np.complex128)
+    rows[0] = full[:n_balls, 1:last].T
+    rows[1] = full[:n_balls, : grid - last : -1].T.conj()
+    rows[:2] *= ROOT_HALF
+    rows[2] = full[n_balls:, 1:last].T
+    return rows, full[:, 0].reshape(2, n_balls) / grid
 
 
-def to_plane(plus: Complexes, minus: Complexes, grid: int) -> Complexes:
-    """Return x + i y (N, ...) of zero mean from w+ and w- (Q, ...): inverts from_plane."""
-    full = np.zeros((grid, *plus.shape[1:]), dtype=np.complex128)
-    full[1 : grid // 2 + 1] = plus
-    full[: grid - grid // 2 - 1 : -1] = minus.conj()
-    sequences: Complexes = np.fft.ifft(full / ROOT_HALF, axis=0)
+def to_sequences(plus: Complexes, minus: Complexes, axial: Complexes, grid: int) -> Complexes:
+    """Return x + i y, then z, (m + n, N) of zero mean from w+ and w- (m, Q) and z (n, Q)."""
+    n_plane, last = len(plus), grid // 2 + 1
+    full = np.zeros((n_plane + len(axial), grid), dtype=np.complex128)
+    backward = full[:, : grid - last : -1]
+    full[:n_plane, 1:last], backward[:n_plane] = plus, minus.conj()
+    full[:n_plane] *= 1.0 / ROOT_HALF
+    full[n_plane:, 1:last], backward[n_plane:] = axial, axial.conj()
+    sequences: Complexes = np.fft.ifft(full, axis=1)
     return sequences
 
 
