@@ -1,6 +1,7 @@
 """``rotcal compare``, ``iso230`` and ``uncertainty``: output, JSON, pictures and exit codes."""
 
 import json
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -80,7 +81,7 @@ def test_compare_three_draws_a_page_and_a_figure(pair, tmp_path, rng):
     text = page.read_text()
     assert text.count("interpolated</td>") > 0
     assert "polygon.csv − " in text
-    assert "http" not in text.replace("http://www.w3.org", "").replace("http://purl.org", "")
+    assert not re.search(r"""(src|href)=["']http|url\(http|<script""", text)
     assert run("compare", *pair, "-o", figure).exit_code == 0
     assert ElementTree.parse(figure).getroot().tag.endswith("svg")
     assert run("compare", *pair, "-o", tmp_path / "figure.png").exit_code == 2
