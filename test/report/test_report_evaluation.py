@@ -9,8 +9,8 @@ from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
 
-def result(degrees=np.arange(12) * 30.0, **details):
-    t = np.deg2rad(degrees)
+def result(count=12, step=30.0, **details):
+    t = np.deg2rad(np.arange(count) * step)
     ecc = (3.0 * np.cos(2 * t - np.deg2rad(40.0))) * ARCSEC
     return Result(
         method="m",
@@ -47,7 +47,7 @@ def test_harmonic_content_of_a_full_circle():
 
 
 def test_an_arc_has_no_harmonic_content():
-    assert "Harmonic content" not in page(result(np.arange(6) * 10.0))
+    assert "Harmonic content" not in page(result(6, 10.0))
 
 
 def test_iso_section_with_figures_and_warnings():
