@@ -235,7 +235,7 @@ def _conclude(
         )
     click.secho(
         f"verdict {verification.verdict}: measured E {before.systematic / ARCSEC:.3f} arcsec "
-        f"before, {after.systematic / ARCSEC:.3f} after compensation, {verification.ratio:.0f} times "
-        "smaller",
+        f"before, {after.systematic / ARCSEC:.3f} after compensation, "
+        f"{verification.ratio:.0f} times smaller",
         fg="green" if verification.verdict == "ok" else "red",
     )
