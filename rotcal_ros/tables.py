@@ -38,11 +38,6 @@ TARGETS_FILE: Final = "targets.csv"
 
 _FARTHEST: Final = 50.0
 """Metres; no target or length of such a calibration is farther away."""
-_KINDS: Final = {
-    "direct": PointKind.DIRECT,
-    "mirrored": PointKind.MIRRORED,
-    "nest": PointKind.NEST,
-}
 
 
 @dataclass(frozen=True)
@@ -56,6 +51,26 @@ class TableData:
     def solve(self) -> Result:
         """Return the result."""
         return self.calibration.solve(self.observations)
+
+
+@dataclass(frozen=True)
+class WholeTable:
+    """The text of a table that its method reads itself: rows beyond any plan are welcome."""
+
+    configuration: Configuration
+    text: str
+    name: str
+    sha256: Mapping[str, str]
+
+    def solve(self) -> Result:
+        """Return the result; DataError when the set-up is that of a method with other tables."""
+        method = catalogue.find_method(self.configuration)
+        if method.solve_table is None:
+            raise DataError(
+                f"{self.name} is no table of the method {method.name}, which "
+                f"{self.configuration.source} sets up: give the set-up that belongs to it"
+            )
+        return method.solve_table(self.configuration, self.text, self.name)
 
 
 @dataclass(frozen=True)
@@ -95,16 +110,18 @@ class Row:
 
 def read_measurements(
     path: Path, configuration: Configuration, targets: Path | None = None
-) -> TableData:
+) -> TableData | WholeTable:
     """Read the table at ``path``; its header says which method it belongs to.
 
     ``targets`` is the file of target positions of a tracer table, by default ``targets.csv``
     beside it; without one the targets of the set-up are used. Raises BagError when a file
     cannot be read, DataError when its content cannot be what it should be.
     """
-    calibration = catalogue.prepare(configuration)
     header, rows = _read_table(path, (TRACER, BALL_PLATE, PLANE_MIRROR))
     files = [path]
+    if header == PLANE_MIRROR:
+        return WholeTable(configuration, _text(path), str(path), _hashes(files))
+    calibration = catalogue.prepare(configuration)
     if header == TRACER:
         beside = path.with_name(TARGETS_FILE)
         if targets is None and beside.exists():
@@ -116,8 +133,7 @@ def read_measurements(
     find = _Finder(calibration.plan)
     observations = tuple(_observation(find, row, _READERS[header]) for row in rows)
     _check_lengths(calibration.plan, rows, observations)
-    sha256 = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
-    return TableData(calibration, observations, sha256)
+    return TableData(calibration, observations, _hashes(files))
 
 
 def read_targets(path: Path) -> tuple[Point, ...]:
@@ -141,10 +157,7 @@ def _read_table(
     path: Path, headers: tuple[tuple[str, ...], ...]
 ) -> tuple[tuple[str, ...], list[Row]]:
     """Return the header, one of ``headers``, and the rows of a CSV file."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"cannot read the table {path}: {error}") from error
+    text = _text(path)
     lines = [
         (number, [cell.strip() for cell in cells])
         for number, line in enumerate(text.splitlines(), start=1)
@@ -166,6 +179,17 @@ def _read_table(
     if not rows:
         raise DataError(f"{path}: the table has a header but no rows")
     return found, rows
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BagError(f"cannot read the table {path}: {error}") from error
+
+
+def _hashes(files: list[Path]) -> dict[str, str]:
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 def _plan_of_targets(plan: Plan, targets: tuple[Point, ...]) -> Plan:
@@ -232,20 +256,9 @@ def _ball_plate(find: _Finder, row: Row) -> tuple[Step, PointKind, tuple[float, 
     return step, PointKind.CENTRE, row.point()
 
 
-def _plane_mirror(find: _Finder, row: Row) -> tuple[Step, PointKind, tuple[float, ...]]:
-    kind = _KINDS.get(row.cells["kind"])
-    if kind is None:
-        raise DataError(
-            f"{row.place}: kind must be {', '.join(_KINDS)}, found {row.cells['kind']!r}"
-        )
-    station = row.index("tracker_station")
-    return find(row, row.index("position"), row.index("nest"), station, kind), kind, row.point()
-
-
 _READERS: Final[Mapping[tuple[str, ...], Reader]] = {
     TRACER: _tracer,
     BALL_PLATE: _ball_plate,
-    PLANE_MIRROR: _plane_mirror,
 }
 
 

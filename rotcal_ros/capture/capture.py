@@ -222,12 +222,15 @@ class Capture:
         if not finite(sample.position):
             self._probe.non_finite += 1
             return f"probe position is not finite: {sample.position}"
-        if sample.kind != step.kind or sample.target != step.target:
+        if (sample.kind, sample.target) != (step.kind, step.target):
             self._probe.off_plan += 1
             return (
                 f"probe reports {sample.kind.name} at target {sample.target}, "
                 f"the plan says {step.kind.name} at target {step.target}"
             )
+        if sample.station != step.station:
+            self._probe.off_plan += 1
+            return f"probe reports station {sample.station}, the plan says station {step.station}"
         away = dist(sample.position, step.position)
         if step.kind == PointKind.REFLECTOR and away > self._settings.probe_tolerance_m:
             self._probe.implausible += 1

@@ -9,13 +9,20 @@ are equal to the last bit.
 from __future__ import annotations
 
 from rotcal_ros.catalogue.calibration import Calibration, Method, final_observations
+from rotcal_ros.catalogue.plane_mirror import PLANE_MIRROR
 from rotcal_ros.catalogue.tracer import TRACER_MULTISTATION
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError
 
-METHODS: dict[str, Method] = {method.name: method for method in (TRACER_MULTISTATION,)}
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        TRACER_MULTISTATION,
+        PLANE_MIRROR,
+    )
+}
 
-__all__ = ["METHODS", "Calibration", "Method", "final_observations", "prepare"]
+__all__ = ["METHODS", "Calibration", "Method", "final_observations", "find_method", "prepare"]
 
 
 def prepare(configuration: Configuration) -> Calibration:
@@ -23,14 +30,20 @@ def prepare(configuration: Configuration) -> Calibration:
 
     Raises ConfigurationError for an unknown method, PlanError for an impossible plan.
     """
+    method = find_method(configuration)
+    return Calibration(
+        configuration=configuration,
+        method=method,
+        plan=method.plan(configuration),
+    )
+
+
+def find_method(configuration: Configuration) -> Method:
+    """Return the method of a configuration; ConfigurationError when there is none."""
     method = METHODS.get(configuration.method)
     if method is None:
         raise ConfigurationError(
             f"{configuration.source}: unknown method {configuration.method!r}; "
             f"known: {', '.join(sorted(METHODS))}"
         )
-    return Calibration(
-        configuration=configuration,
-        method=method,
-        plan=method.plan(configuration),
-    )
+    return method

@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rotcal_ros.configuration import Configuration
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.results import Result
+
+Trials = Callable[[np.random.Generator, int], NDArray[np.float64]]
+"""``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +25,13 @@ class Method:
     ``settings`` names its own groups of settings, from which nodes declare parameters;
     ``plan`` builds the plan from a configuration; ``solve`` turns a configuration, its plan
     and accepted observations into a result; ``topics`` are the instrument topics that must
-    have delivered before the first motion.
+    have delivered before the first motion. ``trials``, where there is one, prepares Monte Carlo
+    trials about accepted observations: their outputs are the deviations of the result, component
+    by component in the order of ``COMPONENTS``.
+
+    ``check`` says in words what the observations so far tell about a person's work (see
+    :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``solve_table`` solves the
+    text of a plain table, given with its name, where rows need not be steps of a plan.
     """
 
     name: str
@@ -27,6 +40,9 @@ class Method:
     settings: Mapping[str, type]
     plan: Callable[[Configuration], Plan]
     solve: Callable[[Configuration, Plan, Sequence[Observation]], Result]
+    trials: Callable[[Configuration, Plan, Sequence[Observation]], Trials] | None = None
+    check: Callable[[Configuration, Plan, Sequence[Observation]], tuple[str, ...]] | None = None
+    solve_table: Callable[[Configuration, str, str], Result] | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +56,19 @@ class Calibration:
     def solve(self, observations: Iterable[Observation]) -> Result:
         """Solve with the observations that count; see :func:`final_observations`."""
         return self.method.solve(self.configuration, self.plan, final_observations(observations))
+
+    def trials(self, observations: Iterable[Observation]) -> Trials:
+        """Prepare Monte Carlo trials about the observations that count."""
+        if self.method.trials is None:
+            raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
+        used = final_observations(observations)
+        return self.method.trials(self.configuration, self.plan, used)
+
+    def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
+        """Return in words what a person has to put right, as far as the method can tell."""
+        if self.method.check is None:
+            return ()
+        return self.method.check(self.configuration, self.plan, final_observations(observations))
 
 
 def final_observations(observations: Iterable[Observation]) -> tuple[Observation, ...]:

@@ -20,6 +20,9 @@ VERBS: Final[Mapping[str, str]] = {
     "solve": "Solve a recorded bag or a plain table, without ROS.",
     "export": "Write the correction table of a calibration for a controller.",
     "report": "Write the self-contained HTML report of a calibration.",
+    "compare": "Compare results of one table, and references: do they agree?",
+    "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",
+    "uncertainty": "Propagate the noise by Monte Carlo (JCGM 101).",
     "bag": "Check, repair and describe recorded bags.",
     "doctor": "Check this machine and say what to do.",
 }

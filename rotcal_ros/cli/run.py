@@ -8,15 +8,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from queue import Empty
 from types import FrameType
-from typing import Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, print_json, progress_bar, say
 from rotcal_ros.cli.main import INTERRUPTED
+from rotcal_ros.cli.person import Person
 from rotcal_ros.cli.session import Session, prepare_session, require_ros
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.units import ARCSEC
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
 
 SILENCE_TIMEOUT_S: Final = 60.0
 """The client tells something every second; after this silence it hangs."""
@@ -40,6 +45,9 @@ path_type = click.Path(path_type=Path)
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--no-export", is_flag=True, help="Write no controller files.")
+@click.option(
+    "-y", "--yes", is_flag=True, help="Take every work asked of a person as done at once."
+)
 @json_option
 def command(
     configuration: Path,
@@ -48,18 +56,21 @@ def command(
     keep_previous: bool,
     no_report: bool,
     no_export: bool,
+    yes: bool,
     as_json: bool,
 ) -> int:
     """Start the nodes of the cell that CONFIG describes, calibrate, end them.
 
     With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
-    running. Ctrl-C cancels: the bag stays valid.
+    running. Where the plan needs a person, the instruction is shown: a simulated person does it
+    at once, a real one presses Enter when done (or calls the service 'resume' of the cell).
+    Ctrl-C cancels: the bag stays valid.
     """
     require_ros()
     started = time.monotonic()
     folder = output or Path("out") / configuration.stem
     session = prepare_session(configuration, folder, changes, keep_previous=keep_previous)
-    outcome = calibrate(session)
+    outcome = calibrate(session, Person(session, yes))
     if outcome.get("interrupted"):
         return INTERRUPTED
     from rotcal_ros.cli.products import write_products
@@ -77,14 +88,14 @@ def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def calibrate(session: Session) -> dict[str, Any]:
+def calibrate(session: Session, person: Person) -> dict[str, Any]:
     """Run the nodes of a session to the end and return the outcome of the goal.
 
     Its ``interrupted`` is true when the user ended it. Raises RotcalError when it failed.
     """
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        outcome = _run(session)
+        outcome = _run(session, person)
     finally:
         signal.signal(signal.SIGTERM, previous)
     if outcome.get("interrupted"):
@@ -94,11 +105,11 @@ def calibrate(session: Session) -> dict[str, Any]:
     return outcome
 
 
-def _run(session: Session) -> dict[str, Any]:
+def _run(session: Session, person: Person) -> dict[str, Any]:
     """Run the nodes until the client tells the result."""
     with session.start() as running:
         try:
-            return _follow(running, SILENCE_TIMEOUT_S)
+            return _follow(running, SILENCE_TIMEOUT_S, person)
         except KeyboardInterrupt:
             say("canceling: the bag is being closed")
             running.cancel()
@@ -119,38 +130,64 @@ def _last_words(running: Any) -> dict[str, Any]:
     return {}
 
 
-def _follow(running: Any, silence_timeout_s: float) -> dict[str, Any]:
+def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str, Any]:
     """Show the progress; return the result event."""
     with progress_bar() as bar:
         task = bar.add_task("starting the nodes", total=None)
         heard, decile, begun = time.monotonic(), 0, False
         while True:
+            if person.is_done():
+                running.resume()
             try:
                 event = running.events.get(timeout=_POLL_S)
             except Empty:
                 _check(running, begun, time.monotonic() - heard, silence_timeout_s)
                 continue
             heard = time.monotonic()
-            kind = event["event"]
-            if kind == "result":
+            if event["event"] == "result":
                 return dict(event)
-            if kind == "refused":
-                raise ConfigurationError(f"the goal was refused: {event['reason']}")
-            if kind == "end":
-                _check(running, begun, 0.0, silence_timeout_s)
-                raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
-            begun = begun or kind == "started"
-            if kind == "feedback":
-                text = describe(event)
-                bar.update(task, completed=event["step"], total=event["total"], description=text)
-                if bar.disable and event["step"] * 10 // event["total"] > decile:
-                    decile = event["step"] * 10 // event["total"]
-                    say(f"{event['step']} of {event['total']} steps, {text}")
+            begun = begun or event["event"] == "started"
+            _raise_if_over(event, running, begun, silence_timeout_s)
+            _attend(event, person)
+            if event["event"] == "feedback":
+                decile = _show(event, bar, task, decile)
+
+
+def _raise_if_over(
+    event: Mapping[str, Any], running: Any, begun: bool, silence_timeout_s: float
+) -> None:
+    """Raise when the goal was refused or the client ended without a result."""
+    if event["event"] == "refused":
+        raise ConfigurationError(f"the goal was refused: {event['reason']}")
+    if event["event"] == "end":
+        _check(running, begun, 0.0, silence_timeout_s)
+        raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
+
+
+def _attend(event: Mapping[str, Any], person: Person) -> None:
+    """Pass on to the person what the planner asks and says."""
+    if event["event"] == "paused":
+        person.ask(event["instruction"])
+    elif event["event"] == "resumed" and not event["success"]:
+        say(event["reason"])
+    elif event["event"] == "feedback":
+        person.follow(event["activity"])
+
+
+def _show(event: Mapping[str, Any], bar: Progress, task: TaskID, decile: int) -> int:
+    """Move the bar; without a terminal say every tenth of the way. Return the tenths so far."""
+    text = describe(event)
+    bar.update(task, completed=event["step"], total=event["total"], description=text)
+    reached = int(event["step"] * 10 // event["total"])
+    if bar.disable and reached > decile:
+        say(f"{event['step']} of {event['total']} steps, {text}")
+    return reached
 
 
 def describe(feedback: Mapping[str, Any]) -> str:
     """Return what a feedback says in words: activity, standard deviation, time left."""
-    words = [str(feedback["activity"])]
+    activity = str(feedback["activity"])
+    words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
     if feedback["current_std_rad"] is not None:
         words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
     if feedback["time_left_s"] is not None:

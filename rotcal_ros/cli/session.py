@@ -21,6 +21,7 @@ import yaml
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, prepare
+from rotcal_ros.cli.domains import free_domain
 from rotcal_ros.cli.processes import Processes
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.configuration import (
@@ -105,6 +106,10 @@ class RunningSession:
     def cancel(self) -> None:
         """Ask the client to cancel its goal."""
         self._processes.signal(CLIENT, signal.SIGINT)
+
+    def resume(self) -> None:
+        """Tell the planner that the work it waits for is done."""
+        self._processes.tell(CLIENT, "resume")
 
     def log_tail(self, name: str) -> str:
         """Return the last lines of a process's log."""
@@ -218,7 +223,7 @@ def node_environment() -> dict[str, str]:
     What the user has set stays.
     """
     environment = {
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_DOMAIN_ID": str(free_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         _PROFILES: str(files("rotcal_ros") / "nodes" / "fastdds.xml"),
         "PYTHONUNBUFFERED": "1",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rotcal_ros.bags.replay import Recording
     from rotcal_ros.configuration import Configuration
     from rotcal_ros.results import Result
-    from rotcal_ros.tables import TableData
+    from rotcal_ros.tables import TableData, WholeTable
 
 path_type = click.Path(path_type=Path)
 
@@ -55,7 +55,7 @@ def command(
     The exit code is 0 for the verdict ok and 1 for suspect or failed.
     """
     if source.suffix == ".csv":
-        data: Recording | TableData = _read_table(source, setup, targets)
+        data: Recording | TableData | WholeTable = _read_table(source, setup, targets)
     else:
         data = _read_bag(source, setup, taken_from, namespace)
     result = data.solve()
@@ -91,7 +91,7 @@ def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str)
     return recording
 
 
-def _read_table(source: Path, setup: Path | None, targets: Path | None) -> TableData:
+def _read_table(source: Path, setup: Path | None, targets: Path | None) -> TableData | WholeTable:
     from rotcal_ros.tables import read_measurements
 
     configuration = _configuration(setup)

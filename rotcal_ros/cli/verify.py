@@ -102,6 +102,7 @@ def command(
 
 def _measure(configuration: Path, folder: Path, changes: Sequence[str]) -> Measured:
     """Run one calibration; DataError unless its verdict is ok."""
+    from rotcal_ros.cli.person import Person
     from rotcal_ros.cli.products import write_products
     from rotcal_ros.cli.run import calibrate
     from rotcal_ros.results import Result
@@ -113,7 +114,7 @@ def _measure(configuration: Path, folder: Path, changes: Sequence[str]) -> Measu
             "export, load the table, measure again, and compare (rotcal compare)"
         )
     say(f"measuring {folder.name} compensation")
-    if calibrate(session).get("interrupted"):
+    if calibrate(session, Person(session, at_once=False)).get("interrupted"):
         raise _InterruptedError
     write_products(session, report=False, export=False)
     text = (folder / "result.json").read_bytes()

@@ -130,6 +130,7 @@ def command_messages(
         attempt=order.attempt,
         kind=int(order.kind),
         target=order.target,
+        station=order.station,
         position=order.position,
     )
     return table, probe

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -14,14 +15,18 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros.bags.durable import write_atomically
 from rotcal_ros.catalogue import Calibration
+from rotcal_ros.errors import DataError
 from rotcal_ros.nodes import conversions, preflight
 from rotcal_ros.nodes.cell_links import TABLE_FRAME, CellLinks
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.waiting import until
+from rotcal_ros.planning.plan import PAUSED, Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
 Outcome: TypeAlias = Calibrate.Result
 CLOSE_TIMEOUT_S: Final = 10.0
+RETELL_PERIOD_S: Final = 2.0
+"""An instruction is told again after this time, for clients that come late."""
 BAG: Final = "bag"
 """Folder of the bag inside the session folder."""
 FAILED: Final = "recording failed"
@@ -80,7 +85,9 @@ class GoalRun:
         self._watched: set[str] = set()
         self._stream_beat: object = None
         self._session = Path()
+        self._next_attempt: dict[int, int] = {}
         self.stopping = ""
+        self.paused = False
         self.progress = Progress(total=len(calibration.plan.steps), step=start_index)
         self.outcome = Outcome()
 
@@ -153,22 +160,71 @@ class GoalRun:
     async def _measure(self) -> None:
         progress = self.progress
         progress.started_s = time.monotonic()
-        for index in range(self._start, progress.total):
-            progress.step = index
-            if await self._step(index):
-                progress.accepted.append(index)
+        index = self._start
+        while index < progress.total:
+            pause = self._calibration.plan.pause_before(index)
+            if pause is None:
+                await self._measure_step(index)
+                index += 1
             else:
-                progress.skipped.append(index)
-            progress.done += 1
+                await self._have_set_up(pause)
+                index = pause.last + 1
         progress.step = progress.total
+
+    async def _have_set_up(self, pause: Pause) -> None:
+        """Have a person do the work of a pause and check it, again and again until it is good.
+
+        What the method can live with is asked for ``max_attempts`` times, what makes a result
+        impossible until the goal is canceled.
+        """
+        text = pause.instruction
+        for asked in count(1):
+            await self._ask(pause, text)
+            for index in range(pause.first, pause.last + 1):
+                await self._measure_step(index)
+            found, hopeless = self._complaints()
+            if not found or (asked >= self._settings.max_attempts and not hopeless):
+                return
+            text = f"not as it should be: {found}; put it right ({pause.instruction})"
+
+    async def _ask(self, pause: Pause, text: str) -> None:
+        """Tell a person what to do and wait for ``resume``, as long as it takes."""
+        asked_s = time.monotonic()
+        self.progress.step = pause.first
+        self.paused = True
+        try:
+            while self.paused:
+                self._tell(PAUSED + text)
+                await self._wait(lambda: not self.paused, RETELL_PERIOD_S)
+        finally:
+            self.paused = False
+        self.progress.started_s += time.monotonic() - asked_s
+
+    def _complaints(self) -> tuple[str, bool]:
+        """Return what the observations so far say against a person's work; fatal or not."""
+        try:
+            return "; ".join(self._calibration.check(self._links.observations.values())), False
+        except DataError as error:
+            return str(error), True
+
+    async def _measure_step(self, index: int) -> None:
+        progress = self.progress
+        progress.step = index
+        for book in (progress.accepted, progress.skipped):
+            if index in book:  # measured again
+                book.remove(index)
+        (progress.accepted if await self._step(index) else progress.skipped).append(index)
+        progress.done += 1
 
     async def _step(self, index: int) -> bool:
         """Measure one step; False when all attempts failed."""
         step = self._calibration.plan.steps[index]
         limits = self._settings
-        for attempt in range(limits.max_attempts):
+        first = self._next_attempt.get(index, 0)
+        self._next_attempt[index] = first + limits.max_attempts
+        for attempt in range(first, first + limits.max_attempts):
             key = (index, attempt)
-            again = f" (attempt {attempt + 1})" if attempt else ""
+            again = f" (attempt {attempt - first + 1})" if attempt > first else ""
             self._tell(f"table position {step.table_index}, target {step.target}{again}")
             self._links.order(step.command(attempt))
             arrived = await self._wait(

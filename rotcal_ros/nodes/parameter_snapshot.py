@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from typing import Any, Final
 
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -15,10 +16,15 @@ from rotcal_ros.nodes.waiting import until
 TIMEOUT_S: Final = 3.0
 
 
-async def parameters_json(node: Node) -> str:
-    """Return node name -> parameter -> value as JSON; a node that does not answer is null."""
+async def parameters_json(node: Node, beating: Iterable[str]) -> str:
+    """Return node name -> parameter -> value as JSON; a node that does not answer is null.
+
+    The nodes are those of the cell's namespace and the ``beating`` ones, which the graph may
+    not list yet.
+    """
     namespace = node.get_namespace()
-    names = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
+    listed = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
+    names = listed | {node.get_name(), *beating}
     found: dict[str, Any] = {}
     for name in sorted(names):
         if name == node.get_name():

@@ -16,6 +16,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rotcal_msgs.action import Calibrate
+from std_srvs.srv import Trigger
 
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import METHODS, Calibration, prepare
@@ -45,6 +46,7 @@ class Planner(LifecycleNode):
         self._groups = self._declare()
         self._health = Health(self, self._report)
         self._links = CellLinks(self, self._health.guarded)
+        self.create_service(Trigger, "resume", self._resume)
         self._server = ActionServer(
             self,
             Calibrate,
@@ -124,6 +126,15 @@ class Planner(LifecycleNode):
         self.get_logger().warning(f"goal refused: the planner is {self._report()[0]}")
         return GoalResponse.REJECT
 
+    def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Go on after a person's work is done."""
+        if self._run is not None and self._run.paused:
+            self._run.paused = False
+            response.success = True
+        else:
+            response.message = f"nothing waits for resume: the planner is {self._report()[0]}"
+        return response
+
     async def _execute(self, handle: ServerGoalHandle) -> Outcome:
         try:
             run = self._prepare(handle)
@@ -173,7 +184,8 @@ class Planner(LifecycleNode):
     def _show(self, handle: ServerGoalHandle, progress: Progress) -> None:
         """Publish feedback, not more often than a person can follow."""
         now = time.monotonic()
-        if now - self._shown_s < FEEDBACK_PERIOD_S and progress.step:
+        waiting = self._run is not None and self._run.paused
+        if now - self._shown_s < FEEDBACK_PERIOD_S and progress.step and not waiting:
             return
         self._shown_s = now
         handle.publish_feedback(

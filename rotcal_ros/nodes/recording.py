@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
@@ -109,8 +109,12 @@ class Recording:
                 self._waiting += size
         self._queue.put(item)
 
-    def close(self) -> None:
-        """Close the bag after everything that is queued; see ``finished``."""
+    def close(self, further_losses: Mapping[str, int] | None = None) -> None:
+        """Close the bag after everything that is queued; see ``finished``.
+
+        ``further_losses`` happened before the queue and go into the bag's counters too.
+        """
+        self.losses.update(further_losses or {})
         self._queue.put(_Close())
 
     def join(self, timeout_s: float) -> bool:

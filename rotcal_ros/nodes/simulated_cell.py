@@ -19,6 +19,7 @@ from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell, SimulationSettings
+from rotcal_ros.simulation.settings import TRACER, TRACKER
 
 PERIOD_S: Final = 0.005
 LONGEST_TURN_S: Final = 0.02
@@ -41,7 +42,9 @@ class SimulatedCellNode(Node):
         self._order_text = "no order yet"
         self._health = Health(self, self._report)
         guarded = self._health.guarded
-        self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+        if settings.instrument == TRACER:
+            self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+        self._probe_frame = TRACKER if settings.instrument == TRACKER else MACHINE_FRAME
         if settings.table.external:
             follow = guarded(self._follow)
             self.create_subscription(JointState, "table_actual", follow, STREAM)
@@ -91,7 +94,7 @@ class SimulatedCellNode(Node):
     def _publish(self, output: CellOutput) -> None:
         """Publish the streams, the probe first: its point begins the wait for the readings."""
         for probe in output.probe:
-            self._probe.publish(conversions.probe_message(probe, MACHINE_FRAME))
+            self._probe.publish(conversions.probe_message(probe, self._probe_frame))
         for table in output.table:
             self._table.publish(conversions.table_message(table, self._joint, TABLE_FRAME))
         for temperature in output.temperature:
@@ -103,7 +106,7 @@ class SimulatedCellNode(Node):
         """Tell the probe's position unasked, so that a preflight hears the machine."""
         if not self._cell.busy:
             self._probe.publish(
-                conversions.probe_message(self._cell.unasked_point(), MACHINE_FRAME)
+                conversions.probe_message(self._cell.unasked_point(), self._probe_frame)
             )
 
     def _report(self) -> tuple[str, dict[str, Any]]:

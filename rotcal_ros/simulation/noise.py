@@ -27,6 +27,10 @@ class Source(IntEnum):
     PROBE_REPEAT = 8
     FOLLOWING = 9
     TEMPERATURE = 10
+    TRACKER = 30
+    STAND = 31
+    NEST = 32
+    REFLECTOR = 33
 
 
 class IndexedNoise:

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Final
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import group, setting
+from rotcal_ros.simulation.tracker_settings import SimulatedMirrorSettings, TrackerSettings
+
+TRACER: Final = "tracer"
+TRACKER: Final = "tracker"
 
 
 @dataclass(frozen=True)
@@ -199,7 +204,14 @@ class SimulationSettings:
     hold_s: float = setting(
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )
+    instrument: str = setting(
+        TRACER,
+        doc="a tracer on the table and a reflector on the machine, or a tracker and a mirror",
+        choices=(TRACER, TRACKER),
+    )
     table: TableSettings = group(TableSettings)
+    tracker: TrackerSettings = group(TrackerSettings)
+    mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings)
     tracer: TracerSettings = group(TracerSettings)
     probe: ProbeSettings = group(ProbeSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
