@@ -36,6 +36,7 @@ CHANGES = (
     "simulation.table.external=true",
     "simulation.table.ecc.amplitudes_arcsec=[0.0]",
     "simulation.tracer.rate_hz=500.0",
+    "simulation.probe.following_um=0.0",
     "simulation.probe.systematic_um=0.3",
     "simulation.probe.repeatability_um=0.05",
     "solver.target_std_m=4.0e-7",
