@@ -203,6 +203,6 @@ def test_plane_mirror_table_is_read_by_its_method(tmp_path: Path) -> None:
     path.write_text("\n".join([head, rows[0].replace("nest", "reflected"), *rows[1:]]))
     with pytest.raises(DataError, match=r"mirror\.csv, line 2: kind 'reflected'"):
         read_measurements(path, setup).solve()
+    tracer = parse_configuration(dump_configuration("tracer_multistation", {}))
     with pytest.raises(DataError, match="no table of the method tracer_multistation"):
-        tracer = parse_configuration(dump_configuration("tracer_multistation", {}))
         read_measurements(path, tracer).solve()

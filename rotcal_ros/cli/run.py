@@ -116,10 +116,10 @@ def _last_words(running: Any) -> dict[str, Any]:
 
 
 def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str, Any]:
-    """Show the progress; return the result event."""
+    """Show the progress and ask the person; return the result event."""
     with progress_bar() as bar:
-        task = bar.add_task("starting the nodes", total=None)
-        heard, decile, begun = time.monotonic(), 0, False
+        show = _Display(bar).show
+        heard, begun = time.monotonic(), False
         while True:
             if person.is_done():
                 running.resume()
@@ -129,25 +129,38 @@ def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str,
                 _check(running, begun, time.monotonic() - heard, silence_timeout_s)
                 continue
             heard = time.monotonic()
-            kind = event["event"]
-            if kind == "result":
-                return dict(event)
-            if kind == "refused":
-                raise ConfigurationError(f"the goal was refused: {event['reason']}")
-            if kind == "end":
-                raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
-            begun = begun or kind == "started"
-            if kind == "paused":
-                person.ask(event["instruction"])
-            if kind == "resumed" and not event["success"]:
-                say(event["reason"])
-            if kind == "feedback":
-                person.follow(event["activity"])
-                text = describe(event)
-                bar.update(task, completed=event["step"], total=event["total"], description=text)
-                if bar.disable and event["step"] * 10 // event["total"] > decile:
-                    decile = event["step"] * 10 // event["total"]
-                    say(f"{event['step']} of {event['total']} steps, {text}")
+            if event["event"] in ("result", "refused", "end"):
+                return _ending(running, event)
+            begun = begun or event["event"] == "started"
+            person.hear(event)
+            if event["event"] == "feedback":
+                show(event)
+
+
+def _ending(running: Any, event: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a result event; raise the error that any other ending is."""
+    if event["event"] == "refused":
+        raise ConfigurationError(f"the goal was refused: {event['reason']}")
+    if event["event"] == "end":
+        raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
+    return dict(event)
+
+
+class _Display:
+    """A progress bar; where there is no terminal, a line for every tenth of the steps."""
+
+    def __init__(self, bar: Any) -> None:
+        self._bar = bar
+        self._task = bar.add_task("starting the nodes", total=None)
+        self._decile = 0
+
+    def show(self, event: Mapping[str, Any]) -> None:
+        """Show a feedback."""
+        step, total, text = event["step"], event["total"], describe(event)
+        self._bar.update(self._task, completed=step, total=total, description=text)
+        if self._bar.disable and step * 10 // total > self._decile:
+            self._decile = step * 10 // total
+            say(f"{step} of {total} steps, {text}")
 
 
 def describe(feedback: Mapping[str, Any]) -> str:

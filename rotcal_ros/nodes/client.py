@@ -1,8 +1,8 @@
 """A client of the action ``calibrate`` that speaks JSON lines, for programs without ROS.
 
 It reads the configuration from a file, sends one goal and prints one JSON object per line:
-``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``paused``, ``resumed``, ``result``. SIGINT or SIGTERM cancels the
-goal; the result is waited for.
+``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``paused``, ``resumed``,
+``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
 
 ``paused`` comes once for every work that a person has to do; a line ``resume`` on standard input,
 or the planner's service of that name, goes on.
@@ -104,10 +104,7 @@ class Client(Node):
             text = b""
         self._listening = bool(text)
         if RESUME in text:
-            self._resume.call_async(Trigger.Request()).add_done_callback(
-                lambda future: _say("resumed", success=future.result().success,
-                                    reason=future.result().message)
-            )  # fmt: skip
+            self._resume.call_async(Trigger.Request()).add_done_callback(_resumed)
 
     def _planner_state(self) -> str:
         return self._health.state("planner")
@@ -169,6 +166,11 @@ class Client(Node):
     def _finish(self, event: str, **values: Any) -> None:
         _say(event, **values)
         self._done = True
+
+
+def _resumed(future: Future) -> None:
+    answer = future.result()
+    _say("resumed", success=answer.success, reason=answer.message)
 
 
 def _known(value: float) -> float | None:

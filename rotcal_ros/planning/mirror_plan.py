@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.errors import PlanError
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning import mirror_layout as layout
 from rotcal_ros.planning.plan import Pause, Plan, Point, Step
@@ -218,7 +219,7 @@ def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tup
             raise PlanError(
                 "plan: the table carries reflectors, but table_reflectors_m names none"
             )
-        places = np.array(carried) @ layout.rotation_about_z(angle).T
+        places = np.array(carried) @ rotation_about_z(angle).T
     return tuple((x, y, z) for x, y, z in places.tolist())
 
 

@@ -161,7 +161,13 @@ def _draw_points(
 ) -> None:
     ax.plot(*np.array(list(points.values())).T, marker, color=colour, markersize=7, label=label)
     for name, point in points.items():
-        ax.annotate(str(name), point, xytext=(7, 5), textcoords="offset points", color=colour)
+        ax.annotate(
+            str(name),
+            (point[0], point[1]),
+            xytext=(7, 5),
+            textcoords="offset points",
+            color=colour,
+        )
 
 
 def _across(axis: Floats) -> Floats:

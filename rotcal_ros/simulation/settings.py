@@ -176,7 +176,7 @@ class SimulationSettings:
     )
     instrument: str = setting(
         TRACER,
-        doc="tracer on the table with a reflector on the machine, or tracker with nests and mirror",
+        doc="tracer on the table with a reflector on the machine, or tracker, nests and mirror",
         choices=(TRACER, TRACKER),
     )
     table: TableSettings = group(TableSettings)
