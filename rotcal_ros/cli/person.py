@@ -7,7 +7,6 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from rotcal_ros.cli.console import say
 from rotcal_ros.cli.session import Session
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import PAUSED
@@ -27,15 +26,16 @@ class Person:
         self._at_once = at_once or session.simulated
         self._asked = False
 
-    def hear(self, event: Mapping[str, Any]) -> None:
-        """Take what the client tells: what has to be done, and whether the cell goes on."""
+    def hear(self, event: Mapping[str, Any]) -> str:
+        """Take an event of the client and return what the person has to read, often nothing."""
         if event["event"] == "paused":
             self._asked = True
-            say(f"{event['instruction']}{self._what_then()}")
-        elif event["event"] == "resumed" and not event["success"]:
-            say(event["reason"])
-        elif event["event"] == "feedback":  # whoever said that it goes on
+            return f"{event['instruction']}{self._what_then()}"
+        if event["event"] == "resumed" and not event["success"]:
+            return str(event["reason"])
+        if event["event"] == "feedback":  # whoever said that it goes on
             self._asked = self._asked and event["activity"].startswith(PAUSED)
+        return ""
 
     def is_done(self) -> bool:
         """Return True once for every work that is done."""

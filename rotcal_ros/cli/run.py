@@ -118,7 +118,7 @@ def _last_words(running: Any) -> dict[str, Any]:
 def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str, Any]:
     """Show the progress and ask the person; return the result event."""
     with progress_bar() as bar:
-        show = _Display(bar).show
+        display = _Display(bar)
         heard, begun = time.monotonic(), False
         while True:
             if person.is_done():
@@ -132,9 +132,9 @@ def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str,
             if event["event"] in ("result", "refused", "end"):
                 return _ending(running, event)
             begun = begun or event["event"] == "started"
-            person.hear(event)
+            display.tell(person.hear(event))
             if event["event"] == "feedback":
-                show(event)
+                display.show(event)
 
 
 def _ending(running: Any, event: Mapping[str, Any]) -> dict[str, Any]:
@@ -153,6 +153,11 @@ class _Display:
         self._bar = bar
         self._task = bar.add_task("starting the nodes", total=None)
         self._decile = 0
+
+    def tell(self, text: str) -> None:
+        """Print a line, if there is any, above the bar."""
+        if text:
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def show(self, event: Mapping[str, Any]) -> None:
         """Show a feedback."""

@@ -35,28 +35,26 @@ def make(*, simulated=False, yes=False):
 
 
 @pytest.mark.parametrize(
-    ("kind", "words"), [({"simulated": True}, "simulated person"), ({"yes": True}, "--yes")]
+    ("kind", "words"),
+    [
+        ({"simulated": True}, "done by the simulated person"),
+        ({"yes": True}, "taken as done (--yes)"),
+    ],
 )
-def test_a_simulated_person_and_yes_are_done_at_once(kind, words, enter, capsys):
+def test_a_simulated_person_and_yes_are_done_at_once(kind, words, enter):
     enter(pressed=False)
     person = make(**kind)
     assert not person.is_done()
-    person.hear(PAUSED)
-    assert capsys.readouterr().err == f"put the tracker there: {_said(words)}\n"
+    assert person.hear(PAUSED) == f"put the tracker there: {words}"
     assert person.is_done()
     assert not person.is_done()
 
 
-def _said(words):
-    return "taken as done (--yes)" if words == "--yes" else "done by the simulated person"
-
-
-def test_a_person_at_a_terminal_presses_enter(enter, capsys):
+def test_a_person_at_a_terminal_presses_enter(enter):
     enter(pressed=False)
     person = make()
-    person.hear(PAUSED)
-    assert "then press Enter" in capsys.readouterr().err
-    person.hear(WAITING)
+    assert person.hear(PAUSED) == "put the tracker there; then press Enter"
+    assert person.hear(WAITING) == ""
     assert not person.is_done()
     enter(pressed=True)
     assert person.is_done()
@@ -72,9 +70,14 @@ def test_enter_means_nothing_while_nothing_is_asked_or_once_the_service_was_call
     assert not person.is_done()
 
 
-def test_without_a_terminal_the_service_is_named(enter, capsys):
+def test_without_a_terminal_the_service_is_named(enter):
     enter(pressed=True, terminal=False)
     person = make()
-    person.hear(PAUSED)
-    assert "call the service /north/resume (std_srvs/srv/Trigger)" in capsys.readouterr().err
+    assert person.hear(PAUSED).endswith("call the service /north/resume (std_srvs/srv/Trigger)")
     assert not person.is_done()
+
+
+def test_a_refused_resume_is_told_with_its_reason():
+    event = {"event": "resumed", "success": False, "reason": "nothing waits for resume"}
+    assert make().hear(event) == "nothing waits for resume"
+    assert make().hear({"event": "alive", "planner": "ready"}) == ""
