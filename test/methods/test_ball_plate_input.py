@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from plate_data import PAPER_PLATE, RADIUS, simulated
-
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.methods.ball_plate import solve
-from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate, read_plate
 from rotcal_ros.methods.ball_plate.probing import (
     Touches,
     centres_from_touches,
     parse_centres,
     read_centres,
 )
+
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.methods.ball_plate import solve
+from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate, read_plate
 from rotcal_ros.methods.ball_plate.separability import separability
 from rotcal_ros.planning.ball_layout import rank_subsets
 
