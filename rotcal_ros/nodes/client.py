@@ -35,13 +35,10 @@ from rotcal_ros.planning.plan import PAUSED
 CANCEL_TIMEOUT_S: Final = 15.0
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
-<<<<<<< HEAD
 PLANNER_TIMEOUT_S: Final = 5.0
 """Silence of the planner after which nothing is expected of it; the client is in no hurry."""
-=======
 RESUME: Final = b"resume"
 STDIN: Final = 0
->>>>>>> main
 
 
 class Client(Node):
@@ -62,12 +59,8 @@ class Client(Node):
         self._listening = True
         self._instruction = ""
         self._client = ActionClient(self, Calibrate, "calibrate")
-<<<<<<< HEAD
-        self._health = Health(self, None, timeout_s=PLANNER_TIMEOUT_S)
-=======
         self._resume = self.create_client(Trigger, "resume")
-        self._health = Health(self, None)
->>>>>>> main
+        self._health = Health(self, None, timeout_s=PLANNER_TIMEOUT_S)
         self.create_timer(PERIOD_S, self._health.guarded(self._watch))
         _say("waiting")
 
