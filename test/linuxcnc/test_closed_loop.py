@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HERE, Axis, Running, plant_hal
+from real_linuxcnc import HERE, Axis, Running, plant_hal
 
 from rotcal_ros.cli.person import Person
 from rotcal_ros.cli.run import calibrate
