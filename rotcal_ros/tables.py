@@ -16,7 +16,7 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
 from pathlib import Path
@@ -132,6 +132,8 @@ def read_measurements(
             calibration = catalogue.Calibration(configuration, calibration.method, plan)
     find = _Finder(calibration.plan)
     observations = tuple(_observation(find, row, _READERS[header]) for row in rows)
+    if header == BALL_PLATE:  # a plate that moved is looked for in the order of the rows
+        observations = tuple(replace(o, step=row) for row, o in enumerate(observations))
     _check_lengths(calibration.plan, rows, observations)
     return TableData(calibration, observations, _hashes(files))
 
@@ -231,8 +233,8 @@ class _Finder:
             raise DataError(
                 f"{row.place}: position {table_index}, target {target}, tracker station "
                 f"{station}{what} is not in the plan, which has positions 0 to "
-                f"{len(self._plan.table_angles) - 1} and targets 0 to "
-                f"{len(self._plan.targets) - 1}; does the set-up belong to this table?"
+                f"{len(self._plan.table_angles) - 1} and targets {self._targets()}; does the "
+                "set-up belong to this table?"
             )
         if step.index in self._seen:
             raise DataError(
@@ -241,6 +243,13 @@ class _Finder:
             )
         self._seen[step.index] = row.place
         return step
+
+    def _targets(self) -> str:
+        """Return the targets of the plan in words; the balls of a plate have gaps."""
+        known = sorted({step.target for step in self._plan.steps})
+        if known == list(range(len(known))):
+            return f"0 to {known[-1]}"
+        return ", ".join(map(str, known))
 
 
 Reader = Callable[[_Finder, Row], tuple[Step, PointKind, tuple[float, ...]]]

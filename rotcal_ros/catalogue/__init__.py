@@ -8,6 +8,7 @@ are equal to the last bit.
 
 from __future__ import annotations
 
+from rotcal_ros.catalogue.ball_plate import BALL_PLATE
 from rotcal_ros.catalogue.calibration import Calibration, Method, final_observations
 from rotcal_ros.catalogue.plane_mirror import PLANE_MIRROR
 from rotcal_ros.catalogue.tracer import TRACER_MULTISTATION
@@ -18,6 +19,7 @@ METHODS: dict[str, Method] = {
     method.name: method
     for method in (
         TRACER_MULTISTATION,
+        BALL_PLATE,
         PLANE_MIRROR,
     )
 }

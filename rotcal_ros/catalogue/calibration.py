@@ -16,6 +16,16 @@ from rotcal_ros.results import Result
 
 Trials = Callable[[np.random.Generator, int], NDArray[np.float64]]
 """``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
+Floats = NDArray[np.float64]
+Curves = Mapping[str, Floats]
+
+
+def counted_from_the_first(_angles: Floats, deviations: Curves) -> dict[str, Floats]:
+    """Return the deviations (n,) by component, ECC counted from its first value."""
+    return {
+        name: values - values[0] if name == "ECC" else values
+        for name, values in deviations.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -25,13 +35,14 @@ class Method:
     ``settings`` names its own groups of settings, from which nodes declare parameters;
     ``plan`` builds the plan from a configuration; ``solve`` turns a configuration, its plan
     and accepted observations into a result; ``topics`` are the instrument topics that must
-    have delivered before the first motion. ``trials``, where there is one, prepares Monte Carlo
-    trials about accepted observations: their outputs are the deviations of the result, component
-    by component in the order of ``COMPONENTS``.
+    have delivered before the first motion; ``gauge`` takes from the true deviations (n,) at
+    angles (n,) what the method cannot see, so that they can be compared with a result.
 
-    ``check`` says in words what the observations so far tell about a person's work (see
-    :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``solve_table`` solves the
-    text of a plain table, given with its name, where rows need not be steps of a plan.
+    ``trials``, where there is one, prepares Monte Carlo trials about accepted observations:
+    their outputs are the deviations of the result, component by component in the order of
+    ``COMPONENTS``. ``check`` says in words what the observations so far tell about a person's
+    work (see :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``solve_table``
+    solves the text of a plain table, given with its name, where rows need not be steps of a plan.
     """
 
     name: str
@@ -43,6 +54,7 @@ class Method:
     trials: Callable[[Configuration, Plan, Sequence[Observation]], Trials] | None = None
     check: Callable[[Configuration, Plan, Sequence[Observation]], tuple[str, ...]] | None = None
     solve_table: Callable[[Configuration, str, str], Result] | None = None
+    gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
 
 
 @dataclass(frozen=True)

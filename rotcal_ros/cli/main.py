@@ -19,6 +19,7 @@ VERBS: Final[Mapping[str, str]] = {
     "verify": "Measure the simulated cell, compensate it, and measure again.",
     "solve": "Solve a recorded bag or a plain table, without ROS.",
     "export": "Write the correction table of a calibration for a controller.",
+    "plan": "Design a ball plate and its measurement.",
     "report": "Write the self-contained HTML report of a calibration.",
     "compare": "Compare results of one table, and references: do they agree?",
     "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",

@@ -35,6 +35,8 @@ from rotcal_ros.planning.plan import PAUSED
 CANCEL_TIMEOUT_S: Final = 15.0
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
+PLANNER_TIMEOUT_S: Final = 5.0
+"""Silence of the planner after which nothing is expected of it; the client is in no hurry."""
 RESUME: Final = b"resume"
 STDIN: Final = 0
 
@@ -57,8 +59,8 @@ class Client(Node):
         self._listening = True
         self._instruction = ""
         self._client = ActionClient(self, Calibrate, "calibrate")
+        self._health = Health(self, None, timeout_s=PLANNER_TIMEOUT_S)
         self._resume = self.create_client(Trigger, "resume")
-        self._health = Health(self, None)
         self.create_timer(PERIOD_S, self._health.guarded(self._watch))
         _say("waiting")
 
@@ -105,10 +107,7 @@ class Client(Node):
             text = b""
         self._listening = bool(text)
         if RESUME in text:
-            self._resume.call_async(Trigger.Request()).add_done_callback(
-                lambda future: _say("resumed", success=future.result().success,
-                                    reason=future.result().message)
-            )  # fmt: skip
+            self._resume.call_async(Trigger.Request()).add_done_callback(_resumed)
 
     def _planner_state(self) -> str:
         return self._health.state("planner")
@@ -170,6 +169,11 @@ class Client(Node):
     def _finish(self, event: str, **values: Any) -> None:
         _say(event, **values)
         self._done = True
+
+
+def _resumed(future: Future) -> None:
+    answer = future.result()
+    _say("resumed", success=answer.success, reason=answer.message)
 
 
 def _known(value: float) -> float | None:

@@ -42,12 +42,14 @@ class Health:
         node: Node,
         report: Callable[[], tuple[str, Values]] | None,
         on_lost: Callable[[str], None] | None = None,
+        *,
+        timeout_s: float = NODE_TIMEOUT_S,
     ) -> None:
         self._node = node
         self._report = report
         self._on_lost = on_lost
         self.lost: set[str] = set()
-        self._roll = RollCall(NODE_TIMEOUT_S)
+        self._roll = RollCall(timeout_s)
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))

@@ -81,11 +81,15 @@ class RecorderNode(Node):
             self._pending.append((stamp_ns(message.window_end), receipt))
 
     def _settle_receipts(self) -> None:
-        """Queue a receipt once the tracer's readings of its window have arrived here too."""
+        """Queue a receipt once the readings of its window have arrived here too."""
         if not self._pending or self._recording is None:
             return
-        tracer = self._listener.topics.get(self._tracer_topic)
-        reached = None if tracer is None else tracer.latest_stamp_ns()
+        streams = map(self.resolve_topic_name, (names.TRACER_LENGTH, names.PROBE_POINT))
+        stream = next(
+            (self._listener.topics[name] for name in streams if name in self._listener.topics),
+            None,
+        )
+        reached = None if stream is None else stream.latest_stamp_ns()
         waiting = []
         for window_end_ns, receipt in self._pending:
             if reached is None or reached >= window_end_ns:

@@ -19,7 +19,7 @@ from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell, SimulationSettings
-from rotcal_ros.simulation.settings import TRACER, TRACKER
+from rotcal_ros.simulation.settings import TRACKER
 
 PERIOD_S: Final = 0.005
 LONGEST_TURN_S: Final = 0.02
@@ -42,7 +42,7 @@ class SimulatedCellNode(Node):
         self._order_text = "no order yet"
         self._health = Health(self, self._report)
         guarded = self._health.guarded
-        if settings.instrument == TRACER:
+        if self._cell.has_tracer:
             self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
         self._probe_frame = TRACKER if settings.instrument == TRACKER else MACHINE_FRAME
         if settings.table.external:

@@ -20,7 +20,8 @@ class Step:
 
     ``table_angle`` (rad) is approached from the side ``approach``; ``position`` (m) is the
     nominal place of target number ``target``. ``n_points`` is the number of probe points that
-    make the observation (1 for a reflector that just stands there).
+    make the observation (1 for a reflector that just stands there); ``ball_diameter`` (m) is
+    that of the ball that is touched, 0 where there is none.
     """
 
     index: int
@@ -32,6 +33,7 @@ class Step:
     position: Point
     station: int = 0
     n_points: int = 1
+    ball_diameter: float = 0.0
 
     def command(self, attempt: int) -> Command:
         """Return the order for one attempt at this step."""

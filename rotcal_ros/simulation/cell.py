@@ -18,9 +18,15 @@ from rotcal_ros.observations import (
 )
 from rotcal_ros.simulation.external_table import ExternalTable
 from rotcal_ros.simulation.probe import SimulatedProbe
-from rotcal_ros.simulation.settings import TRACER, TRACKER, SimulationSettings
+from rotcal_ros.simulation.settings import (
+    TOUCH_PROBE,
+    TRACER,
+    TRACKER,
+    SimulationSettings,
+)
 from rotcal_ros.simulation.table import SimulatedTable, truth
 from rotcal_ros.simulation.temperature import SimulatedTemperature
+from rotcal_ros.simulation.touch_probe import SimulatedTouchProbe
 from rotcal_ros.simulation.tracer import SimulatedTracer
 from rotcal_ros.simulation.tracker import SimulatedTracker
 from rotcal_ros.units import DEGREE, NANOSECOND
@@ -88,11 +94,8 @@ class SimulatedCell:
         )
         self._table = self._external or SimulatedTable(settings.table, seed, start_ns)
         self._reflector = SimulatedProbe(settings.probe, seed, start_ns)
-        self._machine: Machine = self._reflector
-        if settings.instrument == TRACKER:
-            self._machine = SimulatedTracker(
-                settings.tracker, settings.mirror, self._table, seed, start_ns
-            )
+        self._machine = self._make_machine(start_ns)
+        self.has_tracer = settings.instrument == TRACER
         self._tracer = SimulatedTracer(settings.tracer, settings.faults, seed)
         self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)
         self._tracer_ticks = Ticks(start_ns, settings.tracer.rate_hz)
@@ -161,9 +164,21 @@ class SimulatedCell:
         distances: Floats = np.linalg.norm(self._reflector.positions(stamps) - station, axis=1)
         return distances
 
+    def _make_machine(self, start_ns: int) -> Machine:
+        settings, seed = self.settings, self.settings.seed
+        if settings.instrument == TRACKER:
+            return SimulatedTracker(settings.tracker, settings.mirror, self._table, seed, start_ns)
+        if settings.instrument == TOUCH_PROBE:
+            return SimulatedTouchProbe(
+                settings.touch_probe, settings.plate, self._table, seed, start_ns
+            )
+        return self._reflector
+
     def _read_tracer(self) -> tuple[TracerSample, ...]:
+        if not self.has_tracer:
+            return ()
         first, stamps = self._tracer_ticks.until(self.now_ns)
-        if self.settings.instrument != TRACER or not len(stamps):
+        if not len(stamps):
             return ()
         distances = self.distances(stamps)
         drifts = self._temperature.length_change(stamps, distances)

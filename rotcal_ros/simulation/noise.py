@@ -31,6 +31,10 @@ class Source(IntEnum):
     STAND = 31
     NEST = 32
     REFLECTOR = 33
+    MACHINE = 40
+    TOUCH = 41
+    BALL = 42
+    DIRT = 43
 
 
 class IndexedNoise:

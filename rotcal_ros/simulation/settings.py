@@ -8,10 +8,12 @@ from typing import Final
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import group, setting
+from rotcal_ros.simulation.touch_settings import SimulatedPlateSettings, TouchProbeSettings
 from rotcal_ros.simulation.tracker_settings import SimulatedMirrorSettings, TrackerSettings
 
 TRACER: Final = "tracer"
 TRACKER: Final = "tracker"
+TOUCH_PROBE: Final = "touch_probe"
 
 
 @dataclass(frozen=True)
@@ -192,8 +194,14 @@ class FaultSettings:
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """The simulated cell."""
+    """The simulated cell: a table, a temperature, and one of the instruments."""
 
+    instrument: str = setting(
+        TRACER,
+        doc="what measures: a laser tracer with a machine for its reflector, a machine that "
+        "touches the balls of a plate, or a laser tracker with a mirror",
+        choices=(TRACER, TOUCH_PROBE, TRACKER),
+    )
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
     time_scale: float = setting(
         1.0,
@@ -204,14 +212,11 @@ class SimulationSettings:
     hold_s: float = setting(
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )
-    instrument: str = setting(
-        TRACER,
-        doc="a tracer on the table and a reflector on the machine, or a tracker and a mirror",
-        choices=(TRACER, TRACKER),
-    )
     table: TableSettings = group(TableSettings)
     tracker: TrackerSettings = group(TrackerSettings)
     mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings)
+    plate: SimulatedPlateSettings = group(SimulatedPlateSettings)
+    touch_probe: TouchProbeSettings = group(TouchProbeSettings)
     tracer: TracerSettings = group(TracerSettings)
     probe: ProbeSettings = group(ProbeSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
