@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import HERE, Axis, Running, plant_hal
+from real_linuxcnc import HERE, Axis, Running, plant_hal
 
+from rotcal_ros.cli.person import Person
 from rotcal_ros.cli.run import calibrate
 from rotcal_ros.cli.session import RunningSession, prepare_session
 from rotcal_ros.compensation.export import prepare_export
@@ -80,7 +81,8 @@ def with_driver(axis, monkeypatch):
 
 def measured(folder: Path) -> Result:
     """Calibrate through all nodes."""
-    outcome = calibrate(prepare_session(CONFIGURATION, folder, CHANGES))
+    session = prepare_session(CONFIGURATION, folder, CHANGES)
+    outcome = calibrate(session, Person(session, at_once=True))
     assert outcome["verdict"] == "ok", outcome
     return Result.from_dict(json.loads((folder / "result.json").read_text()))
 
