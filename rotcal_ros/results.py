@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.errors import DataError
+from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
 COMPONENTS: Final = ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")
@@ -81,13 +82,9 @@ class Result:
 
         Raises DataError: a component that was not measured is absent, never NaN.
         """
-        for columns in (self.deviations, self.std):
+        for what, columns in (("", self.deviations), ("std of ", self.std)):
             for name, values in columns.items():
-                if np.shape(values) != np.shape(self.angles) or not np.isfinite(values).all():
-                    raise DataError(
-                        f"{self.method}: {name} must hold one finite number for each of the "
-                        f"{len(self.angles)} angles, found {np.asarray(values).tolist()}"
-                    )
+                _require_numbers(f"{self.method}: {what}{name}", self.angles, values)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable form described in docs/conventions.md (SI, plain types)."""
@@ -149,6 +146,22 @@ class Result:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"damaged rotcal result: {error!r}") from error
+
+
+def _require_numbers(name: str, angles: Floats, values: Floats) -> None:
+    """Raise DataError unless there is one finite value for every angle (rad)."""
+    if np.shape(values) != np.shape(angles):
+        raise DataError(
+            f"{name} has shape {np.shape(values)}, expected one number for each of the "
+            f"{len(angles)} angles"
+        )
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        row = int(bad[0])
+        raise DataError(
+            f"{name} is {values[row]} at {angles[row] / DEGREE:g} deg (row {row}): expected a "
+            "finite number; a component that was not measured is left out"
+        )
 
 
 def _plain(value: Any) -> Any:

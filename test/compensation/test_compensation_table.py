@@ -196,7 +196,7 @@ def test_bad_results_are_refused_with_the_place():
     angles = even(12)
     broken = wavy(angles)
     broken[3] = np.nan
-    with pytest.raises(DataError, match=r"row 3: ECC is nan at 90 deg"):
+    with pytest.raises(DataError, match=r"ECC is nan at 90 deg"):
         table_from_result(result_of(angles, broken))
     other = result_of(angles, wavy(angles))
     lacking = type(other)(**{**vars(other), "deviations": {"EXC": np.zeros(12)}})
