@@ -22,7 +22,7 @@ def print_iso230(figures: Iso230, n_runs: int) -> None:
         "B_i": figures.reversal_i,
         "R_i": figures.repeatability_i,
     }
-    for heading in ("target/deg", *columns):
+    for heading in ("deg", *columns):
         table.add_column(heading, justify="right")
     for i, angle in enumerate(figures.targets):
         cells = (f"{values[i] / ARCSEC:.3f}" for values in columns.values())
