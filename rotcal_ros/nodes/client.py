@@ -59,8 +59,8 @@ class Client(Node):
         self._listening = True
         self._instruction = ""
         self._client = ActionClient(self, Calibrate, "calibrate")
-        self._health = Health(self, None, timeout_s=PLANNER_TIMEOUT_S)
         self._resume = self.create_client(Trigger, "resume")
+        self._health = Health(self, None, timeout_s=PLANNER_TIMEOUT_S)
         self.create_timer(PERIOD_S, self._health.guarded(self._watch))
         _say("waiting")
 
@@ -107,7 +107,10 @@ class Client(Node):
             text = b""
         self._listening = bool(text)
         if RESUME in text:
-            self._resume.call_async(Trigger.Request()).add_done_callback(_resumed)
+            self._resume.call_async(Trigger.Request()).add_done_callback(
+                lambda future: _say("resumed", success=future.result().success,
+                                    reason=future.result().message)
+            )  # fmt: skip
 
     def _planner_state(self) -> str:
         return self._health.state("planner")
@@ -169,11 +172,6 @@ class Client(Node):
     def _finish(self, event: str, **values: Any) -> None:
         _say(event, **values)
         self._done = True
-
-
-def _resumed(future: Future) -> None:
-    answer = future.result()
-    _say("resumed", success=answer.success, reason=answer.message)
 
 
 def _known(value: float) -> float | None:
