@@ -185,7 +185,9 @@ class Feed:
         count = round((last - first) / GRID_STEP) + 1
         grid = np.linspace(first, last, count)
         if self.offer is not None:
-            grid = np.append(grid, self.offer.made.table.angles)
+            rows = self.offer.made.table.angles
+            between = np.linspace(rows[0], rows[-1], count)  # an arc may lie outside of the travel
+            grid = np.concatenate([grid, between, rows])
         differences = [
             np.abs(self._correction(new, grid, a) - self._correction(old, grid, a))
             for a in DIRECTIONS

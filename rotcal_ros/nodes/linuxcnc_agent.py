@@ -4,11 +4,12 @@ LinuxCNC's Python modules belong to the system's own Python and not to the one t
 on; this file is therefore a program of its own, run by /usr/bin/python3, and imports nothing of
 rotcal_ros.
 
-It homes joint 0 and says ``{"event": "ready"}``, then at a steady rate ``{"stamp_ns", "angle_deg",
-"motor_deg", "actual_deg", "errors"}``: the joint's feedback, the motor's command, the value of the
-pin ``--actual`` (null without one) and what LinuxCNC complained about. Standard input takes
-``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there from below (1), from above (-1),
-or from anywhere (0). The end of standard input ends the program.
+The machine must be on and homed; ``--start`` lets the program do both. It says ``{"event":
+"ready"}``, then at a steady rate ``{"stamp_ns", "angle_deg", "motor_deg", "actual_deg",
+"errors"}``: the feedback of joint 0, the motor's command, the value of the
+pin ``--actual`` (null without one) and what LinuxCNC complained about. Standard input takes ``{"angle_deg": 90.0, "side": 1,
+"overshoot_deg": 2.0}``: go there from below (1), from above (-1), or from anywhere (0). The end of
+standard input ends the program.
 """
 
 from __future__ import annotations
@@ -41,13 +42,20 @@ class Machine:
         lx = self._linuxcnc
         self.command.state(lx.STATE_ESTOP_RESET)
         self.command.state(lx.STATE_ON)
-        self._wait(lambda: self.stat.task_state == lx.STATE_ON, deadline, "the machine on")
+        self._wait(lambda: self.stat.task_state == lx.STATE_ON, deadline, "machine that is on")
         self.command.mode(lx.MODE_MANUAL)
         self.command.wait_complete(START_TIMEOUT_S)
         self.command.teleop_enable(0)
         self.command.wait_complete(START_TIMEOUT_S)
         self.command.home(-1)
-        self._wait(lambda: bool(self.stat.homed[0]), deadline, "joint 0 homed")
+        self._wait(lambda: bool(self.stat.homed[0]), deadline, "homed joint 0")
+
+    def take(self) -> None:
+        """Go over to commands; ends the program when the machine is not ready for them."""
+        lx = self._linuxcnc
+        self.stat.poll()
+        if self.stat.task_state != lx.STATE_ON or not self.stat.homed[0]:
+            sys.exit("LinuxCNC is not on or joint 0 is not homed: switch it on and home it first")
         self.command.mode(lx.MODE_MDI)
         self.command.wait_complete(START_TIMEOUT_S)
 
@@ -117,6 +125,7 @@ def main() -> None:
     parser.add_argument("-ini", required=True, help="ini file of the running LinuxCNC")
     parser.add_argument("--actual", default="", help="HAL pin of the actual angle in degrees")
     parser.add_argument("--rate", type=float, default=100.0, help="Hz, lines on standard output")
+    parser.add_argument("--start", action="store_true", help="switch on and home joint 0")
     arguments = parser.parse_args()
     os.environ["INI_FILE_NAME"] = arguments.ini
 
@@ -126,7 +135,10 @@ def main() -> None:
     component = hal.component(f"rotcal-agent-{os.getpid()}")
     component.ready()
     channel = linuxcnc.error_channel()
-    Machine(linuxcnc).start()
+    machine = Machine(linuxcnc)
+    if arguments.start:
+        machine.start()
+    machine.take()
     errors: list[str] = []
     orders: queue.Queue[dict[str, float]] = queue.Queue()
     threading.Thread(target=obey, args=(linuxcnc, orders, errors), daemon=True).start()

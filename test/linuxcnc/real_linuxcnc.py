@@ -152,9 +152,9 @@ class Axis:
         # The section is the last one of the file, so that the lines join it.
         self.ini.write_text(INI + ini.removeprefix("[JOINT_0]\n"))
 
-    def command(self):
+    def command(self, start=True):
         arguments = ["--actual", self.actual] if self.actual else []
-        return command(self.ini, *arguments)
+        return command(self.ini, *(["--start"] if start else []), *arguments)
 
 
 class Running:

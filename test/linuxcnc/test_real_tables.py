@@ -1,5 +1,6 @@
 """Tables of ours in the real LinuxCNC: it takes them all, and moves as our model says."""
 
+import subprocess
 from datetime import datetime, timezone
 
 import numpy as np
@@ -124,3 +125,16 @@ def test_our_reader_refuses_what_the_real_one_swallows(axis, damage, complaint):
             if complaint
             else (running.errors == [])
         )
+
+
+def test_a_machine_that_is_off_is_not_switched_on_by_the_driver(axis):
+    run = subprocess.run(
+        axis.command(start=False),
+        input="",
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert "switch it on and home it first" in run.stderr
