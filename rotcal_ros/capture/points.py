@@ -69,9 +69,7 @@ def decide_points(
     )
 
 
-def mean_point(
-    samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSettings
-) -> Reduced:
+def mean_point(samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSettings) -> Reduced:
     """Return the mean of repeated points (m), or the one point with its own deviation."""
     if len(samples) == 1:
         std = samples[0].position_std

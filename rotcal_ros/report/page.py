@@ -148,8 +148,8 @@ def _summary(result: Result) -> list[tuple[str, str]]:
             factor, unit = figures.unit_of(name)
             values = result.deviations[name] / factor
             band = figures.COVERAGE_FACTOR * result.std[name].max() / factor
-            text = f"{values.min():+.3f} to {values.max():+.3f} {unit}, U ≤ {band:.3f} {unit} (k = 2)"
-            summary.append((name, text))
+            extent = f"{values.min():+.3f} to {values.max():+.3f} {unit}"
+            summary.append((name, f"{extent}, U ≤ {band:.3f} {unit} (k = 2)"))
     return summary
 
 

@@ -21,7 +21,6 @@ def read_plate(path):
     return read_setup(path).group("plan", BallPlatePlanSettings).plate
 
 
-
 @pytest.mark.parametrize("path", sorted(PLATES.glob("*.yaml")), ids=lambda p: p.stem)
 def test_shipped_plates_are_readable_and_separable(path):
     plate = read_plate(path)
