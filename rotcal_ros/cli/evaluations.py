@@ -99,23 +99,22 @@ def largest_differences(method: Method, first: Result, second: Result) -> dict[s
     return {name: float(np.abs(left[name] - right[name]).max()) for name in names}
 
 
-def table_of(evaluations: Sequence[Evaluation]) -> list[list[str]]:
-    """Return the rows of a table for people: header first, one row per evaluation."""
-    names = [name for name in COMPONENTS if name in evaluations[0].result.deviations]
-    header = ["evaluation", "centres", "dof", "verdict"]
-    header += [f"{name}/{_unit(name)[1]}" for name in names]
-    rows = [header]
+def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return lines for people: each way with its largest expanded uncertainties, k = 2."""
+    lines = []
     for evaluation in evaluations:
         result = evaluation.result
-        row = [evaluation.name, str(result.n_observations), str(result.dof), result.verdict]
-        for name in names:
-            unit = _unit(name)[0]
-            cell = f"U {COVERAGE * float(result.std[name].max()) / unit:.3f}"
+        lines.append(
+            f"{evaluation.name}: {result.n_observations} observations, {result.dof} degrees of "
+            f"freedom, verdict {result.verdict}"
+        )
+        for name in (name for name in COMPONENTS if name in result.deviations):
+            unit, label = _unit(name)
+            line = f"  {name}  U {COVERAGE * float(result.std[name].max()) / unit:.3f} {label}"
             if name in evaluation.differences:
-                cell += f"\ndiff {evaluation.differences[name] / unit:.3f}"
-            row.append(cell)
-        rows.append(row)
-    return rows
+                line += f", at most {evaluation.differences[name] / unit:.3f} from the first"
+            lines.append(line)
+    return lines
 
 
 def _unit(name: str) -> tuple[float, str]:

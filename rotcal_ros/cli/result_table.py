@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from rich.console import Console
 from rich.table import Table
 
@@ -40,13 +38,3 @@ def print_result(result: Result) -> None:
         f"sigma0 {result.sigma0:.3f}",
         markup=False,
     )
-
-
-def print_table(title: str, rows: Sequence[Sequence[str]]) -> None:
-    """Print rows of text, the first of them the header."""
-    table = Table(title=title)
-    for number, heading in enumerate(rows[0]):
-        table.add_column(heading, justify="right" if number else "left")
-    for row in rows[1:]:
-        table.add_row(*row)
-    Console(highlight=False).print(table)

@@ -142,8 +142,7 @@ def _show_evaluations(
 ) -> int:
     """Print or write several evaluations side by side; the exit code is the worst one's."""
     from rotcal_ros.bags.durable import write_atomically
-    from rotcal_ros.cli.evaluations import table_of
-    from rotcal_ros.cli.result_table import print_table
+    from rotcal_ros.cli.evaluations import in_words
 
     data = {"evaluations": [evaluation.to_dict() for evaluation in evaluations]}
     if output is not None:
@@ -152,8 +151,7 @@ def _show_evaluations(
     if as_json:
         print_json(data)
     else:
-        title = "U: largest expanded uncertainty (k = 2); diff: largest distance from the first"
-        print_table(title, table_of(evaluations))
+        click.echo("\n".join(in_words(evaluations)))
     return max(VERDICT_EXIT_CODES[evaluation.result.verdict] for evaluation in evaluations)
 
 

@@ -74,8 +74,8 @@ def plan_measurement(
     all balls to it, as in the paper. ``rounds`` > 1 turns the table around so often, each time
     for a share of the CMM positions that is spread over the circle: the errors separate after
     the first rounds and the rest only sharpens them. With ``backlash`` every position is
-    approached in the positive direction: no reversals, and a lead-in of one step. ``radius``
-    of the ball circle in metres. Raises PlanError for steps outside the grid.
+    approached in the positive direction: no reversals, and a lead-in of one step. ``radius`` of
+    the ball circle in metres. Raises PlanError for steps outside the grid.
     """
     balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
     for name, steps in (("ball steps", balls), ("CMM positions", cmm)):

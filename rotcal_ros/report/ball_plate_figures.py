@@ -72,8 +72,8 @@ def plate_errors(result: Result) -> str:
                 place + 0.27 * (i - 1), values[:, i], 0.25, yerr=band[:, i] / MICROMETRE,
                 color=colour, ecolor=style.INK, capsize=1.5, label="" if number else name,
             )  # fmt: skip
-    labels = [str(s) for group in result.details["groups"] for s in [*group["ball_steps"], ""]]
-    ax.set_xticks(np.arange(len(labels) - 1), labels[:-1])
+    labels = [step for group in result.details["groups"] for step in [*group["ball_steps"], ""]]
+    ax.set_xticks(np.arange(len(labels) - 1), [str(label) for label in labels[:-1]])
     ax.axhline(0.0, color=style.GREY, linewidth=0.8)
     ax.set_xlabel("ball (grid step)")
     ax.set_ylabel("plate error / µm")

@@ -27,7 +27,8 @@ def upper_half(count: int) -> Floats:
     height = (np.arange(count) + 0.5) / count
     around = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     flat = np.sqrt(1.0 - height**2)
-    return np.column_stack([flat * np.cos(around), flat * np.sin(around), height])
+    directions: Floats = np.column_stack([flat * np.cos(around), flat * np.sin(around), height])
+    return directions
 
 
 def plate_balls(settings: SimulatedPlateSettings, seed: int) -> Floats:
@@ -41,8 +42,8 @@ def plate_balls(settings: SimulatedPlateSettings, seed: int) -> Floats:
     errors = np.array([noise.normal(3 * int(step), 3) for step in steps])
     turn = np.array(settings.clamping_turn_arcsec)[:, None] * ARCSEC
     clamped = (places + settings.manufacture_um * MICROMETRE * errors) @ rotations(*turn)[0].T
-    shift: Floats = np.array(settings.clamping_shift_um) * MICROMETRE
-    return np.asarray(clamped + shift)
+    balls: Floats = clamped + np.array(settings.clamping_shift_um) * MICROMETRE
+    return balls
 
 
 class MachineError:
@@ -112,9 +113,8 @@ class SimulatedTouchProbe:
         if not length:
             return np.tile(stop, (len(stamps), 1))
         way = self._motion.state(stamps)[0]
-        positions: Floats = start + np.multiply.outer(
-            np.clip(way / length, 0.0, 1.0), stop - start
-        )
+        share = np.clip(way / length, 0.0, 1.0)
+        positions: Floats = start + np.multiply.outer(share, stop - start)
         positions[:, 2] += height - np.maximum(0.0, np.maximum(-way, way - length))
         return positions
 
