@@ -3,13 +3,12 @@
 import os
 from importlib.resources import files
 
+from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
-
-from launch import LaunchDescription
 
 SUITE = ("planner", "capture", "solver", "recorder")
 CLOSING_S = "25"

@@ -179,7 +179,7 @@ def test_ball_plate_table(
     path.write_text("table_index,ball_step,x_m,y_m,z_m\n1,0,0.1,0.2,0.3\n0,1,1,2,3\n")
     data = read_measurements(path, configuration)
     assert [(o.step, o.mean, o.kind) for o in data.observations] == [
-        (2, (0.1, 0.2, 0.3), PointKind.CENTRE),
+        (0, (0.1, 0.2, 0.3), PointKind.CENTRE),  # rows in the order of measurement
         (1, (1.0, 2.0, 3.0), PointKind.CENTRE),
     ]
 

@@ -21,7 +21,7 @@ from rotcal_ros.capture.attempt import (
     seconds,
 )
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.plausibility import LengthCheck
+from rotcal_ros.capture.plausibility import LengthCheck, TrackerCheck
 from rotcal_ros.capture.points import decide_points
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts
@@ -77,7 +77,7 @@ class Capture:
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
         self._waiting: Wait | None = None
-        self._check = LengthCheck(plan)
+        self._checks = (LengthCheck(plan), TrackerCheck())
         self._remarks: deque[str] = deque(maxlen=100)
         self._takers: dict[type[Any], Callable[[Any], Observations]] = {
             TracerSample: self._take_tracer,
@@ -252,7 +252,9 @@ class Capture:
                 self._sleep(self._pending[0], outcome)
                 break
             self._pending.popleft()
-            decided.append(self._check(outcome))
+            for check in self._checks:
+                outcome = check(outcome)
+            decided.append(outcome)
         return tuple(decided)
 
     def _outcome(self, attempt: Attempt) -> Observation | Wait:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import select
 import sys
+from collections.abc import Mapping
+from typing import Any
 
-from rotcal_ros.cli.console import say
 from rotcal_ros.cli.session import Session
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import PAUSED
@@ -22,30 +23,34 @@ class Person:
         cell = session.configuration.group("cell", CellSettings)
         self._service = f"{cell.namespace.rstrip('/')}/resume"
         self._simulated = session.simulated
-        self._at_once = at_once
+        self._at_once = at_once or session.simulated
         self._asked = False
 
-    def ask(self, instruction: str) -> None:
-        """Show what has to be done."""
-        self._asked = True
-        if self._simulated:
-            say(f"{instruction}: done by the simulated person")
-        elif self._at_once:
-            say(f"{instruction}: taken as done (--yes)")
-        elif sys.stdin.isatty():
-            say(f"{instruction}; then press Enter")
-        else:
-            say(f"{instruction}; then call the service {self._service} (std_srvs/srv/Trigger)")
+    def hear(self, event: Mapping[str, Any]) -> str:
+        """Take an event of the client and return what the person has to read, often nothing."""
+        if event["event"] == "paused":
+            self._asked = True
+            return f"{event['instruction']}{self._what_then()}"
+        if event["event"] == "resumed" and not event["success"]:
+            return str(event["reason"])
+        if event["event"] == "feedback":  # whoever said that it goes on
+            self._asked = self._asked and event["activity"].startswith(PAUSED)
+        return ""
 
     def is_done(self) -> bool:
         """Return True once for every work that is done."""
-        done = self._asked and (self._simulated or self._at_once or _enter_pressed())
+        done = self._asked and (self._at_once or _enter_pressed())
         self._asked = self._asked and not done
         return done
 
-    def follow(self, activity: str) -> None:
-        """Note what the planner does: once it goes on, whoever told it so, nothing is asked."""
-        self._asked = self._asked and activity.startswith(PAUSED)
+    def _what_then(self) -> str:
+        if self._simulated:
+            return ": done by the simulated person"
+        if self._at_once:
+            return ": taken as done (--yes)"
+        if sys.stdin.isatty():
+            return "; then press Enter"
+        return f"; then call the service {self._service} (std_srvs/srv/Trigger)"
 
 
 def _enter_pressed() -> bool:

@@ -21,7 +21,7 @@ from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    pass
 
 SILENCE_TIMEOUT_S: Final = 60.0
 """The client tells something every second; after this silence it hangs."""
@@ -131,10 +131,10 @@ def _last_words(running: Any) -> dict[str, Any]:
 
 
 def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str, Any]:
-    """Show the progress; return the result event."""
+    """Show the progress and ask the person; return the result event."""
     with progress_bar() as bar:
-        task = bar.add_task("starting the nodes", total=None)
-        heard, decile, begun = time.monotonic(), 0, False
+        display = _Display(bar)
+        heard, begun = time.monotonic(), False
         while True:
             if person.is_done():
                 running.resume()
@@ -144,44 +144,44 @@ def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str,
                 _check(running, begun, time.monotonic() - heard, silence_timeout_s)
                 continue
             heard = time.monotonic()
-            if event["event"] == "result":
-                return dict(event)
+            if event["event"] in ("result", "refused", "end"):
+                return _ending(running, event, begun)
             begun = begun or event["event"] == "started"
-            _raise_if_over(event, running, begun, silence_timeout_s)
-            _attend(event, person)
+            display.tell(person.hear(event))
             if event["event"] == "feedback":
-                decile = _show(event, bar, task, decile)
+                display.show(event)
 
 
-def _raise_if_over(
-    event: Mapping[str, Any], running: Any, begun: bool, silence_timeout_s: float
-) -> None:
-    """Raise when the goal was refused or the client ended without a result."""
+def _ending(running: Any, event: Mapping[str, Any], begun: bool) -> dict[str, Any]:
+    """Return a result event; raise the error that any other ending is."""
     if event["event"] == "refused":
         raise ConfigurationError(f"the goal was refused: {event['reason']}")
     if event["event"] == "end":
-        _check(running, begun, 0.0, silence_timeout_s)
+        _check(running, begun, 0.0, SILENCE_TIMEOUT_S)
         raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
+    return dict(event)
 
 
-def _attend(event: Mapping[str, Any], person: Person) -> None:
-    """Pass on to the person what the planner asks and says."""
-    if event["event"] == "paused":
-        person.ask(event["instruction"])
-    elif event["event"] == "resumed" and not event["success"]:
-        say(event["reason"])
-    elif event["event"] == "feedback":
-        person.follow(event["activity"])
+class _Display:
+    """A progress bar; where there is no terminal, a line for every tenth of the steps."""
 
+    def __init__(self, bar: Any) -> None:
+        self._bar = bar
+        self._task = bar.add_task("starting the nodes", total=None)
+        self._decile = 0
 
-def _show(event: Mapping[str, Any], bar: Progress, task: TaskID, decile: int) -> int:
-    """Move the bar; without a terminal say every tenth of the way. Return the tenths so far."""
-    text = describe(event)
-    bar.update(task, completed=event["step"], total=event["total"], description=text)
-    reached = int(event["step"] * 10 // event["total"])
-    if bar.disable and reached > decile:
-        say(f"{event['step']} of {event['total']} steps, {text}")
-    return reached
+    def tell(self, text: str) -> None:
+        """Print a line, if there is any, above the bar."""
+        if text:
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def show(self, event: Mapping[str, Any]) -> None:
+        """Show a feedback."""
+        step, total, text = event["step"], event["total"], describe(event)
+        self._bar.update(self._task, completed=step, total=total, description=text)
+        if self._bar.disable and step * 10 // total > self._decile:
+            self._decile = step * 10 // total
+            say(f"{step} of {total} steps, {text}")
 
 
 def describe(feedback: Mapping[str, Any]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -19,6 +18,7 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.nodes import conversions, preflight
 from rotcal_ros.nodes.cell_links import TABLE_FRAME, CellLinks
 from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.nodes.waiting import until
 from rotcal_ros.planning.plan import PAUSED, Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
@@ -39,26 +39,6 @@ class GoalError(Exception):
     def __init__(self, code: int, text: str) -> None:
         super().__init__(text)
         self.code = code
-
-
-@dataclass
-class Progress:
-    """How far a goal has come."""
-
-    total: int
-    step: int = 0
-    activity: str = "preflight"
-    accepted: list[int] = field(default_factory=list)
-    skipped: list[int] = field(default_factory=list)
-    rejected: int = 0
-    done: int = 0
-    started_s: float = field(default_factory=time.monotonic)
-
-    def time_left(self) -> float:
-        """Return the estimated seconds to the last step; NaN before the first is done."""
-        if not self.done:
-            return float("nan")
-        return (time.monotonic() - self.started_s) / self.done * (self.total - self.step)
 
 
 class GoalRun:
@@ -208,13 +188,8 @@ class GoalRun:
             return str(error), True
 
     async def _measure_step(self, index: int) -> None:
-        progress = self.progress
-        progress.step = index
-        for book in (progress.accepted, progress.skipped):
-            if index in book:  # measured again
-                book.remove(index)
-        (progress.accepted if await self._step(index) else progress.skipped).append(index)
-        progress.done += 1
+        self.progress.step = index
+        self.progress.note(index, accepted=await self._step(index))
 
     async def _step(self, index: int) -> bool:
         """Measure one step; False when all attempts failed."""

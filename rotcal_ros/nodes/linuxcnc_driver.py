@@ -1,8 +1,8 @@
-"""A rotary axis of LinuxCNC as the table of the cell: obeys ``table_angle``, has a feedback.
+"""A rotary axis of LinuxCNC as the table of the cell: takes orders, tells ``joint_states``.
 
-LinuxCNC itself is spoken to by a process of its own, :mod:`rotcal_ros.nodes.linuxcnc_agent`,
-on the system's Python. Where a HAL pin knows the actual angle (a plant, a second encoder), it
-goes out on ``table_actual``.
+LinuxCNC itself is spoken to by a process of its own, :mod:`rotcal_ros.nodes.linuxcnc_agent`, on
+the system's Python. Where a HAL pin knows the actual angle, it goes out on
+``table_actual``.
 """
 
 from __future__ import annotations
@@ -41,12 +41,11 @@ class LinuxCncDriver(Node):
     def __init__(self) -> None:
         super().__init__("linuxcnc_driver")
         ini = self.declare_parameter("ini_file", "").value
-        command = self.declare_parameter(
-            "agent_command", ["/usr/bin/python3", str(AGENT), "-ini", ini]
-        ).value
+        usual = ["/usr/bin/python3", str(AGENT), "-ini", ini]
+        command = list(self.declare_parameter("agent_command", usual).value)
         self._overshoot_deg = self.declare_parameter("overshoot_deg", 2.0).value
         self._joint = declare_settings(self, "cell", CellSettings).joint or "table"
-        if not ini and str(AGENT) in command:
+        if not ini and command == usual:
             raise ConfigurationError("linuxcnc_driver: parameter ini_file is missing")
         self._state = "starting LinuxCNC's agent"
         self._complaints = 0
@@ -56,7 +55,7 @@ class LinuxCncDriver(Node):
         self._positions = self.create_publisher(JointState, "joint_states", STREAM)
         self._actual = self.create_publisher(JointState, "table_actual", STREAM)
         self._agent = subprocess.Popen(
-            list(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
         Thread(target=self._read, name="agent", daemon=True).start()
         guarded = self._health.guarded

@@ -23,9 +23,10 @@ from rotcal_ros.catalogue import METHODS, Calibration, prepare
 from rotcal_ros.configuration import Configuration, dump_configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.goal_run import GoalRun, Outcome, Progress
+from rotcal_ros.nodes.goal_run import GoalRun, Outcome
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings, read_settings, settings_mapping
+from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings

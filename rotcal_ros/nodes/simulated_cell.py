@@ -20,7 +20,6 @@ from rotcal_ros.nodes.running import run_node
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell, SimulationSettings
 from rotcal_ros.simulation.settings import TRACKER
-from rotcal_ros.units import NANOSECOND
 
 PERIOD_S: Final = 0.005
 LONGEST_TURN_S: Final = 0.02
@@ -46,17 +45,16 @@ class SimulatedCellNode(Node):
         if self._cell.has_tracer:
             self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
         self._probe_frame = TRACKER if settings.instrument == TRACKER else MACHINE_FRAME
-        self._follows = settings.table.external
-        if self._follows:
+        if settings.table.external:
             follow = guarded(self._follow)
             self.create_subscription(JointState, "table_actual", follow, STREAM)
         else:
             self._table = self.create_publisher(JointState, "joint_states", STREAM)
+            self.create_timer(PERIOD_S, guarded(self._turn))
         self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
         self._temperature = self.create_publisher(Temperature, "temperature", EVENT)
         for kind, topic in ((TableAngle, "table_angle"), (ProbeTarget, "probe_target")):
             self.create_subscription(kind, topic, guarded(self._obey), EVENT)
-        self.create_timer(PERIOD_S, guarded(self._turn))
         self.create_timer(UNASKED_PERIOD_S, guarded(self._tell_position))
 
     def begin_stop(self) -> None:
@@ -81,15 +79,12 @@ class SimulatedCellNode(Node):
         self._order_text = f"step {command.step}, attempt {command.attempt}"
 
     def _follow(self, message: JointState) -> None:
-        """Take the actual angle of a table that another program moves."""
-        self._cell.follow_table(conversions.stamp_ns(message.header.stamp), message.position[0])
+        """Take the actual angle of a table that another program moves; its clock is ours."""
+        stamp_ns = conversions.stamp_ns(message.header.stamp)
+        self._publish(self._cell.follow_table(stamp_ns, message.position[0]))
 
     def _turn(self) -> None:
         """Let as much machine time pass as wall time has."""
-        if self._follows:  # one clock with the other program, come what may
-            behind_ns = self.get_clock().now().nanoseconds - self._cell.now_ns
-            self._publish(self._cell.advance(max(behind_ns, 0) * NANOSECOND))
-            return
         now = time.monotonic()
         elapsed = min(now - self._turned_s, LONGEST_TURN_S)
         self._turned_s = now

@@ -115,10 +115,15 @@ class SimulatedCell:
         self._table.order(self.now_ns, command.table_angle, command.approach)
         self._table_order = (command.step, command.attempt)
 
-    def follow_table(self, stamp_ns: int, angle: float) -> None:
-        """Take the actual ``angle`` (rad) of an external table."""
-        if self._external is not None:
-            self._external.follow(stamp_ns, angle)
+    def follow_table(self, stamp_ns: int, angle: float) -> CellOutput:
+        """Let time pass until ``stamp_ns``, when an external table stands at ``angle`` (rad).
+
+        Time never gets ahead of what is known about the table, however late that comes.
+        """
+        if self._external is None or stamp_ns <= self.now_ns:
+            return self.advance(0.0)
+        self._external.follow(stamp_ns, angle)
+        return self.advance((stamp_ns - self.now_ns) * NANOSECOND)
 
     def order_probe(self, command: Command) -> None:
         """Let the machine go to ``command.position`` and report its point or points."""

@@ -32,9 +32,7 @@ class ExternalTable:
         self.rest_ns = start_ns
 
     def follow(self, stamp_ns: int, angle: float) -> None:
-        """Note the actual ``angle`` (rad) at ``stamp_ns``; one that comes late is left out."""
-        if stamp_ns <= self._stamps[-1]:
-            return
+        """Note the actual ``angle`` (rad) at ``stamp_ns``, later than the one before."""
         if abs(angle - self._angles[-1]) > STILL:
             self.rest_ns = stamp_ns
         self._stamps.append(stamp_ns)

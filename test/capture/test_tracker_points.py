@@ -8,6 +8,7 @@ from itertools import permutations
 import pytest
 from capture_scenes import make_plan, make_scene, replay
 
+from rotcal_ros.capture.plausibility import TrackerCheck
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
 
@@ -59,3 +60,43 @@ def test_a_point_that_is_not_the_planned_one_is_rejected(changes, reason):
     (observation,) = replay(plan, scene.by_stamp())
     assert not observation.accepted
     assert observation.reason.startswith(reason)
+
+
+def observed(kind, mean, target=1, **changes):
+    plan = tracker_plan(kind)
+    (observation,) = replay(plan, scene_of(plan).by_stamp())
+    return replace(observation, mean=mean, target=target, **changes)
+
+
+def checked(*observations):
+    check = TrackerCheck()
+    return [check(observation).reason for observation in observations]
+
+
+def test_an_image_is_farther_than_its_reflector():
+    near, far = (1.0, 0.5, 0.0), (2.5, 0.1, 0.1)
+    direct, mirrored = PointKind.DIRECT, PointKind.MIRRORED
+    assert checked(observed(direct, near), observed(mirrored, far)) == ["", ""]
+    _, exchanged = checked(observed(direct, far), observed(mirrored, near))
+    assert exchanged.startswith("the mirrored point is 1.1180 m away, the direct one 2.5040 m")
+    assert exchanged.endswith("direct and mirrored exchanged")
+    _, twice = checked(observed(direct, far), observed(mirrored, (2.5, 0.1, 0.1002)))
+    assert twice.startswith("the mirrored point is 0.200 mm from the direct one")
+    # Another reflector, another station: nothing to compare with.
+    assert checked(observed(direct, far), observed(mirrored, near, target=2)) == ["", ""]
+    assert checked(observed(direct, far), observed(mirrored, near, station=1)) == ["", ""]
+
+
+def test_two_nests_are_never_in_one_place():
+    nest, here, there = PointKind.NEST, (1.0, 0.5, 0.0), (1.0, 0.5, 0.4)
+    reasons = checked(
+        observed(nest, here),
+        observed(nest, here, target=2),
+        observed(nest, there, target=2),
+        observed(nest, (1.001, 0.5, 0.0)),  # measured again: replaces the first
+        observed(nest, here, target=2, station=1),
+    )
+    assert reasons[1] == (
+        "nest 2 is 0.000 mm from where nest 1 was measured: reflector on the wrong nest"
+    )
+    assert [reasons[i] for i in (0, 2, 3, 4)] == [""] * 4

@@ -4,7 +4,7 @@ from datetime import datetime, timezone
 
 import numpy as np
 import pytest
-from conftest import Running
+from real_linuxcnc import Running
 
 from rotcal_ros.compensation import linuxcnc
 from rotcal_ros.compensation.export import prepare_export

@@ -20,6 +20,8 @@ from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.problem import Complexes, Floats, Ints, grid_angles
 
 PLANE, AXIS = 0, 1
+POSE = ((1, PLANE), (0, AXIS))
+"""Rows that tell the pose of the axis at q = 1: w- (shift) and z (tilt)."""
 ROOT_HALF = np.sqrt(0.5)
 TO_PLANE = ROOT_HALF * np.array([[1.0, 1.0], [-1j, 1j]])  # (w+, w-) to (w_x, w_y)
 RANK_TOLERANCE = 1e-9
@@ -37,7 +39,8 @@ class Harmonics:
     with the table to the one that turns with the CMM position; in the former the table's design
     is the same for all harmonics, ``adjoint`` (3, R, 3) being its adjoint. ``mean`` (2, Q, 2, 3)
     is the mean of the design over the balls in the latter; ``inverse`` (2, Q, 3, 3) is the unit
-    covariance of the table's unknowns, zero where a constraint fixes one.
+    covariance of the table's unknowns, zero where a constraint fixes one; ``amplification`` is
+    its largest entry, 1 for balls that share nothing.
     """
 
     grid: int
@@ -47,6 +50,7 @@ class Harmonics:
     adjoint: Complexes
     mean: Complexes
     inverse: Complexes
+    amplification: float
 
 
 def phases(grid: int, balls: Ints) -> Complexes:
@@ -116,7 +120,8 @@ def factor(grid: int, balls: Ints) -> Harmonics:
         inverse = np.asarray(np.linalg.inv(normal), dtype=np.complex128)
     except np.linalg.LinAlgError:
         inverse = np.full_like(normal, np.inf)
-    if not np.abs(inverse).max() * RANK_TOLERANCE * len(balls) < 1.0:
+    amplification = float(np.abs(inverse).max()) * len(balls)
+    if not amplification * RANK_TOLERANCE < 1.0:
         raise ObservabilityError(
             f"balls at steps {balls.tolist()} of {grid} do not separate table, plate and CMM at "
             "every harmonic; choose other steps (separability names the lost harmonics)"
@@ -130,6 +135,7 @@ def factor(grid: int, balls: Ints) -> Harmonics:
         adjoint=_adjoint(phase[1]),
         mean=design(sums[:, None] / len(balls))[:, :, 0],
         inverse=inverse,
+        amplification=amplification,
     )
 
 
@@ -151,27 +157,29 @@ def fit(system: Harmonics, spectrum: Complexes) -> tuple[Complexes, Complexes, C
     Rows are +, - and z in the frame that turns with the table. Where a layout is weak, a step of
     iterative refinement takes the squared condition number out of the answer.
     """
-    table = _table_of(system, _centred(system, spectrum)[1])
+    table = _table_of(system, _centred(system, spectrum.copy())[1])
     cmm, rest = _centred(system, spectrum - _fitted(system, table))
-    if np.abs(system.inverse).max() * len(system.balls) > WEAK:
+    if system.amplification > WEAK:
         table = table + _table_of(system, rest)
         cmm, rest = _centred(system, spectrum - _fitted(system, table))
     return table, cmm, rest
 
 
 def _centred(system: Harmonics, rows: Complexes) -> tuple[Complexes, Complexes]:
-    """Split rows (3, Q, R) into the mean over the balls at the CMM (3, Q) and what is left."""
-    shifted = system.shift * rows
-    mean = shifted.sum(axis=2) / len(system.balls)
-    shifted -= mean[:, :, None]
-    return mean, system.shift.conj() * shifted
+    """Split rows (3, Q, R), in place, into the CMM's mean over the balls (3, Q) and the rest."""
+    rows *= system.shift
+    mean = rows.sum(axis=2)
+    mean /= len(system.balls)
+    rows -= mean[:, :, None]
+    rows *= system.shift.conj()
+    return mean, rows
 
 
 def _table_of(system: Harmonics, centred: Complexes) -> Complexes:
     """Return the table's unknowns (2, Q, 3) from centred rows (3, Q, R)."""
     right = centred @ system.adjoint
     right[1] += right[0]
-    unknowns: Complexes = (system.inverse @ right[1:, :, :, None])[..., 0]
+    unknowns: Complexes = np.einsum("bqij,bqj->bqi", system.inverse, right[1:])
     return unknowns
 
 
@@ -187,11 +195,34 @@ def centred_design(system: Harmonics) -> Complexes:
     return centred
 
 
-def cmm_covariance(system: Harmonics) -> Complexes:
-    """Return the unit covariance (2, Q, 2, 2) of the CMM's unknowns, pose of the axis included."""
-    spread = system.mean @ system.inverse @ system.mean.conj().swapaxes(2, 3)
-    covariance: Complexes = spread + np.eye(2) / len(system.balls)
-    return covariance
+def cmm_covariance(system: Harmonics) -> tuple[Complexes, Floats]:
+    """Return the unit covariance of the CMM's unknowns at lag 0, (2, 2, 2), and of the pose.
+
+    The pose (2,), shift and tilt, are the coefficients of w- and z at q = 1, which the CMM does
+    not have.
+    """
+    grid, noise = system.grid, 1.0 / len(system.balls)
+    rows = system.mean.transpose(2, 3, 0, 1).copy()  # harmonics last: quick for small matrices
+    carried = np.einsum("ikbq,klbq->ilbq", rows, system.inverse.transpose(2, 3, 0, 1))
+    adjoint = rows.conj()
+    pose = noise + np.array(
+        [(carried[i, :, block, 0] @ adjoint[i, :, block, 0]).real for i, block in POSE]
+    )
+    for i, block in POSE:
+        carried[i, :, block, 0] = adjoint[i, :, block, 0] = 0.0
+    carried *= _multiplicity(grid) / grid
+    lag = np.einsum("ikbq,jkbq->bij", carried, adjoint)
+    lag[PLANE, 0, 0] += noise * (grid - 1) / grid
+    lag[PLANE, 1, 1] += noise * (grid - 3) / grid
+    lag[AXIS, 0, 0] += noise * (grid - 3) / grid
+    return lag, pose
+
+
+def _multiplicity(grid: int) -> Floats:
+    """How often the harmonics q = 1..N//2 occur with both signs; Nyquist has no twin."""
+    twice = np.full(grid // 2, 2.0)
+    twice[-1] = 1.0 + grid % 2
+    return twice
 
 
 def to_harmonics(plane: Complexes, axial: Floats) -> tuple[Complexes, Complexes]:
@@ -227,15 +258,12 @@ def to_time(coefficients: Complexes, grid: int) -> Floats:
     return sequences
 
 
-def zero_lag(spectrum: Complexes, grid: int, axis: int) -> Complexes:
-    """Return the sum over harmonics of both signs / N, before the real part is taken.
+def zero_lag(spectrum: Complexes, grid: int) -> Complexes:
+    """Return the sum over harmonics of both signs / N of (2, Q, ...), still complex.
 
     Its real part is the covariance at lag 0 once the basis is real (:func:`real_basis`).
     """
-    total = 2.0 * spectrum.sum(axis=axis)
-    if grid % 2 == 0:
-        total -= spectrum.take(-1, axis=axis)  # the Nyquist harmonic has no twin
-    mean: Complexes = total / grid
+    mean: Complexes = np.einsum("bq...,q->b...", spectrum, _multiplicity(grid) / grid)
     return mean
 
 

@@ -44,7 +44,7 @@ def solve_spectral(problem: BallPlateProblem) -> Solution:
     fields, residuals = _back(problem, turn, table, cmm, rest)
     return Solution(
         estimate=_estimate(problem, turn, fields, mean, pose),
-        unit_std=_unit_std(problem, system),
+        unit_std=_unit_std(problem, turn, system),
         unit_covariance=TableCovariance(problem.radius, system),
         residuals=residuals,
         cofactor=ResidualCofactor(problem.cmm_index, system),
@@ -109,26 +109,23 @@ def _estimate(
     )
 
 
-def _unit_std(problem: BallPlateProblem, system: Harmonics) -> Parameters:
+def _unit_std(problem: BallPlateProblem, turn: Complexes, system: Harmonics) -> Parameters:
     """Return the standard deviations of all parameters for unit noise."""
-    grid, radius, n_balls = problem.grid, problem.radius, len(problem.balls)
-    cmm_spectrum = harmonics.cmm_covariance(system)
-    shift = cmm_spectrum[PLANE, 0, 1, 1].real / grid
-    tilt = 2.0 * cmm_spectrum[AXIS, 0, 0, 0].real / grid / radius**2
-    cmm_spectrum[PLANE, 0, 1, :] = cmm_spectrum[PLANE, 0, :, 1] = 0.0
-    cmm_spectrum[AXIS, 0] = 0.0
-    cmm = harmonics.zero_lag(cmm_spectrum, grid, axis=1)
-    table = harmonics.zero_lag(system.inverse, grid, axis=1)
-    common = 1.0 / (grid * n_balls)
+    grid, radius = problem.grid, problem.radius
+    cmm, (shift, tilt) = harmonics.cmm_covariance(system)
+    table = harmonics.zero_lag(system.inverse, grid)
+    shift, tilt = shift / grid, 2.0 * tilt / grid / radius**2
+    common = 1.0 / (grid * len(problem.balls))
     pairs = np.array([table[PLANE, :2, :2], table[AXIS, :2, :2], cmm[PLANE]])
     along = np.array([table[AXIS, 2, 2], table[PLANE, 2, 2], cmm[AXIS, 0, 0]]).real
-    turn = np.exp(2j * problem.angles)
-    fields = _turned_std(pairs, along, turn)
-    # In its own frame a ball has the variances 1/N (radial) and 1/N - 1/(N R) (others).
-    ball = np.array([[[1.0 / grid - 0.5 * common, 0.5 * common]] * 2])
-    ball[:, 1] = ball[:, 1, ::-1]
+    fields = _turned_std(pairs, along, turn * turn)
+    # A ball has the variances 1/N (radial) and 1/N - 1/(N R) (tangential, axial).
+    out = turn[problem.balls]
+    less = np.full((len(out), 3), common)
+    less[:, 0] *= out.imag**2
+    less[:, 1] *= out.real**2
     return Parameters(
-        plate=_turned_std(ball, np.array([1.0 / grid - common]), turn[problem.balls])[0],
+        plate=np.sqrt(1.0 / grid - less),
         cmm=fields[2],
         rotation=fields[1] / radius,
         translation=fields[0],
@@ -137,7 +134,7 @@ def _unit_std(problem: BallPlateProblem, system: Harmonics) -> Parameters:
     )
 
 
-def _turned_std(pairs: Complexes | Floats, along: Floats, turn: Complexes) -> Floats:
+def _turned_std(pairs: Complexes, along: Floats, turn: Complexes) -> Floats:
     """Return the standard deviations (f, n, 3) of f vectors at n angles in the fixed frame.
 
     ``pairs`` (f, 2, 2) are the covariances of (w+, w-) in the turning frame at lag 0, ``along``
@@ -167,7 +164,7 @@ class ResidualCofactor:
         rows = harmonics.centred_design(system)
         fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
         kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
-        lag = harmonics.zero_lag(kept, system.grid, axis=1)
+        lag = harmonics.zero_lag(kept, system.grid)
         turning = np.zeros((n_balls, 3, 3))
         turning[:, :2, :2] = harmonics.real_basis(lag[PLANE]).real
         turning[:, 2, 2] = lag[AXIS, :, 0, 0].real
