@@ -22,7 +22,7 @@ CENTRE: Final = "centre"
 class BallPlatePlanSettings:
     """The plate, where it stands, and the order in which its balls are measured."""
 
-    plate: Plate = setting(doc="the ball plate")  # noqa: RUF009
+    plate: Plate = setting(doc="the ball plate")
     centre_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), doc="m, machine frame: point of the axis at the height of the balls"
     )
