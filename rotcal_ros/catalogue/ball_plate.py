@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.catalogue.calibration import Method
+from rotcal_ros.catalogue.calibration import Method, Trials
 from rotcal_ros.configuration import Configuration
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.methods import ball_plate
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.observations import Observation
@@ -51,16 +51,37 @@ def plan(configuration: Configuration) -> Plan:
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve the accepted observations of a ball plate plan; angles are those of the table."""
+    result = ball_plate.solve(_chosen(configuration, plan, observations))
+    coarser = configuration.group("solver", BallPlateSolverSettings).coarser
+    return replace(result, angles=np.array(plan.table_angles)[::coarser])
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about the accepted observations of a ball plate plan.
+
+    Raises ConfigurationError when neither the set-up nor the residuals tell the noise.
+    """
+    made = ball_plate.plate_trials(_chosen(configuration, plan, observations))
+    if not np.max(made.std) > 1e-12:
+        raise ConfigurationError(
+            f"{configuration.source}: exact centres tell no noise; state solver.sigma_centre_m"
+        )
+    return made
+
+
+def _chosen(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> BallPlateProblem:
+    """Return the part of the data that the settings of the solver choose."""
     settings = configuration.group("solver", BallPlateSolverSettings)
-    whole = problem(configuration, plan, observations)
-    chosen = ball_plate.select(
-        whole,
+    return ball_plate.select(
+        problem(configuration, plan, observations),
         balls=list(settings.balls) or None,
         positions=list(settings.cmm_positions) or None,
         coarser=settings.coarser,
     )
-    result = ball_plate.solve(chosen)
-    return replace(result, angles=np.array(plan.table_angles)[:: settings.coarser])
 
 
 def problem(
@@ -111,5 +132,6 @@ BALL_PLATE = Method(
     settings={"plan": BallPlatePlanSettings, "solver": BallPlateSolverSettings},
     plan=plan,
     solve=solve,
+    trials=trials,
     gauge=gauge,
 )

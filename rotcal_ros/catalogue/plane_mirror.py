@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.catalogue.calibration import Method
+from rotcal_ros.catalogue.calibration import Method, Trials
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.methods import plane_mirror
@@ -95,11 +95,26 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     A reflector whose direct or mirrored point is missing (given up, or not measured yet) is left
     out; details["left_out"] names it.
     """
+    problem, left_out = _problem(configuration, plan, observations)
+    return _solve_ways(problem, {"left_out": left_out})
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about the accepted observations of a plane-mirror plan."""
+    return plane_mirror.mirror_trials(_problem(configuration, plan, observations)[0])
+
+
+def _problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[PlaneMirrorProblem, list[str]]:
+    """Return the problem that observations pose, and what was left out of it."""
     paired, left_out = _paired(observations)
     if not paired:
         raise DataError("no reflector was measured both directly and through the mirror yet")
     problem = plane_mirror.problem_from_observations(paired, np.array(plan.table_angles))
-    return _solve_ways(configured(problem, configuration), {"left_out": left_out})
+    return configured(problem, configuration), left_out
 
 
 def solve_table(configuration: Configuration, text: str, name: str) -> Result:
@@ -206,6 +221,7 @@ PLANE_MIRROR = Method(
     settings={"plan": MirrorPlanSettings, "solver": MirrorSolverSettings},
     plan=plan,
     solve=solve,
+    trials=trials,
     check=check,
     solve_table=solve_table,
 )

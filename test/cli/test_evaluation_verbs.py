@@ -2,10 +2,12 @@
 
 import json
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import yaml
 from click.testing import CliRunner
 
 from rotcal_ros.catalogue import METHODS
@@ -243,3 +245,23 @@ def test_uncertainty_of_a_method_without_trials(configuration, monkeypatch):
     ran = run("uncertainty", configuration, "--trials", 10)
     assert ran.exit_code == 2
     assert "no Monte Carlo trials" in ran.stderr
+
+
+@pytest.mark.parametrize("name", ["plane_mirror_demo", "ball_plate_demo", "tracer_demo"])
+def test_uncertainty_of_every_method_before_anything_is_measured(name, tmp_path):
+    path = Path(__file__).parents[2] / "config" / f"{name}.yaml"
+    text = path.read_text()
+    if name == "ball_plate_demo":
+        refused = run("uncertainty", path, "--trials", 100)
+        assert refused.exit_code == 2
+        assert "sigma_centre_m" in refused.stderr
+        document = yaml.safe_load(text)
+        document["/**"]["ros__parameters"].setdefault("solver", {})["sigma_centre_m"] = 1e-7
+        text = yaml.safe_dump(document)
+    given = tmp_path / "cell.yaml"
+    given.write_text(text)
+    ran = run("uncertainty", given, "--trials", 2000, "--workers", 1, "--json")
+    assert ran.exit_code == 0, ran.output
+    for part in json.loads(ran.stdout)["components"].values():
+        assert part["std"] == pytest.approx(part["linear_std"], rel=0.1)
+        assert part["value"] == pytest.approx(np.zeros(len(part["value"])), abs=1e-10)
