@@ -209,12 +209,15 @@ def _write_report(session: Path, verification: Verification) -> Path:
     from rotcal_ros.report.recorded import report_of
     from rotcal_ros.report.verification import verification_section
 
-    page = session / "report.html"
+    page = session.absolute() / "report.html"
     if page.exists():
         raise ConfigurationError(f"{page} exists already and nothing is overwritten")
     recording = read_recording(session / "bag")
     truth = json.loads((session / "truth.json").read_text(encoding="utf-8"))
-    report = report_of(recording, recording.solve(), truth)
+    result = recording.solve()
+    if result.to_dict() != json.loads((session / "result.json").read_text(encoding="utf-8")):
+        say(f"warning: {session / 'bag'} solved again gives another result than live")
+    report = report_of(recording, result, truth)
     write_report(replace(report, extra=[verification_section(verification)]), page)
     return page
 

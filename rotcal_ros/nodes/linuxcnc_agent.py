@@ -4,12 +4,12 @@ LinuxCNC's Python modules belong to the system's own Python and not to the one t
 on; this file is therefore a program of its own, run by /usr/bin/python3, and imports nothing of
 rotcal_ros.
 
-The machine must be on and homed; ``--start`` lets the program do both. It says ``{"event":
-"ready"}``, then at a steady rate ``{"stamp_ns", "angle_deg", "motor_deg", "actual_deg",
-"errors"}``: the feedback of joint 0, the motor's command, the value of the pin ``--actual``
-(null without one) and what LinuxCNC complained about. Standard input takes
-``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there from below (1), from above
-(-1), or from anywhere (0). The end of standard input ends the program.
+The machine must be on and homed; ``--start`` lets the program do both. It says
+``{"event": "ready"}``, then at a steady rate ``{"stamp_ns", "angle_deg", "motor_deg",
+"actual_deg", "errors"}``: the feedback of joint 0, the motor's command, the value of the pin
+``--actual`` (null without one) and what LinuxCNC complained about. Standard input takes
+``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there from below (1), from above (-1),
+or from anywhere (0). The end of standard input ends the program.
 """
 
 from __future__ import annotations
