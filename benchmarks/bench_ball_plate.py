@@ -47,7 +47,7 @@ def best_time(call: Callable[[], Any], repeats: int) -> float:
 
 
 def median_times(
-    ours: Callable[[], Any], opponent: Callable[[], Any], rounds: int = 9, calls: int = 20
+    ours: Callable[[], Any], opponent: Callable[[], Any], rounds: int = 9, calls: int = 60
 ) -> tuple[float, float]:
     """Median processor seconds of both, taken in turn: other work does not count."""
     times: tuple[list[float], list[float]] = ([], [])
