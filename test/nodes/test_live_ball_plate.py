@@ -84,3 +84,12 @@ def test_a_shifted_plate_is_told_at_every_ball_and_ends_without_a_result(plate_c
     recorded = read_recording(live.session / "bag").recorded
     assert len(recorded) == 12
     assert all("plate mounted shifted" in o.reason for o in recorded)
+
+
+def test_the_parameters_of_the_nodes_are_enough(plate_cell):
+    live = plate_cell("plan.cmm_positions=[0, 3, 6]")
+    live.start(*SUITE, "simulated_cell")
+    client = live.client(with_configuration=False)
+    assert client.wait_for_step(2)["total"] == 18
+    client.cancel()
+    assert client.result()["error_code"] == 607

@@ -225,11 +225,11 @@ def _multiplicity(grid: int) -> Floats:
     return twice
 
 
-def to_harmonics(plane: Complexes, axial: Floats) -> tuple[Complexes, Complexes]:
-    """Transform x + i y and z, (R, N) each: rows +, -, z (3, Q, R) of q = 1..N//2; mean (2, R)."""
-    n_balls, grid = plane.shape
+def to_harmonics(sequences: Complexes) -> tuple[Complexes, Complexes]:
+    """Transform x + i y, then z, (2 R, N): rows +, -, z (3, Q, R) of q = 1..N//2; mean (2, R)."""
+    n_balls, grid = len(sequences) // 2, sequences.shape[1]
     last = grid // 2 + 1
-    full = np.fft.fft(np.concatenate([plane, axial]), axis=1)
+    full = np.fft.fft(sequences, axis=1)
     rows = np.empty((3, last - 1, n_balls), dtype=np.complex128)
     rows[0] = full[:n_balls, 1:last].T
     rows[1] = full[:n_balls, : grid - last : -1].T.conj()

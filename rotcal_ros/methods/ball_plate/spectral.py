@@ -37,8 +37,7 @@ def solve_spectral(problem: BallPlateProblem) -> Solution:
         )
     system = harmonics.factor(problem.grid, problem.balls)
     turn = np.exp(1j * problem.angles)
-    x, y, z = problem.deviations.T.reshape(3, len(problem.balls), problem.grid)
-    spectrum, mean = harmonics.to_harmonics((x + 1j * y) * turn.conj(), z)
+    spectrum, mean = harmonics.to_harmonics(_in_table_frame(problem, turn))
     table, cmm, rest = harmonics.fit(system, spectrum)
     pose = _axis_pose(problem, cmm)
     fields, residuals = _back(problem, turn, table, cmm, rest)
@@ -52,6 +51,17 @@ def solve_spectral(problem: BallPlateProblem) -> Solution:
         dof=model.degrees_of_freedom(problem),
         way="spectral",
     )
+
+
+def _in_table_frame(problem: BallPlateProblem, turn: Complexes) -> Complexes:
+    """Return x + i y in the frame that turns with the table, then z, (2 R, N)."""
+    n_balls = len(problem.balls)
+    x, y, z = problem.deviations.T.reshape(3, n_balls, problem.grid)
+    sequences = np.zeros((2 * n_balls, problem.grid), dtype=np.complex128)
+    sequences[:n_balls].real, sequences[:n_balls].imag = x, y
+    sequences[:n_balls] *= turn.conj()
+    sequences[n_balls:].real = z
+    return sequences
 
 
 def _axis_pose(problem: BallPlateProblem, cmm: Complexes) -> tuple[complex, complex]:
@@ -116,7 +126,8 @@ def _unit_std(problem: BallPlateProblem, turn: Complexes, system: Harmonics) -> 
     table = harmonics.zero_lag(system.inverse, grid)
     shift, tilt = shift / grid, 2.0 * tilt / grid / radius**2
     common = 1.0 / (grid * len(problem.balls))
-    pairs = np.array([table[PLANE, :2, :2], table[AXIS, :2, :2], cmm[PLANE]])
+    pairs = np.empty((3, 2, 2), dtype=np.complex128)
+    pairs[:2], pairs[2] = table[:, :2, :2], cmm[PLANE]
     along = np.array([table[AXIS, 2, 2], table[PLANE, 2, 2], cmm[AXIS, 0, 0]]).real
     fields = _turned_std(pairs, along, turn * turn)
     # A ball has the variances 1/N (radial) and 1/N - 1/(N R) (tangential, axial).
