@@ -8,8 +8,11 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: demo resume test bench lint setup clean help
 
-demo: setup  ## calibrate the simulated cell over ROS 2; results in out/demo
-	@$(BIN)/rotcal run config/tracer_demo.yaml --output out/demo --keep-previous
+demo: setup  ## calibrate the simulated cell over ROS 2, compensate, verify; in out/demo
+	@$(BIN)/rotcal run config/tracer_demo.yaml --output out/demo --keep-previous \
+		--no-report --no-export
+	@$(BIN)/rotcal verify config/verify_demo.yaml --output out/demo/verify \
+		--check 'plan.box_points=[2, 3, 2]' --files out/demo/compensation --report-of out/demo
 
 resume: setup  ## continue a demo that was interrupted
 	@$(BIN)/rotcal run config/tracer_demo.yaml --resume out/demo

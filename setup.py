@@ -6,7 +6,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
-NODES = ["planner", "capture", "solver", "recorder", "simulated_cell"]
+NODES = ["planner", "capture", "solver", "recorder", "bridge", "linuxcnc_driver", "simulated_cell"]
 SHARED = ["config", "config/plates", "foxglove", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)

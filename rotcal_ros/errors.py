@@ -38,3 +38,7 @@ class GeometryError(DataError):
 
 class ObservabilityError(DataError):
     """The geometry cannot tell what was asked; the text names the weak direction."""
+
+
+class ControllerError(RotcalError):
+    """A controller does not answer, is in use, or holds something else than it should."""

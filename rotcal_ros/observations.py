@@ -93,7 +93,10 @@ class TemperatureSample:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the planner ordered for one step: a table angle and where the probe shall be."""
+    """What the planner ordered for one step: a table angle and where the probe shall be.
+
+    ``station`` is the index of the tracker station, 0 where there is no tracker.
+    """
 
     step: int
     attempt: int
@@ -102,6 +105,7 @@ class Command:
     kind: PointKind
     target: int
     position: tuple[float, float, float]
+    station: int = 0
 
 
 @dataclass(frozen=True, slots=True)

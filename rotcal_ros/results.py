@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.errors import DataError
+from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
 COMPONENTS: Final = ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")
@@ -75,6 +76,15 @@ class Result:
     adjacent_std: Floats | None = None
     residuals: Residuals | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse deviations and uncertainties that are no numbers, or not one per angle.
+
+        Raises DataError: a component that was not measured is absent, never NaN.
+        """
+        for what, columns in (("", self.deviations), ("std of ", self.std)):
+            for name, values in columns.items():
+                _require_numbers(f"{self.method}: {what}{name}", self.angles, values)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable form described in docs/conventions.md (SI, plain types)."""
@@ -136,6 +146,22 @@ class Result:
             )
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"damaged rotcal result: {error!r}") from error
+
+
+def _require_numbers(name: str, angles: Floats, values: Floats) -> None:
+    """Raise DataError unless there is one finite value for every angle (rad)."""
+    if np.shape(values) != np.shape(angles):
+        raise DataError(
+            f"{name} has shape {np.shape(values)}, expected one number for each of the "
+            f"{len(angles)} angles"
+        )
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        row = int(bad[0])
+        raise DataError(
+            f"{name} is {values[row]} at {angles[row] / DEGREE:g} deg (row {row}): expected a "
+            "finite number; a component that was not measured is left out"
+        )
 
 
 def _plain(value: Any) -> Any:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import csv
 import hashlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from math import isfinite
 from pathlib import Path
@@ -38,11 +38,6 @@ TARGETS_FILE: Final = "targets.csv"
 
 _FARTHEST: Final = 50.0
 """Metres; no target or length of such a calibration is farther away."""
-_KINDS: Final = {
-    "direct": PointKind.DIRECT,
-    "mirrored": PointKind.MIRRORED,
-    "nest": PointKind.NEST,
-}
 
 
 @dataclass(frozen=True)
@@ -56,6 +51,26 @@ class TableData:
     def solve(self) -> Result:
         """Return the result."""
         return self.calibration.solve(self.observations)
+
+
+@dataclass(frozen=True)
+class WholeTable:
+    """The text of a table that its method reads itself: rows beyond any plan are welcome."""
+
+    configuration: Configuration
+    text: str
+    name: str
+    sha256: Mapping[str, str]
+
+    def solve(self) -> Result:
+        """Return the result; DataError when the set-up is that of a method with other tables."""
+        method = catalogue.find_method(self.configuration)
+        if method.solve_table is None:
+            raise DataError(
+                f"{self.name} is no table of the method {method.name}, which "
+                f"{self.configuration.source} sets up: give the set-up that belongs to it"
+            )
+        return method.solve_table(self.configuration, self.text, self.name)
 
 
 @dataclass(frozen=True)
@@ -95,16 +110,18 @@ class Row:
 
 def read_measurements(
     path: Path, configuration: Configuration, targets: Path | None = None
-) -> TableData:
+) -> TableData | WholeTable:
     """Read the table at ``path``; its header says which method it belongs to.
 
     ``targets`` is the file of target positions of a tracer table, by default ``targets.csv``
     beside it; without one the targets of the set-up are used. Raises BagError when a file
     cannot be read, DataError when its content cannot be what it should be.
     """
-    calibration = catalogue.prepare(configuration)
     header, rows = _read_table(path, (TRACER, BALL_PLATE, PLANE_MIRROR))
     files = [path]
+    if header == PLANE_MIRROR:
+        return WholeTable(configuration, _text(path), str(path), _hashes(files))
+    calibration = catalogue.prepare(configuration)
     if header == TRACER:
         beside = path.with_name(TARGETS_FILE)
         if targets is None and beside.exists():
@@ -115,9 +132,10 @@ def read_measurements(
             calibration = catalogue.Calibration(configuration, calibration.method, plan)
     find = _Finder(calibration.plan)
     observations = tuple(_observation(find, row, _READERS[header]) for row in rows)
+    if header == BALL_PLATE:  # a plate that moved is looked for in the order of the rows
+        observations = tuple(replace(o, step=row) for row, o in enumerate(observations))
     _check_lengths(calibration.plan, rows, observations)
-    sha256 = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
-    return TableData(calibration, observations, sha256)
+    return TableData(calibration, observations, _hashes(files))
 
 
 def read_targets(path: Path) -> tuple[Point, ...]:
@@ -141,10 +159,7 @@ def _read_table(
     path: Path, headers: tuple[tuple[str, ...], ...]
 ) -> tuple[tuple[str, ...], list[Row]]:
     """Return the header, one of ``headers``, and the rows of a CSV file."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"cannot read the table {path}: {error}") from error
+    text = _text(path)
     lines = [
         (number, [cell.strip() for cell in cells])
         for number, line in enumerate(text.splitlines(), start=1)
@@ -166,6 +181,17 @@ def _read_table(
     if not rows:
         raise DataError(f"{path}: the table has a header but no rows")
     return found, rows
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BagError(f"cannot read the table {path}: {error}") from error
+
+
+def _hashes(files: list[Path]) -> dict[str, str]:
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 def _plan_of_targets(plan: Plan, targets: tuple[Point, ...]) -> Plan:
@@ -193,9 +219,9 @@ class _Finder:
         self._plan = plan
         self._steps: dict[tuple[int, int, int, PointKind | None], Step] = {}
         for step in plan.steps:
-            key = (step.table_index, step.target, step.station)
-            self._steps[(*key, step.kind)] = step
-            self._steps.setdefault((*key, None), step)
+            index, target, station = step.table_index, step.target, step.station
+            self._steps[index, target, station, step.kind] = step
+            self._steps.setdefault((index, target, station, None), step)
         self._seen: dict[int, str] = {}
 
     def __call__(
@@ -207,8 +233,8 @@ class _Finder:
             raise DataError(
                 f"{row.place}: position {table_index}, target {target}, tracker station "
                 f"{station}{what} is not in the plan, which has positions 0 to "
-                f"{len(self._plan.table_angles) - 1} and targets 0 to "
-                f"{len(self._plan.targets) - 1}; does the set-up belong to this table?"
+                f"{len(self._plan.table_angles) - 1} and targets {self._targets()}; does the "
+                "set-up belong to this table?"
             )
         if step.index in self._seen:
             raise DataError(
@@ -217,6 +243,13 @@ class _Finder:
             )
         self._seen[step.index] = row.place
         return step
+
+    def _targets(self) -> str:
+        """Return the targets of the plan in words; the balls of a plate have gaps."""
+        known = sorted({step.target for step in self._plan.steps})
+        if known == list(range(len(known))):
+            return f"0 to {known[-1]}"
+        return ", ".join(map(str, known))
 
 
 Reader = Callable[[_Finder, Row], tuple[Step, PointKind, tuple[float, ...]]]
@@ -232,20 +265,9 @@ def _ball_plate(find: _Finder, row: Row) -> tuple[Step, PointKind, tuple[float, 
     return step, PointKind.CENTRE, row.point()
 
 
-def _plane_mirror(find: _Finder, row: Row) -> tuple[Step, PointKind, tuple[float, ...]]:
-    kind = _KINDS.get(row.cells["kind"])
-    if kind is None:
-        raise DataError(
-            f"{row.place}: kind must be {', '.join(_KINDS)}, found {row.cells['kind']!r}"
-        )
-    station = row.index("tracker_station")
-    return find(row, row.index("position"), row.index("nest"), station, kind), kind, row.point()
-
-
 _READERS: Final[Mapping[tuple[str, ...], Reader]] = {
     TRACER: _tracer,
     BALL_PLATE: _ball_plate,
-    PLANE_MIRROR: _plane_mirror,
 }
 
 

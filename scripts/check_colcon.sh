@@ -5,6 +5,10 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 root=$PWD
 work=$root/build/colcon
+if [[ $root == *" "* ]]; then
+    echo "check_colcon: the scripts that colcon generates break at the blank in '$root'" >&2
+    exit 1
+fi
 scripts/setup.sh
 
 # A ROS installation would be sourced here; the wheels in .venv take its place.

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,9 +60,16 @@ def test_form_follows_the_published_schema() -> None:
     assert data["details"] == {"circle": {"centre": [1.0, 2.0]}, "note": ["a", 2.5]}
 
 
-def test_nan_never_reaches_a_file() -> None:
-    with pytest.raises(ValueError, match="JSON"):
-        result(np.array([0.0, np.nan])).to_json()
+@pytest.mark.parametrize("values", [np.array([0.0, np.nan]), np.array([0.0, np.inf])])
+def test_a_deviation_is_a_number_or_absent(values: np.ndarray) -> None:
+    with pytest.raises(DataError, match=r"ECC is (nan|inf) at .* deg \(row 1\)"):
+        result(values)
+
+
+def test_what_a_detail_does_not_know_is_null_in_json() -> None:
+    known = result(np.array([0.0, 1.0]))
+    unknown = replace(known, details={"redundancy": np.array([np.nan, 0.5])})
+    assert json.loads(unknown.to_json())["details"] == {"redundancy": [None, 0.5]}
 
 
 @pytest.mark.parametrize("data", [{}, {"schema": 2}, {"schema": 1, "method": "x"}, []])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from itertools import product
 from math import dist
 from pathlib import Path
@@ -13,8 +14,10 @@ import pytest
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.configuration import Configuration, dump_configuration, parse_configuration
 from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.methods.plane_mirror import write_points
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.simulation.tracker_mirror import measure, paper_cell
 from rotcal_ros.tables import read_measurements, read_targets
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -176,28 +179,33 @@ def test_ball_plate_table(
     path.write_text("table_index,ball_step,x_m,y_m,z_m\n1,0,0.1,0.2,0.3\n0,1,1,2,3\n")
     data = read_measurements(path, configuration)
     assert [(o.step, o.mean, o.kind) for o in data.observations] == [
-        (2, (0.1, 0.2, 0.3), PointKind.CENTRE),
+        (0, (0.1, 0.2, 0.3), PointKind.CENTRE),  # rows in the order of measurement
         (1, (1.0, 2.0, 3.0), PointKind.CENTRE),
     ]
 
 
-def test_plane_mirror_table(
-    configuration: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kinds = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
-    steps = [(t, 0, s, k) for t in range(2) for s in range(2) for k in kinds]
-    monkeypatch.setattr("rotcal_ros.catalogue.prepare", lambda _: calibration_of(steps))
+def test_plane_mirror_table_is_read_by_its_method(tmp_path: Path) -> None:
+    """Stations with names, rows in any order, comments: what a tracker program writes."""
+    deviations = np.zeros((17, 6))
+    deviations[:, 5] = 3.0 * ARCSEC * np.sin(np.arange(17))
+    problem = measure(paper_cell(), deviations)
+    named = replace(problem, station_names=tuple("ABCDEF"))
+    head, *rows = write_points(named).splitlines()
     path = tmp_path / "mirror.csv"
-    header = "position,tracker_station,kind,nest,x_m,y_m,z_m\n"
-    path.write_text(header + "1,0,mirrored,0,1,2,3\n0,1,nest,0,1,2,4\n")
-    data = read_measurements(path, configuration)
-    assert [(o.step, o.kind, o.station) for o in data.observations] == [
-        (7, PointKind.MIRRORED, 0),
-        (5, PointKind.NEST, 1),
-    ]
-    path.write_text(header + "1,0,reflected,0,1,2,3\n")
-    with pytest.raises(DataError, match="kind must be direct, mirrored, nest"):
-        read_measurements(path, configuration)
+    path.write_text("\n".join(["# metres", head, *rows]))
+    mirror = {"plan": {"table_step_deg": 22.5, "table_positions": 17}}
+    setup = parse_configuration(dump_configuration("plane_mirror", mirror))
+    result = read_measurements(path, setup).solve()
+    expected = deviations[:, 5] - deviations[0, 5]
+    np.testing.assert_allclose(result.deviations["ECC"], expected, atol=1e-9)
+    assert [way["way"] for way in result.details["ways"]] == ["stitching", "registration"]
+
+    path.write_text("\n".join([head, rows[0].replace("nest", "reflected"), *rows[1:]]))
+    with pytest.raises(DataError, match=r"mirror\.csv, line 2: kind 'reflected'"):
+        read_measurements(path, setup).solve()
+    tracer = parse_configuration(dump_configuration("tracer_multistation", {}))
+    with pytest.raises(DataError, match="no table of the method tracer_multistation"):
+        read_measurements(path, tracer).solve()
 
 
 def test_table_solves_to_the_injected_deviations(tmp_path: Path) -> None:

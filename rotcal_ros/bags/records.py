@@ -97,6 +97,7 @@ def command(table: Any, probe: Any) -> Command:
         kind=_known(PointKind, probe.kind),
         target=probe.target,
         position=_point(probe.position),
+        station=probe.station,
     )
 
 

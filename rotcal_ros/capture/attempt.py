@@ -30,11 +30,16 @@ class Wait:
 
 @dataclass
 class Streams:
-    """The streams that an attempt is judged by; temperature holds one column (degC)."""
+    """The streams that an attempt is judged by; temperature holds one column (degC).
+
+    ``since_ns`` is the stamp of the first probe sample. Temperatures before it are not used:
+    how many of them there are depends on when somebody began to listen.
+    """
 
     tracer: TracerStream
     table: Stream
     temperature: Stream
+    since_ns: int | None = None
 
     def all(self) -> tuple[Stream, ...]:
         """Return the streams, fastest first."""
@@ -47,15 +52,13 @@ class Attempt:
 
     ``samples`` are the probe samples so far. ``superseded_ns`` is the stamp of the first probe
     sample of the next attempt, once known: nothing later can belong to this one. ``search_ns``
-    is from when the table may be in position, ``run_begin_ns`` the stamp of the first probe
-    sample of all. A non-empty ``refusal`` needs no further look.
+    is from when the table may be in position. A non-empty ``refusal`` needs no further look.
     """
 
     step: Step
     number: int
     samples: list[ProbeSample]
     search_ns: int
-    run_begin_ns: int
     refusal: str = ""
     superseded_ns: int | None = None
     points_seen: set[int] = field(default_factory=set)
@@ -110,35 +113,34 @@ class Attempt:
         return self.observation(Reduced(reason=reason))
 
 
-def temperature_at(streams: Streams, attempt: Attempt, settings: CaptureSettings) -> float | None:
+def temperature_at(streams: Streams, begin_ns: int, settings: CaptureSettings) -> float | None:
     """Return the temperature (degC) that goes with an attempt; None: there is none.
 
-    It is the last reading that is at least ``temperature_lag_s`` older than the attempt, early
-    in a run the first one of the run: a choice that neither later readings change nor those
-    from before the run, which a capture may have heard or not.
+    It is the last reading stamped ``temperature_lag_s`` or more before the probe reached its
+    target, else the first one of the calibration: a choice that later readings do not change.
     """
-    stream, wanted = streams.temperature, _temperature_wanted_ns(attempt, settings)
+    stream = streams.temperature
+    wanted = _temperature_stamp(streams, begin_ns, settings)
     if not (settings.temperature_expected and stream.knows(wanted)):
         return None
-    row = max(stream.index(wanted + 1) - 1, stream.index(attempt.run_begin_ns))
+    row = max(stream.index(wanted + 1) - 1, stream.index(streams.since_ns or 0))
     if abs(int(stream.stamps[row]) - wanted) > nanoseconds(settings.clock_tolerance_s):
         return None
     return float(stream.values[row, 0])
 
 
-def missing_temperature(
-    streams: Streams, attempt: Attempt, settings: CaptureSettings
-) -> Wait | None:
+def missing_temperature(streams: Streams, begin_ns: int, settings: CaptureSettings) -> Wait | None:
     """Return what to wait for before :func:`temperature_at` is known for good."""
-    wanted = _temperature_wanted_ns(attempt, settings)
+    wanted = _temperature_stamp(streams, begin_ns, settings)
     if not settings.temperature_expected or streams.temperature.knows(wanted):
         return None
     return Wait(streams.temperature, wanted)
 
 
-def _temperature_wanted_ns(attempt: Attempt, settings: CaptureSettings) -> int:
-    lag = nanoseconds(settings.temperature_lag_s)
-    return max(attempt.begin_ns - lag, attempt.run_begin_ns)
+def _temperature_stamp(streams: Streams, begin_ns: int, settings: CaptureSettings) -> int:
+    """Return the stamp at which an attempt that began at ``begin_ns`` reads the temperature."""
+    wanted = begin_ns - nanoseconds(settings.temperature_lag_s)
+    return wanted if streams.since_ns is None else max(wanted, streams.since_ns)
 
 
 def forgotten(stream: Stream, stamp_ns: int) -> bool:

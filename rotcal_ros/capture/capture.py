@@ -21,7 +21,7 @@ from rotcal_ros.capture.attempt import (
     seconds,
 )
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.plausibility import LengthCheck
+from rotcal_ros.capture.plausibility import LengthCheck, TrackerCheck
 from rotcal_ros.capture.points import decide_points
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts
@@ -74,11 +74,10 @@ class Capture:
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
         self._probe_stamp: int | None = None
-        self._run_begin_ns: int | None = None
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
         self._waiting: Wait | None = None
-        self._check = LengthCheck(plan)
+        self._checks = (LengthCheck(plan), TrackerCheck())
         self._remarks: deque[str] = deque(maxlen=100)
         self._takers: dict[type[Any], Callable[[Any], Observations]] = {
             TracerSample: self._take_tracer,
@@ -195,18 +194,12 @@ class Capture:
 
     def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
         step = self._plan.steps[sample.step]
+        if self._streams.since_ns is None:
+            self._streams.since_ns = sample.stamp_ns
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        if self._run_begin_ns is None:
-            self._run_begin_ns = sample.stamp_ns
-        attempt = Attempt(
-            step,
-            sample.attempt,
-            [sample],
-            search_ns=sample.stamp_ns,
-            run_begin_ns=self._run_begin_ns,
-        )
+        attempt = Attempt(step, sample.attempt, [sample], search_ns=sample.stamp_ns)
         attempt.points_seen.add(sample.point)
         attempt.refusal = self._refusal(attempt, sample)
         self._pending.append(attempt)
@@ -229,12 +222,15 @@ class Capture:
         if not finite(sample.position):
             self._probe.non_finite += 1
             return f"probe position is not finite: {sample.position}"
-        if sample.kind != step.kind or sample.target != step.target:
+        if (sample.kind, sample.target) != (step.kind, step.target):
             self._probe.off_plan += 1
             return (
                 f"probe reports {sample.kind.name} at target {sample.target}, "
                 f"the plan says {step.kind.name} at target {step.target}"
             )
+        if sample.station != step.station:
+            self._probe.off_plan += 1
+            return f"probe reports station {sample.station}, the plan says station {step.station}"
         away = dist(sample.position, step.position)
         if step.kind == PointKind.REFLECTOR and away > self._settings.probe_tolerance_m:
             self._probe.implausible += 1
@@ -256,7 +252,9 @@ class Capture:
                 self._sleep(self._pending[0], outcome)
                 break
             self._pending.popleft()
-            decided.append(self._check(outcome))
+            for check in self._checks:
+                outcome = check(outcome)
+            decided.append(outcome)
         return tuple(decided)
 
     def _outcome(self, attempt: Attempt) -> Observation | Wait:
@@ -276,7 +274,7 @@ class Capture:
 
     def _judge(self, attempt: Attempt) -> Observation | Wait:
         """Judge an attempt by the streams; a temperature too far behind is done without."""
-        wait = missing_temperature(self._streams, attempt, self._settings)
+        wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
         if wait is not None and not self._too_far_behind(attempt, wait):
             return wait
         decide = decide_length if attempt.step.kind == PointKind.REFLECTOR else decide_points

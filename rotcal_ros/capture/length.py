@@ -104,5 +104,5 @@ def _observe(
         n_samples=len(stamps),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
-        temperature_c=temperature_at(streams, attempt, settings),
+        temperature_c=temperature_at(streams, attempt.begin_ns, settings),
     )

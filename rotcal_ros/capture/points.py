@@ -16,13 +16,15 @@ from rotcal_ros.capture.attempt import (
     seconds,
     temperature_at,
 )
+from rotcal_ros.capture.ball import fitted_centre, in_place
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.table import departure, farthest, mean_angle
 from rotcal_ros.capture.window import Reduced, mean_and_scatter
 from rotcal_ros.observations import Observation, PointKind, ProbeSample
+from rotcal_ros.planning.plan import Step
 from rotcal_ros.units import ARCSEC
 
-PointReducer = Callable[[Sequence[ProbeSample]], Reduced]
+PointReducer = Callable[[Sequence[ProbeSample], Step, CaptureSettings], Reduced]
 
 
 def decide_points(
@@ -49,7 +51,9 @@ def decide_points(
     if forgotten(table, begin_ns):
         return attempt.rejection("table feedback at the time of the points is not in memory")
     angle = attempt.step.table_angle
-    reduced = REDUCERS[attempt.step.kind](samples)
+    reduced = REDUCERS[attempt.step.kind](samples, attempt.step, settings)
+    if attempt.step.kind in (PointKind.SURFACE, PointKind.CENTRE):
+        reduced = in_place(reduced, attempt.step, settings)
     if departure(table, begin_ns, end_ns, angle, settings) is not None:
         off = farthest(table, begin_ns, end_ns, angle) / ARCSEC
         reduced = Reduced(
@@ -61,11 +65,11 @@ def decide_points(
         n_samples=len(samples),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(table, begin_ns, end_ns, angle),
-        temperature_c=temperature_at(streams, attempt, settings),
+        temperature_c=temperature_at(streams, attempt.begin_ns, settings),
     )
 
 
-def mean_point(samples: Sequence[ProbeSample]) -> Reduced:
+def mean_point(samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSettings) -> Reduced:
     """Return the mean of repeated points (m), or the one point with its own deviation."""
     if len(samples) == 1:
         std = samples[0].position_std
@@ -81,16 +85,11 @@ def mean_point(samples: Sequence[ProbeSample]) -> Reduced:
     )
 
 
-def no_centre(samples: Sequence[ProbeSample]) -> Reduced:
-    """Refuse surface points: their mean is not the centre of the ball."""
-    return Reduced(reason=f"{len(samples)} surface points, but no sphere fit to reduce them")
-
-
 REDUCERS: dict[PointKind, PointReducer] = {
     PointKind.CENTRE: mean_point,
     PointKind.DIRECT: mean_point,
     PointKind.MIRRORED: mean_point,
     PointKind.NEST: mean_point,
-    PointKind.SURFACE: no_centre,
+    PointKind.SURFACE: fitted_centre,
 }
-"""How the points of a step become one; a method that probes surfaces adds its fit here."""
+"""How the points of a step become one."""

@@ -58,6 +58,15 @@ class CaptureSettings:
     probe_tolerance_m: float = setting(
         1e-3, doc="m, largest distance of the probe from its target", minimum=1e-9, maximum=10.0
     )
+    ball_tolerance_m: float = setting(
+        3e-3, doc="m, largest distance of a ball from its planned place", minimum=1e-6, maximum=1.0
+    )
+    max_form_m: float = setting(
+        10e-6,
+        doc="m, largest form deviation of a ball's touch points, and error of its radius",
+        minimum=1e-9,
+        maximum=1e-2,
+    )
     step_timeout_s: float = setting(
         30.0,
         doc="s, from the probe at its target to the end of the window; a planner that gives up "

@@ -8,7 +8,9 @@ are equal to the last bit.
 
 from __future__ import annotations
 
+from rotcal_ros.catalogue.ball_plate import BALL_PLATE
 from rotcal_ros.catalogue.calibration import Calibration, Method, final_observations
+from rotcal_ros.catalogue.plane_mirror import PLANE_MIRROR
 from rotcal_ros.catalogue.runs import (
     ATTEMPTS_PER_RUN,
     Continuation,
@@ -20,7 +22,14 @@ from rotcal_ros.catalogue.tracer import TRACER_MULTISTATION
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError
 
-METHODS: dict[str, Method] = {method.name: method for method in (TRACER_MULTISTATION,)}
+METHODS: dict[str, Method] = {
+    method.name: method
+    for method in (
+        TRACER_MULTISTATION,
+        BALL_PLATE,
+        PLANE_MIRROR,
+    )
+}
 
 __all__ = [
     "ATTEMPTS_PER_RUN",
@@ -30,6 +39,7 @@ __all__ = [
     "Method",
     "continued",
     "final_observations",
+    "find_method",
     "last_accepted",
     "prepare",
     "run_of",
@@ -41,14 +51,20 @@ def prepare(configuration: Configuration) -> Calibration:
 
     Raises ConfigurationError for an unknown method, PlanError for an impossible plan.
     """
+    method = find_method(configuration)
+    return Calibration(
+        configuration=configuration,
+        method=method,
+        plan=method.plan(configuration),
+    )
+
+
+def find_method(configuration: Configuration) -> Method:
+    """Return the method of a configuration; ConfigurationError when there is none."""
     method = METHODS.get(configuration.method)
     if method is None:
         raise ConfigurationError(
             f"{configuration.source}: unknown method {configuration.method!r}; "
             f"known: {', '.join(sorted(METHODS))}"
         )
-    return Calibration(
-        configuration=configuration,
-        method=method,
-        plan=method.plan(configuration),
-    )
+    return method

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.catalogue.calibration import Method
+from rotcal_ros.catalogue.calibration import Method, Trials
 from rotcal_ros.catalogue.runs import run_of
 from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
+from rotcal_ros.methods.runs import Arrivals, mean_from_first, mean_of_runs, repeatability_std
 from rotcal_ros.methods.tracer.joins import Pairs, solve_joined
 from rotcal_ros.methods.tracer.problem import TracerProblem, TracerSettings
-from rotcal_ros.observations import Observation
+from rotcal_ros.observations import Approach, Observation
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.runs import visits
+from rotcal_ros.planning.table_angles import table_angles
 from rotcal_ros.planning.tracer_plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.results import Result
 from rotcal_ros.settings import setting
@@ -79,14 +82,76 @@ def plan(configuration: Configuration) -> Plan:
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
-    """Solve the accepted observations of a laser-tracer plan."""
+    """Solve the accepted observations of a laser-tracer plan.
+
+    Repeated runs become one curve over the distinct angles: :mod:`rotcal_ros.methods.runs`.
+    """
+    result = tracer.solve(_configured_problem(configuration, plan, observations))
+    return _over_distinct_angles(configuration, result)
+
+
+def _over_distinct_angles(configuration: Configuration, result: Result) -> Result:
+    arrivals = _arrivals(configuration)
+    if arrivals is None:
+        return result
+    return mean_of_runs(result, arrivals.take(np.asarray(result.details["station_ids"])))
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about the accepted observations of a laser-tracer plan."""
+    prepared = tracer.tracer_trials(_configured_problem(configuration, plan, observations))
+    arrivals = _arrivals(configuration)
+    if arrivals is None:
+        return prepared
+    arrivals = arrivals.take(prepared.grid.station_ids)
+    result = tracer.solve(_configured_problem(configuration, plan, observations))
+    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+    scatter = repeatability_std(ecc, covariance, arrivals)
+    return RepeatedTrials(prepared, mean_from_first(arrivals), scatter)
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedTrials:
+    """Trials of all arrivals, with their repeatability (rad), as mean curves."""
+
+    arrivals: Trials
+    mean: NDArray[np.float64]
+    repeatability_std: float
+
+    def __call__(self, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+        """Return the mean deviations (count, k) in rad."""
+        values = self.arrivals(rng, count)
+        values = values + self.repeatability_std * rng.standard_normal(values.shape)
+        return np.asarray(values @ self.mean.T, dtype=np.float64)
+
+
+def _configured_problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> TracerProblem:
+    repeated = configuration.group("plan", TracerPlanSettings).repeated
     settings = configuration.group("solver", TracerSolverSettings)
-    return tracer.solve(problem(settings, plan, observations))
+    return replace(problem(settings, plan, observations), repeated_runs=repeated)
+
+
+def _arrivals(configuration: Configuration) -> Arrivals | None:
+    """Return the arrivals of all stations of a plan with repeated runs."""
+    settings = configuration.group("plan", TracerPlanSettings)
+    if not settings.repeated:
+        return None
+    angles = np.array(table_angles(settings))
+    every = visits(len(angles), settings.runs, settings.bidirectional)
+    return Arrivals(
+        targets=angles,
+        target=np.array([visit.target for visit in every]),
+        run=np.array([visit.run for visit in every]),
+        upward=np.array([visit.approach is Approach.POSITIVE for visit in every]),
+    )
 
 
 def join(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve the accepted observations of several runs; what was measured twice joins them."""
-    settings = configuration.group("solver", TracerSolverSettings)
     row_of: dict[int, int] = {}
     kept: list[Observation] = []
     repeated: dict[int, list[Observation]] = {}
@@ -96,14 +161,14 @@ def join(configuration: Configuration, plan: Plan, observations: Sequence[Observ
         else:
             row_of[o.step] = len(kept)
             kept.append(o)
-    posed = problem(settings, plan, kept)
+    posed = _configured_problem(configuration, plan, kept)
     place = posed.targets[posed.target]
     run = np.array([run_of(o) for o in kept], dtype=np.int64)
     pairs = []
     for number in np.unique(run)[1:].tolist():
         again = repeated.get(number, [])
         row = np.array([row_of[o.step] for o in again], dtype=np.int64)
-        twin = problem(settings, plan, again) if again else posed
+        twin = _configured_problem(configuration, plan, again) if again else posed
         pairs.append(
             Pairs(
                 run=number,
@@ -113,7 +178,8 @@ def join(configuration: Configuration, plan: Plan, observations: Sequence[Observ
                 shift=_positions(again) - place[row],
             )
         )
-    return solve_joined(posed, run, _positions(kept) - place, pairs)
+    joined = solve_joined(posed, run, _positions(kept) - place, pairs)
+    return _over_distinct_angles(configuration, joined)
 
 
 def problem(
@@ -184,4 +250,5 @@ TRACER_MULTISTATION = Method(
     plan=plan,
     solve=solve,
     join=join,
+    trials=trials,
 )

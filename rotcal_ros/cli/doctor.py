@@ -17,6 +17,7 @@ from typing import Final
 import click
 
 from rotcal_ros.cli.console import json_option, print_json
+from rotcal_ros.cli.domains import free_domain
 
 CORE: Final = (
     "click",
@@ -146,7 +147,7 @@ def messages() -> Check:
 def loopback() -> Check:
     """Send a message there and back over DDS, in a domain of its own on this machine."""
     private = {
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_DOMAIN_ID": str(free_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     try:

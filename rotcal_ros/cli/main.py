@@ -16,9 +16,15 @@ UNREADABLE: Final = 2
 
 VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
+    "verify": "Measure the simulated cell, compensate it, and measure again.",
     "solve": "Solve a recorded bag or a plain table, without ROS.",
     "reprocess": "Solve many bags with one configuration, on all cores or a cluster.",
+    "export": "Write the correction table of a calibration for a controller.",
+    "plan": "Design a ball plate and its measurement.",
     "report": "Write the self-contained HTML report of a calibration.",
+    "compare": "Compare results of one table, and references: do they agree?",
+    "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",
+    "uncertainty": "Propagate the noise by Monte Carlo (JCGM 101).",
     "bag": "Check, repair and describe recorded bags.",
     "doctor": "Check this machine and say what to do.",
 }

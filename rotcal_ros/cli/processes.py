@@ -32,12 +32,15 @@ class Processes:
     children: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
     def start(self, name: str, command: Sequence[str], *, piped: bool = False) -> None:
-        """Start ``command``; its output goes to ``<name>.log``, with ``piped`` only its errors."""
+        """Start ``command``; its output goes to ``<name>.log``.
+
+        With ``piped`` only its errors go there: standard input and output are pipes.
+        """
         with (self.log_folder / f"{name}.log").open("wb") as log:
             self.children[name] = subprocess.Popen(
                 command,
                 env={**os.environ, **self.environment},
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE if piped else subprocess.DEVNULL,
                 stdout=subprocess.PIPE if piped else log,
                 stderr=log,
                 start_new_session=True,
@@ -51,6 +54,14 @@ class Processes:
             for name, child in self.children.items()
             if (code := child.poll()) is not None
         }
+
+    def tell(self, name: str, text: str) -> None:
+        """Write a line to a piped child; one that has ended does not hear it."""
+        stream = self.children[name].stdin
+        assert stream is not None
+        with suppress(OSError):
+            stream.write(f"{text}\n".encode())
+            stream.flush()
 
     def signal(self, name: str, number: signal.Signals) -> None:
         """Send a signal to one child if it still runs."""
@@ -75,8 +86,10 @@ class Processes:
             if child.poll() is None:
                 child.kill()
             child.wait()
-            if child.stdout is not None:
-                child.stdout.close()
+            for stream in (child.stdin, child.stdout):
+                if stream is not None:
+                    with suppress(OSError):
+                        stream.close()
 
     def __enter__(self) -> Processes:
         return self

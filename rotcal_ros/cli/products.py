@@ -9,6 +9,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from rotcal_ros.bags.durable import write_atomically
 from rotcal_ros.cli.console import say
 from rotcal_ros.cli.session import SIMULATION, Session
@@ -24,7 +26,9 @@ FORMATS: Final = ("csv", "linuxcnc")
 """Controller files that need no settings of the user's machine."""
 
 
-def write_products(session: Session, *, report: bool) -> dict[str, str]:
+def write_products(
+    session: Session, *, report: bool = True, export: bool = True
+) -> dict[str, str]:
     """Write what follows from the result; return name -> absolute path of all there is."""
     result_file = session.folder / "result.json"
     paths = {"bag": session.folder / "bag", "result": result_file}
@@ -32,16 +36,25 @@ def write_products(session: Session, *, report: bool) -> dict[str, str]:
         paths["truth"] = _write_truth(session)
     if report:
         paths |= _write_report(session, result_file, paths)
-    folder = _write_compensation(session, result_file)
+    folder = _write_compensation(session, result_file) if export else None
     if folder is not None:
         paths["compensation"] = folder
     return {name: str(path) for name, path in paths.items()}
 
 
 def _write_truth(session: Session) -> Path:
-    """Write what the simulation injected at the plan's table angles."""
+    """Write what the simulation injected at the plan's table angles.
+
+    ``injected`` holds it all, ``deviations`` what the method can see of it: see Method.gauge.
+    """
     settings = session.configuration.group(SIMULATION, SimulationSettings)
-    truth = SimulatedCell(settings).truth_dict(session.calibration.plan.table_angles)
+    calibration = session.calibration
+    angles = np.array(calibration.plan.table_angles)
+    cell = SimulatedCell(settings)
+    truth = cell.truth_dict(angles)
+    truth["injected"] = truth["deviations"]
+    seen = calibration.method.gauge(angles, cell.truth(angles))
+    truth["deviations"] = {name: values.tolist() for name, values in seen.items()}
     path = session.folder / "truth.json"
     write_atomically(path, json.dumps(truth, indent=1, allow_nan=False) + "\n")
     return path

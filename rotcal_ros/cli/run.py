@@ -8,16 +8,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from queue import Empty
 from types import FrameType
-from typing import Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, print_json, progress_bar, say
 from rotcal_ros.cli.main import INTERRUPTED
+from rotcal_ros.cli.person import Person
 from rotcal_ros.cli.resume import resume_session
 from rotcal_ros.cli.session import BAG, Session, prepare_session, require_ros
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.units import ARCSEC
+
+if TYPE_CHECKING:
+    pass
 
 SILENCE_TIMEOUT_S: Final = 60.0
 """The client tells something every second; after this silence it hangs."""
@@ -46,6 +51,10 @@ path_type = click.Path(path_type=Path)
 )
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
+@click.option("--no-export", is_flag=True, help="Write no controller files.")
+@click.option(
+    "-y", "--yes", is_flag=True, help="Take every work asked of a person as done at once."
+)
 @json_option
 def command(
     configuration: Path,
@@ -54,12 +63,16 @@ def command(
     resume: Path | None,
     keep_previous: bool,
     no_report: bool,
+    no_export: bool,
+    yes: bool,
     as_json: bool,
 ) -> int:
     """Start the nodes of the cell that CONFIG describes, calibrate, end them.
 
     With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
-    running. Ctrl-C cancels: the bag stays valid, and --resume continues it.
+    running. Where the plan needs a person, the instruction is shown: a simulated person does it
+    at once, a real one presses Enter when done (or calls the service 'resume' of the cell).
+    Ctrl-C cancels: the bag stays valid, and --resume continues it.
     """
     require_ros()
     started = time.monotonic()
@@ -70,20 +83,12 @@ def command(
     else:
         folder = output or Path("out") / configuration.stem
         session = prepare_session(configuration, folder, changes, keep_previous=keep_previous)
-    previous = signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        outcome = _calibrate(session) if session.something_left else _solve_bag(session)
-    finally:
-        signal.signal(signal.SIGTERM, previous)
+    outcome = calibrate(session, Person(session, yes))
     if outcome.get("interrupted"):
-        say(f"interrupted; the bag is closed: {outcome.get('bag_folder') or 'none was begun'}")
-        say(f"to go on: rotcal run {session.configuration_file} --resume {session.folder}")
         return INTERRUPTED
-    if outcome["error_code"]:
-        _fail(session, outcome)
     from rotcal_ros.cli.products import write_products
 
-    files = write_products(session, report=not no_report)
+    files = write_products(session, report=not no_report, export=not no_export)
     outcome |= {"seconds": round(time.monotonic() - started, 1), "files": files}
     if as_json:
         print_json(outcome)
@@ -96,11 +101,29 @@ def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _calibrate(session: Session) -> dict[str, Any]:
+def calibrate(session: Session, person: Person) -> dict[str, Any]:
+    """Run the nodes of a session to the end and return the outcome of the goal.
+
+    Its ``interrupted`` is true when the user ended it. Raises RotcalError when it failed.
+    """
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        outcome = _run(session, person) if session.something_left else _solve_bag(session)
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    if outcome.get("interrupted"):
+        say(f"interrupted; the bag is closed: {outcome.get('bag_folder') or 'none was begun'}")
+        say(f"to go on: rotcal run {session.configuration_file} --resume {session.folder}")
+    elif outcome["error_code"]:
+        _fail(session, outcome)
+    return outcome
+
+
+def _run(session: Session, person: Person) -> dict[str, Any]:
     """Run the nodes until the client tells the result."""
     with session.start() as running:
         try:
-            return _follow(running, SILENCE_TIMEOUT_S)
+            return _follow(running, SILENCE_TIMEOUT_S, person)
         except KeyboardInterrupt:
             say("canceling: the bag is being closed")
             running.cancel()
@@ -139,37 +162,64 @@ def _last_words(running: Any) -> dict[str, Any]:
     return {}
 
 
-def _follow(running: Any, silence_timeout_s: float) -> dict[str, Any]:
-    """Show the progress; return the result event."""
+def _follow(running: Any, silence_timeout_s: float, person: Person) -> dict[str, Any]:
+    """Show the progress and ask the person; return the result event."""
     with progress_bar() as bar:
-        task = bar.add_task("starting the nodes", total=None)
-        heard, decile, begun = time.monotonic(), 0, False
+        display = _Display(bar)
+        heard, begun = time.monotonic(), False
         while True:
+            if person.is_done():
+                running.resume()
             try:
                 event = running.events.get(timeout=_POLL_S)
             except Empty:
                 _check(running, begun, time.monotonic() - heard, silence_timeout_s)
                 continue
             heard = time.monotonic()
-            kind = event["event"]
-            if kind == "result":
-                return dict(event)
-            if kind == "refused":
-                raise ConfigurationError(f"the goal was refused: {event['reason']}")
-            if kind == "end":
-                raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
-            begun = begun or kind == "started"
-            if kind == "feedback":
-                text = describe(event)
-                bar.update(task, completed=event["step"], total=event["total"], description=text)
-                if bar.disable and event["step"] * 10 // event["total"] > decile:
-                    decile = event["step"] * 10 // event["total"]
-                    say(f"{event['step']} of {event['total']} steps, {text}")
+            if event["event"] in ("result", "refused", "end"):
+                return _ending(running, event, begun)
+            begun = begun or event["event"] == "started"
+            display.tell(person.hear(event))
+            if event["event"] == "feedback":
+                display.show(event)
+
+
+def _ending(running: Any, event: Mapping[str, Any], begun: bool) -> dict[str, Any]:
+    """Return a result event; raise the error that any other ending is."""
+    if event["event"] == "refused":
+        raise ConfigurationError(f"the goal was refused: {event['reason']}")
+    if event["event"] == "end":
+        _check(running, begun, 0.0, SILENCE_TIMEOUT_S)
+        raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
+    return dict(event)
+
+
+class _Display:
+    """A progress bar; where there is no terminal, a line for every tenth of the steps."""
+
+    def __init__(self, bar: Any) -> None:
+        self._bar = bar
+        self._task = bar.add_task("starting the nodes", total=None)
+        self._decile = 0
+
+    def tell(self, text: str) -> None:
+        """Print a line, if there is any, above the bar."""
+        if text:
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def show(self, event: Mapping[str, Any]) -> None:
+        """Show a feedback."""
+        step, total, text = event["step"], event["total"], describe(event)
+        self._bar.update(self._task, completed=step, total=total, description=text)
+        if self._bar.disable and step * 10 // total > self._decile:
+            self._decile = step * 10 // total
+            say(f"{step} of {total} steps, {text}")
 
 
 def describe(feedback: Mapping[str, Any]) -> str:
     """Return what a feedback says in words: activity, standard deviation, time left."""
-    words = [str(feedback["activity"])]
+    activity = str(feedback["activity"])
+    words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
     if feedback["current_std_rad"] is not None:
         words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
     if feedback["time_left_s"] is not None:

@@ -22,8 +22,11 @@ from rotcal_ros.bags.durable import FolderLock
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, Continuation, prepare
+from rotcal_ros.cli.domains import free_domain
 from rotcal_ros.cli.processes import Processes
+from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.configuration import (
+    GROUPS,
     Configuration,
     dump_configuration,
     parse_configuration,
@@ -36,6 +39,7 @@ from rotcal_ros.simulation import SimulationSettings
 
 NODES: Final = ("planner", "capture", "solver", "recorder")
 SIMULATION: Final = "simulation"
+FURTHER_NODES: Final = {"bridge": "bridge", SIMULATION: "simulated_cell"}
 CLIENT: Final = "client"
 BAG: Final = "bag"
 """Folder of the bag inside the session folder."""
@@ -85,6 +89,12 @@ class Session:
         """Whether the cell is a simulated one."""
         return SIMULATION in self.configuration.groups
 
+    @property
+    def further_nodes(self) -> list[str]:
+        """The nodes that run only when the configuration has a group for them."""
+        groups = self.configuration.groups
+        return [node for group, node in FURTHER_NODES.items() if group in groups]
+
     def start(self) -> RunningSession:
         """Start the nodes and the client; a context manager that ends them."""
         return RunningSession(self)
@@ -98,7 +108,7 @@ class RunningSession:
         inherited = (self._lock.descriptor,)
         self._processes = Processes(session.log_folder, node_environment(), inherited)
         self.events: SimpleQueue[dict[str, Any]] = SimpleQueue()
-        nodes = [*NODES, "simulated_cell"] if session.simulated else [*NODES]
+        nodes = [*NODES, *session.further_nodes]
         try:
             for name in nodes:
                 self._processes.start(name, _node_command(session, name))
@@ -117,6 +127,10 @@ class RunningSession:
     def cancel(self) -> None:
         """Ask the client to cancel its goal."""
         self._processes.signal(CLIENT, signal.SIGINT)
+
+    def resume(self) -> None:
+        """Tell the planner that the work it waits for is done."""
+        self._processes.tell(CLIENT, "resume")
 
     def log_tail(self, name: str) -> str:
         """Return the last lines of a process's log."""
@@ -188,6 +202,7 @@ def checked_calibration(source: Path, changes: Sequence[str]) -> Calibration:
         ("capture", CaptureSettings),
         ("planner", PlannerSettings),
         ("recorder", RecorderSettings),
+        ("bridge", BridgeSettings),
         (SIMULATION, SimulationSettings),
     ):
         configuration.group(group, cls)
@@ -215,6 +230,10 @@ def changed(configuration: Configuration, changes: Sequence[str]) -> Configurati
         *groups, last = name.split(".")
         if not equals or not last:
             raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
+        if groups and groups[0] not in GROUPS:
+            raise ConfigurationError(
+                f"--set {change}: unknown group {groups[0]!r}; known: {', '.join(GROUPS)}"
+            )
         place = parameters
         for group in groups:
             place = place.setdefault(group, {})
@@ -235,7 +254,7 @@ def node_environment() -> dict[str, str]:
     What the user has set stays.
     """
     environment = {
-        "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
+        "ROS_DOMAIN_ID": str(free_domain()),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         _PROFILES: str(files("rotcal_ros") / "nodes" / "fastdds.xml"),
         "PYTHONUNBUFFERED": "1",

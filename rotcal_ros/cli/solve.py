@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,17 +15,19 @@ from rotcal_ros.cli.console import (
     progress_bar,
     say,
 )
+from rotcal_ros.errors import DataError
 
 if TYPE_CHECKING:
     from rotcal_ros.bags.replay import Recording
+    from rotcal_ros.cli.evaluations import Evaluation
     from rotcal_ros.configuration import Configuration
     from rotcal_ros.results import Result
-    from rotcal_ros.tables import TableData
+    from rotcal_ros.tables import TableData, WholeTable
 
 path_type = click.Path(path_type=Path)
 
 
-@click.command()
+@click.command(short_help="Solve a recorded bag or a plain table, without ROS.")
 @click.argument("source", type=path_type, metavar="BAG|TABLE")
 @click.option("--setup", type=path_type, help="Configuration; default: the one in the bag.")
 @click.option(
@@ -37,6 +40,18 @@ path_type = click.Path(path_type=Path)
 )
 @click.option("--namespace", default="", help="Cell to solve, when the bag holds several.")
 @click.option("--targets", type=path_type, help="Target positions of a tracer table.")
+@click.option(
+    "--balls",
+    multiple=True,
+    metavar="STEPS",
+    help="Ball plate: evaluate these balls only, e.g. 0,12,28,37,50,58; 'all' for all.",
+)
+@click.option(
+    "--coarser",
+    multiple=True,
+    type=click.IntRange(min=1),
+    help="Ball plate: evaluate every n-th step of the grid only.",
+)
 @click.option("-o", "--output", type=path_type, help="Write the result there, as JSON.")
 @json_option
 def command(
@@ -45,6 +60,8 @@ def command(
     taken_from: str,
     namespace: str,
     targets: Path | None,
+    balls: tuple[str, ...],
+    coarser: tuple[int, ...],
     output: Path | None,
     as_json: bool,
 ) -> int:
@@ -52,13 +69,27 @@ def command(
 
     The bag's raw streams go through the same capture and solver as in the live run, so the
     result is the same to the last bit. A cut-off or damaged bag is read as far as it goes.
-    The exit code is 0 for the verdict ok and 1 for suspect or failed.
+    --balls and --coarser may be given several times: the same data are then evaluated in all
+    combinations and compared with the first one. The exit code is 0 for the verdict ok and 1
+    for suspect or failed.
     """
     if source.suffix == ".csv":
-        data: Recording | TableData = _read_table(source, setup, targets)
+        data: Recording | TableData | WholeTable = _read_table(source, setup, targets)
     else:
         data = _read_bag(source, setup, taken_from, namespace)
-    result = data.solve()
+    if balls or coarser:
+        from rotcal_ros.bags.replay import Recording
+        from rotcal_ros.cli.evaluations import evaluate, ways
+        from rotcal_ros.tables import TableData
+
+        if not isinstance(data, Recording | TableData):
+            raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
+        evaluations = evaluate(data, ways(balls, coarser))
+        if len(evaluations) > 1:
+            return _show_evaluations(evaluations, output, as_json)
+        result = evaluations[0].result
+    else:
+        result = data.solve()
     text = result.to_json()
     if output is not None:
         from rotcal_ros.bags.durable import write_atomically
@@ -91,7 +122,7 @@ def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str)
     return recording
 
 
-def _read_table(source: Path, setup: Path | None, targets: Path | None) -> TableData:
+def _read_table(source: Path, setup: Path | None, targets: Path | None) -> TableData | WholeTable:
     from rotcal_ros.tables import read_measurements
 
     configuration = _configuration(setup)
@@ -101,9 +132,27 @@ def _read_table(source: Path, setup: Path | None, targets: Path | None) -> Table
 
 
 def _configuration(setup: Path | None) -> Configuration | None:
-    from rotcal_ros.configuration import read_configuration
+    from rotcal_ros.catalogue.setup_file import read_setup
 
-    return None if setup is None else read_configuration(setup)
+    return None if setup is None else read_setup(setup)
+
+
+def _show_evaluations(
+    evaluations: tuple[Evaluation, ...], output: Path | None, as_json: bool
+) -> int:
+    """Print or write several evaluations side by side; the exit code is the worst one's."""
+    from rotcal_ros.bags.durable import write_atomically
+    from rotcal_ros.cli.evaluations import in_words
+
+    data = {"evaluations": [evaluation.to_dict() for evaluation in evaluations]}
+    if output is not None:
+        write_atomically(output, json.dumps(data, indent=1, allow_nan=False) + "\n")
+        say(f"results written to {output.absolute()}")
+    if as_json:
+        print_json(data)
+    else:
+        click.echo("\n".join(in_words(evaluations)))
+    return max(VERDICT_EXIT_CODES[evaluation.result.verdict] for evaluation in evaluations)
 
 
 def _print_result(result: Result) -> None:

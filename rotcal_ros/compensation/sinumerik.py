@@ -161,7 +161,8 @@ def _assignments(files: Mapping[str, str]) -> dict[tuple[str, ...], str]:
     for row, line in enumerate(text.splitlines(), start=1):
         match = re.fullmatch(r"\$(\w+)\[([\w,]+)\]=\(?([^()]*)\)?", line.strip())
         if match:
-            said[(match.group(1), *match.group(2).split(","))] = match.group(3)
+            name_and_indices = (match.group(1), *match.group(2).split(","))
+            said[name_and_indices] = match.group(3)
         elif not re.fullmatch(r"%_N_\w+_INI|CHANDATA\(1\)|M17|", line.strip()):
             raise BagError(
                 f"{name}, line {row}: {line!r} is not an assignment such as "

@@ -58,6 +58,11 @@ class Comparison:
     agree: bool
     notes: tuple[str, ...]
 
+    @property
+    def largest(self) -> float:
+        """The largest |E_n|."""
+        return float(np.max(np.abs(self.normalised_error)))
+
     def in_words(self, unit: float = ARCSEC, unit_name: str = "arcsec") -> str:
         """Return the verdict in one line."""
         worst = int(np.argmax(np.abs(self.normalised_error)))

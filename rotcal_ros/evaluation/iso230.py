@@ -8,7 +8,8 @@ one-directional figures.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +84,31 @@ class Iso230:
     accuracy_reverse: float
     accuracy: float
     warnings: tuple[str, ...]
+
+    def summary(self) -> list[tuple[str, tuple[float | None, float | None, float | None]]]:
+        """Return each figure (rad) with its name: of both directions, forward, reverse."""
+        return [
+            ("Reversal B", (self.reversal, None, None)),
+            ("Mean reversal", (self.mean_reversal, None, None)),
+            (
+                "Repeatability R",
+                (self.repeatability, self.repeatability_forward, self.repeatability_reverse),
+            ),
+            (
+                "Systematic deviation E",
+                (self.systematic, self.systematic_forward, self.systematic_reverse),
+            ),
+            ("Range of the mean M", (self.mean_range, None, None)),
+            ("Accuracy A", (self.accuracy, self.accuracy_forward, self.accuracy_reverse)),
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain types for JSON; radians."""
+        plain = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in plain.items()
+        }
 
 
 def iso230(runs: BidirectionalRuns) -> Iso230:

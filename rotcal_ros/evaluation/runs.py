@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 import io
 import math
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
+RUNS: Final = ("targets", "forward", "reverse")
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
 DIRECTIONS: Final = ("up", "down")
 """up: approached with increasing angle, down: with decreasing angle."""
@@ -56,6 +59,21 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
         for d in DIRECTIONS
     )
     return BidirectionalRuns(np.array(targets) * DEGREE, up, down)
+
+
+def runs_of(result: Result) -> BidirectionalRuns | None:
+    """Return the repeated runs in both directions that a result keeps in its details, or None.
+
+    ``details["runs"]``: ``targets`` (m,), ``forward`` and ``reverse`` (m, n), radians. DataError
+    names an arrival that is missing.
+    """
+    kept = result.details.get("runs")
+    if not isinstance(kept, Mapping) or not all(name in kept for name in RUNS):
+        return None
+    targets, forward, reverse = (np.asarray(kept[name], dtype=np.float64) for name in RUNS)
+    if forward.shape[1] < 2:
+        return None
+    return BidirectionalRuns(targets, forward, reverse)
 
 
 def _row(cells: list[str], where: str) -> tuple[tuple[float, str, str], float]:

@@ -34,7 +34,8 @@ class Spheres:
 
     ``centres`` (B, 3) and ``radii`` (B,), radius of the ball without the tip, in metres;
     ``unit_covariance`` (B, 3, 3) of the centre for unit standard deviation of a touch point;
-    ``std`` (B,) that standard deviation from the residuals, m; ``dof`` (B,).
+    ``std`` (B,) that standard deviation from the residuals, m; ``dof`` (B,); ``radius_std`` (B,)
+    that of the radius, m, 0 where it is known.
     ``residuals`` (B, n), metres, distance to the sphere, outside positive, also of unused
     points; ``used`` (B, n). ``form_deviation`` (B,), metres: largest minus smallest residual of
     the used points. ``reason`` says why a ball was refused, empty for a good one; the numbers
@@ -43,6 +44,7 @@ class Spheres:
 
     centres: Floats
     radii: Floats
+    radius_std: Floats
     unit_covariance: Floats
     std: Floats
     dof: NDArray[np.int64]
@@ -100,11 +102,14 @@ def fit_spheres(
     with np.errstate(all="ignore"):
         std = np.sqrt(np.where(dof > 0, square / np.maximum(dof, 1), np.nan))
         form = np.fmax.reduce(shown, axis=1) - np.fmin.reduce(shown, axis=1)
+    std = std if sigma is None else np.full(len(std), sigma)
+    radius_std = std * np.sqrt(inverse[:, 3, 3]) if free else np.zeros(len(std))
     return Spheres(
         centres=np.where(good[:, None], centres, np.nan),
         radii=np.where(good, radii - tip_radius, np.nan),
+        radius_std=np.where(good, radius_std, np.nan),
         unit_covariance=np.where(good[:, None, None], inverse[:, :3, :3], np.nan),
-        std=np.where(good, std if sigma is None else sigma, np.nan),
+        std=np.where(good, std, np.nan),
         dof=dof,
         residuals=residuals,
         used=mask,

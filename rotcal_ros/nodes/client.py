@@ -1,17 +1,23 @@
 """A client of the action ``calibrate`` that speaks JSON lines, for programs without ROS.
 
 It reads the configuration from a file, sends one goal and prints one JSON object per line:
-``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``result``. SIGINT or SIGTERM
-cancels the goal; the result is waited for.
+``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``paused``, ``resumed``,
+``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
+
+``paused`` comes once for every work that a person has to do; a line ``resume`` on standard input,
+or the planner's service of that name, goes on.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
+import select
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,13 +26,19 @@ from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.task import Future
 from rotcal_msgs.action import Calibrate
+from std_srvs.srv import Trigger
 
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.running import run_node
+from rotcal_ros.planning.plan import PAUSED
 
 CANCEL_TIMEOUT_S: Final = 15.0
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
+PLANNER_TIMEOUT_S: Final = 5.0
+"""Silence of the planner after which nothing is expected of it; the client is in no hurry."""
+RESUME: Final = b"resume"
+STDIN: Final = 0
 
 
 class Client(Node):
@@ -44,8 +56,11 @@ class Client(Node):
         self._sent = False
         self._done = False
         self._canceling = False
+        self._listening = True
+        self._instruction = ""
         self._client = ActionClient(self, Calibrate, "calibrate")
-        self._health = Health(self, None)
+        self._resume = self.create_client(Trigger, "resume")
+        self._health = Health(self, None, timeout_s=PLANNER_TIMEOUT_S)
         self.create_timer(PERIOD_S, self._health.guarded(self._watch))
         _say("waiting")
 
@@ -70,16 +85,32 @@ class Client(Node):
         """Send the goal once the server is there; give up when it is not or falls silent."""
         if self._done:
             return
+        self._listen()
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
             _say("alive", planner=self._planner_state())
         if not self._sent and self._client.server_is_ready() and self._planner_state():
             self._send()
-        elif "planner" in self._health.lost:
+        elif self._sent and self._health.missing(["planner"]):
             self._fail(Calibrate.Result.NODE_LOST, "node planner fell silent")
         elif (self._handle is None or self._canceling) and time.monotonic() > self._deadline:
             state = self._planner_state() or "silent"
             self._fail(Calibrate.Result.NODE_LOST, f"no answer from the planner; it is {state}")
+
+    def _listen(self) -> None:
+        """Take what stands on standard input; after its end nothing more is expected."""
+        try:
+            if not self._listening or not select.select([STDIN], [], [], 0.0)[0]:
+                return
+            text = os.read(STDIN, 4096)
+        except OSError:
+            text = b""
+        self._listening = bool(text)
+        if RESUME in text:
+            self._resume.call_async(Trigger.Request()).add_done_callback(
+                lambda future: _say("resumed", success=future.result().success,
+                                    reason=future.result().message)
+            )  # fmt: skip
 
     def _planner_state(self) -> str:
         return self._health.state("planner")
@@ -113,6 +144,11 @@ class Client(Node):
             accepted=feedback.n_accepted,
             rejected=feedback.n_rejected,
         )
+        paused = feedback.activity.startswith(PAUSED)
+        instruction = feedback.activity.removeprefix(PAUSED) if paused else ""
+        if instruction and instruction != self._instruction:
+            _say("paused", instruction=instruction)
+        self._instruction = instruction
 
     def _ended(self, future: Future) -> None:
         answer = future.result()
@@ -144,8 +180,9 @@ def _known(value: float) -> float | None:
 
 def _say(event: str, **values: Any) -> None:
     """Print one line; the reader may be gone already."""
-    sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
-    sys.stdout.flush()
+    with suppress(BrokenPipeError):
+        sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
+        sys.stdout.flush()
 
 
 def make() -> Node:

@@ -22,6 +22,7 @@ from rotcal_ros.bags.records import (
     tracer_sample,
 )
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.errors import DataError
 from rotcal_ros.observations import (
     Command,
     Observation,
@@ -38,6 +39,7 @@ __all__ = [
     "command",
     "command_messages",
     "compensation_message",
+    "compensation_table",
     "deviations_message",
     "header",
     "observation",
@@ -128,6 +130,7 @@ def command_messages(
         attempt=order.attempt,
         kind=int(order.kind),
         target=order.target,
+        station=order.station,
         position=order.position,
     )
     return table, probe
@@ -202,3 +205,24 @@ def compensation_message(
         correction_reverse=table.correction_reverse.tolist(),
         std=table.std.tolist(),
     )
+
+
+def compensation_table(message: CompensationTableMsg) -> CompensationTable:
+    """Return the table in a message; DataError when its hash is not that of its numbers."""
+    table = CompensationTable(
+        axis=message.axis,
+        method=message.method,
+        angles=message.angles,
+        correction_forward=message.correction_forward,
+        correction_reverse=message.correction_reverse,
+        std=message.std,
+        period=message.period,
+        reference_angle=message.reference_angle,
+        verdict=message.verdict,
+    )
+    if table.table_hash != message.table_hash:
+        raise DataError(
+            f"the table of axis {message.axis} carries the hash {message.table_hash or 'none'}, "
+            f"its numbers have {table.table_hash}: it was changed on its way"
+        )
+    return table

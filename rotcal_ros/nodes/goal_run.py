@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -14,16 +15,23 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros.bags.durable import write_atomically
 from rotcal_ros.catalogue import ATTEMPTS_PER_RUN, Calibration, Continuation
+from rotcal_ros.errors import DataError
 from rotcal_ros.nodes import conversions, preflight
 from rotcal_ros.nodes.cell_links import TABLE_FRAME, CellLinks
 from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.nodes.waiting import until
+from rotcal_ros.planning.plan import PAUSED, Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
 Outcome: TypeAlias = Calibrate.Result
 CLOSE_TIMEOUT_S: Final = 10.0
+RETELL_PERIOD_S: Final = 2.0
+"""An instruction is told again after this time, for clients that come late."""
 BAG: Final = "bag"
 """Folder of the bag inside the session folder."""
+FAILED: Final = "recording failed"
+"""How the state of a recorder begins that cannot write any more."""
 
 
 class GoalError(Exception):
@@ -32,27 +40,6 @@ class GoalError(Exception):
     def __init__(self, code: int, text: str) -> None:
         super().__init__(text)
         self.code = code
-
-
-@dataclass
-class Progress:
-    """How far a goal has come."""
-
-    total: int
-    step: int = 0
-    activity: str = "preflight"
-    accepted: list[int] = field(default_factory=list)
-    skipped: list[int] = field(default_factory=list)
-    rejected: int = 0
-    done: int = 0
-    left: int = 0
-    started_s: float = field(default_factory=time.monotonic)
-
-    def time_left(self) -> float:
-        """Return the estimated seconds to the last step; NaN before the first is done."""
-        if not self.done:
-            return float("nan")
-        return (time.monotonic() - self.started_s) / self.done * self.left
 
 
 class GoalRun:
@@ -79,7 +66,9 @@ class GoalRun:
         self._watched: set[str] = set()
         self._stream_beat: object = None
         self._session = Path()
+        self._next_attempt: dict[int, int] = {}
         self.stopping = ""
+        self.paused = False
         self.progress = Progress(
             total=len(calibration.plan.steps),
             step=continuation.start_index,
@@ -157,15 +146,58 @@ class GoalRun:
     async def _measure(self) -> None:
         progress = self.progress
         progress.started_s = time.monotonic()
-        for index in self._continuation.steps:
-            progress.step = index
-            if await self._step(index):
-                progress.accepted.append(index)
+        left = deque(self._continuation.steps)
+        while left:
+            pause = self._calibration.plan.pause_before(left[0])
+            if pause is None:
+                await self._measure_step(left.popleft())
             else:
-                progress.skipped.append(index)
-            progress.done += 1
-            progress.left -= 1
+                await self._have_set_up(pause)
+                while left and left[0] <= pause.last:
+                    left.popleft()
+            progress.left = len(left)
         progress.step = progress.total
+
+    async def _have_set_up(self, pause: Pause) -> None:
+        """Have a person do the work of a pause and check it, again and again until it is good.
+
+        What the method can live with is asked for ``max_attempts`` times, what makes a result
+        impossible until the goal is canceled.
+        """
+        text = pause.instruction
+        for asked in count(1):
+            await self._ask(pause, text)
+            for index in range(pause.first, pause.last + 1):
+                await self._measure_step(index)
+            found, hopeless = self._complaints()
+            if not found or (asked >= self._settings.max_attempts and not hopeless):
+                return
+            text = f"not as it should be: {found}; put it right ({pause.instruction})"
+
+    async def _ask(self, pause: Pause, text: str) -> None:
+        """Tell a person what to do and wait for ``resume``, as long as it takes."""
+        asked_s = time.monotonic()
+        self.progress.step = pause.first
+        self.paused = True
+        try:
+            while self.paused:
+                self._tell(PAUSED + text)
+                await self._wait(lambda: not self.paused, RETELL_PERIOD_S)
+        finally:
+            self.paused = False
+        self.progress.started_s += time.monotonic() - asked_s
+
+    def _complaints(self) -> tuple[str, bool]:
+        """Return what the observations so far say against a person's work; fatal or not."""
+        observations = [*self._continuation.observations, *self._links.observations.values()]
+        try:
+            return "; ".join(self._calibration.check(observations)), False
+        except DataError as error:
+            return str(error), True
+
+    async def _measure_step(self, index: int) -> None:
+        self.progress.step = index
+        self.progress.note(index, accepted=await self._step(index))
 
     async def _step(self, index: int) -> bool:
         """Measure one step; False when all attempts failed.
@@ -175,7 +207,9 @@ class GoalRun:
         """
         step = self._calibration.plan.steps[index]
         limits = self._settings
-        first, captured = self._continuation.run * ATTEMPTS_PER_RUN, False
+        first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
+        self._next_attempt[index] = first + limits.max_attempts
+        captured = False
         for attempt in range(first, first + limits.max_attempts):
             key = (index, attempt)
             again = f" (attempt {attempt - first + 1})" if attempt > first else ""
@@ -231,10 +265,12 @@ class GoalRun:
 
     async def _close_after_failure(self) -> None:
         """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
-        if self._health.is_lost(["recorder"]):
+        if self._health.missing(["recorder"]):
             return
         future = self._links.stop_recording.call_async(StopRecording.Request())
-        await until(lambda: future.done() or "recorder" in self._health.lost, CLOSE_TIMEOUT_S)
+        await until(
+            lambda: future.done() or bool(self._health.missing(["recorder"])), CLOSE_TIMEOUT_S
+        )
 
     def _write(self, result_json: str) -> None:
         path = self._session / "result.json"
@@ -270,23 +306,32 @@ class GoalRun:
                 Outcome.CANCELED,
                 f"canceled {place}; continue with start_index {self.progress.step}",
             )
-        lost = sorted(self._health.lost & self._watched)
-        if lost:
-            raise GoalError(Outcome.NODE_LOST, f"node {', '.join(lost)} fell silent {place}")
-        self._check_streams(place)
+        if missing := self._health.missing(self._watched):
+            how = "fell silent" if set(missing) & self._health.lost else "was ended"
+            raise GoalError(Outcome.NODE_LOST, f"node {', '.join(missing)} {how} {place}")
+        if self.outcome.bag_folder:
+            self._check_recorder(place)
+            self._check_streams(place)
+
+    def _check_recorder(self, place: str) -> None:
+        """Raise when the recorder tells of a failing disk."""
+        if self._health.state("recorder").startswith(FAILED):
+            raise GoalError(Outcome.RECORDER_FAILED, f"{self._health.state('recorder')}, {place}")
 
     def _check_streams(self, place: str) -> None:
         """Raise when the capture tells of an instrument that fell silent after it had spoken."""
         beat = self._health.others.get("capture")
-        if not self.outcome.bag_folder or beat is None or beat is self._stream_beat:
+        if beat is self._stream_beat:
             return
         self._stream_beat = beat
         for key, value in self._health.values("capture").items():
             if key.startswith("silent_s.") and float(value) > self._settings.stream_timeout_s:
                 topic = key.removeprefix("silent_s.")
+                publishers = ", ".join(self._links.publishers(topic)) or "gone"
                 raise GoalError(
                     Outcome.NODE_LOST,
-                    f"{self._links.resolve(topic)} has been silent for {value} s {place}",
+                    f"{self._links.resolve(topic)} (node {publishers}) has been silent for "
+                    f"{value} s {place}",
                 )
 
     def _tell(self, activity: str) -> None:

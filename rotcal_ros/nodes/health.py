@@ -42,12 +42,14 @@ class Health:
         node: Node,
         report: Callable[[], tuple[str, Values]] | None,
         on_lost: Callable[[str], None] | None = None,
+        *,
+        timeout_s: float = NODE_TIMEOUT_S,
     ) -> None:
         self._node = node
         self._report = report
         self._on_lost = on_lost
         self.lost: set[str] = set()
-        self._roll = RollCall(NODE_TIMEOUT_S)
+        self._roll = RollCall(timeout_s)
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
@@ -80,10 +82,10 @@ class Health:
 
     def present(self) -> set[str]:
         """Return the names of the other nodes that beat."""
-        return self._roll.present(time.monotonic())
+        return self._roll.known() - self.lost
 
-    def is_lost(self, names: Iterable[str]) -> list[str]:
-        """Return those of ``names`` that do not beat."""
+    def missing(self, names: Iterable[str]) -> list[str]:
+        """Return those of ``names`` that fell silent, left, or never were there."""
         return sorted(set(names) - self.present())
 
     def values(self, name: str) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from typing import Any, Final
 
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -15,10 +16,15 @@ from rotcal_ros.nodes.waiting import until
 TIMEOUT_S: Final = 3.0
 
 
-async def parameters_json(node: Node) -> str:
-    """Return node name -> parameter -> value as JSON; a node that does not answer is null."""
+async def parameters_json(node: Node, beating: Iterable[str]) -> str:
+    """Return node name -> parameter -> value as JSON; a node that does not answer is null.
+
+    The nodes are those of the cell's namespace and the ``beating`` ones, which the graph may
+    not list yet.
+    """
     namespace = node.get_namespace()
-    names = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
+    listed = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
+    names = listed | {node.get_name(), *beating}
     found: dict[str, Any] = {}
     for name in sorted(names):
         if name == node.get_name():
@@ -36,12 +42,13 @@ async def _parameters_of(node: Node, remote: str) -> dict[str, Any] | None:
         listed = await _ask(lister, ListParameters.Request())
         if listed is None:
             return None
-        names = sorted(listed.result.names)
-        answer = await _ask(getter, GetParameters.Request(names=names))
-        if answer is None:
-            return None
-        values = map(parameter_value_to_python, answer.values)
-        return dict(zip(names, map(_plain, values), strict=False))
+        found: dict[str, Any] = {}
+        for name in sorted(listed.result.names):
+            # One by one: asked for many, a node answers nothing if one of them has no value.
+            answer = await _ask(getter, GetParameters.Request(names=[name]))
+            if answer is not None and answer.values:
+                found[name] = _plain(parameter_value_to_python(answer.values[0]))
+        return found
     finally:
         node.destroy_client(lister)
         node.destroy_client(getter)

@@ -44,13 +44,9 @@ def declare_settings(node: Node, group: str, cls: type[T], *, read_only: bool = 
             _put(given, name, value)
     settings = load(cls, given, f"{node.get_name()}: parameters {group}")
     for name, hint, info in _walk(cls):
-        value = _get(settings, name)
-        default = list(value) if isinstance(value, tuple) else value
-        if value is None or default == []:
-            default = Parameter(f"{group}.{name}", _parameter_type(hint), default).value
         node.declare_parameter(
             f"{group}.{name}",
-            _parameter_type(hint) if default is None else default,
+            _default(_get(settings, name), hint),
             _descriptor(info, hint, read_only),
             ignore_override=True,
         )
@@ -94,9 +90,15 @@ def _element(hint: Any) -> tuple[type, bool]:
     return hint, False
 
 
-def _parameter_type(hint: Any) -> Parameter.Type:
+def _default(value: Any, hint: Any) -> Any:
+    """Return what gives a parameter its type as well: a value, or a mere type for none.
+
+    rclpy takes an empty list for one of bytes, so that it counts as none.
+    """
     scalar, is_list = _element(hint)
-    return _TYPES[scalar][is_list]
+    if value is None or value == ():
+        return _TYPES[scalar][is_list]
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _descriptor(info: SettingInfo, hint: Any, read_only: bool) -> ParameterDescriptor:

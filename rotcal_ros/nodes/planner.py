@@ -16,6 +16,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rotcal_msgs.action import Calibrate
+from std_srvs.srv import Trigger
 
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import METHODS, Calibration, Continuation, prepare
@@ -23,9 +24,10 @@ from rotcal_ros.configuration import Configuration, dump_configuration, parse_co
 from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.continuing import read_continuation
-from rotcal_ros.nodes.goal_run import GoalRun, Outcome, Progress
+from rotcal_ros.nodes.goal_run import GoalRun, Outcome
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings, read_settings, settings_mapping
+from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
@@ -47,6 +49,7 @@ class Planner(LifecycleNode):
         self._continuation = read_continuation(self)
         self._health = Health(self, self._report)
         self._links = CellLinks(self, self._health.guarded)
+        self.create_service(Trigger, "resume", self._resume)
         self._server = ActionServer(
             self,
             Calibrate,
@@ -126,6 +129,15 @@ class Planner(LifecycleNode):
         self.get_logger().warning(f"goal refused: the planner is {self._report()[0]}")
         return GoalResponse.REJECT
 
+    def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Go on after a person's work is done."""
+        if self._run is not None and self._run.paused:
+            self._run.paused = False
+            response.success = True
+        else:
+            response.message = f"nothing waits for resume: the planner is {self._report()[0]}"
+        return response
+
     async def _execute(self, handle: ServerGoalHandle) -> Outcome:
         try:
             run = self._prepare(handle)
@@ -186,7 +198,8 @@ class Planner(LifecycleNode):
     def _show(self, handle: ServerGoalHandle, progress: Progress) -> None:
         """Publish feedback, not more often than a person can follow."""
         now = time.monotonic()
-        if now - self._shown_s < FEEDBACK_PERIOD_S and progress.step:
+        waiting = self._run is not None and self._run.paused
+        if now - self._shown_s < FEEDBACK_PERIOD_S and progress.step and not waiting:
             return
         self._shown_s = now
         handle.publish_feedback(

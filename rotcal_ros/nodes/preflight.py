@@ -14,7 +14,7 @@ ORDERS: Final = ("table_angle", "probe_target")
 
 def missing_nodes(links: CellLinks, health: Health) -> list[str]:
     """Return what keeps the nodes of the suite from working together, in words."""
-    lost = [f"node {name} does not beat" for name in health.is_lost(NODES)]
+    lost = [f"node {name} does not beat" for name in health.missing(NODES)]
     for node, client in (
         ("recorder", links.start_recording),
         ("recorder", links.stop_recording),

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import struct
 import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final
 
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rotcal_msgs.msg import Observation as ObservationMsg
@@ -27,39 +25,19 @@ from rotcal_ros.bags.topics import ROLES
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.conversions import stamp_ns
-from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
-from rotcal_ros.nodes.goal_run import BAG
+from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
+from rotcal_ros.nodes.goal_run import BAG, FAILED
 from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.listening import HeardTopic, Listener
 from rotcal_ros.nodes.parameter_snapshot import parameters_json
 from rotcal_ros.nodes.parameters import declare_settings
 from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.recording import Attachment, Channel, Messages, Note, Receipt, Recording
+from rotcal_ros.nodes.recording import Attachment, Messages, Note, Receipt, Recording
 from rotcal_ros.nodes.running import run_node
-from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_topics
 from rotcal_ros.nodes.versions import versions_json
 from rotcal_ros.nodes.waiting import until
 
 CLOSE_TIMEOUT_S: Final = 15.0
-_STAMP: Final = struct.Struct("<4xiI")
-"""CDR encapsulation, then the stamp that begins every message with a header."""
-
-
-@dataclass
-class RecordedTopic:
-    """A topic that is listened to: its channel and how far it has come."""
-
-    discovered: DiscoveredTopic
-    channel: Channel
-    received: int = 0
-    latest: bytes = b""
-    sequences: dict[bytes, int] = field(default_factory=dict)
-
-    def latest_stamp_ns(self) -> int:
-        """Return the stamp of the newest message, which must have a header."""
-        if not self.latest:
-            return 0
-        seconds, nanoseconds = _STAMP.unpack_from(self.latest)
-        return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 class RecorderNode(Node):
@@ -70,18 +48,16 @@ class RecorderNode(Node):
         self._settings = declare_settings(self, "recorder", RecorderSettings)
         self._earlier = self._earlier_files()
         self._recording: Recording | None = None
-        self._topics: dict[str, RecordedTopic] = {}
-        self._drained: list[DrainedSubscription] = []
-        self._refused: dict[str, str] = {}
-        self._losses: Counter[str] = Counter()
         self._lost_told = 0
         self._pending: list[tuple[int, Receipt]] = []
         self._health = Health(self, self._report, self._lost_node)
-        guarded = self._health.guarded
         self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
         self.create_service(StartRecording, "start_recording", self._start)
         self.create_service(StopRecording, "stop_recording", self._stop)
-        self.create_timer(GRAPH_PERIOD_S, guarded(self._look))
+        self._observation_topic = self.resolve_topic_name(names.OBSERVATION)
+        self._tracer_topic = self.resolve_topic_name(names.TRACER_LENGTH)
+        self._listener = Listener(self, self._health, self._take)
+        self.create_timer(GRAPH_PERIOD_S, self._health.guarded(self._note_losses))
 
     def begin_stop(self) -> None:
         """Write what has arrived and close the bag."""
@@ -94,60 +70,13 @@ class RecorderNode(Node):
             self._health.leave()
         return done
 
-    def _look(self) -> None:
-        """Subscribe to topics that are new in the graph; keep the loss counters in the bag."""
+    def _note_losses(self) -> None:
+        """Keep the loss counters in the bag, so that they outlive this node."""
         losses = self._all_losses()
         if losses and self._recording is not None and not self._recording.finished:
             self._recording.put(Note(names.LOSSES, losses))
-        for name, type_name in wanted_topics(self).items():
-            if name in self._topics or name in self._refused:
-                continue
-            try:
-                discovered = discover(self, name, type_name)
-            except BagError as error:
-                self._refused[name] = str(error)
-                self.get_logger().error(f"{name} cannot be recorded: {error}")
-                continue
-            if discovered is not None:
-                self._subscribe(discovered)
 
-    def _subscribe(self, found: DiscoveredTopic) -> None:
-        channel = Channel(
-            found.name, found.type_name, found.definition, found.type_hash, found.offered_qos
-        )
-        topic = self._topics[found.name] = RecordedTopic(found, channel)
-        is_observation = found.name == self.resolve_topic_name(names.OBSERVATION)
-
-        def handle(batch: Batch) -> None:
-            self._take(topic, batch)
-            if is_observation:
-                self._expect_receipts(batch)
-            self._settle_receipts()
-
-        def message_lost(event: Any) -> None:
-            self._losses[f"middleware {found.name}"] += event.total_count_change
-
-        def incompatible(event: Any) -> None:
-            self._losses[f"incompatible publisher {found.name}"] += event.total_count_change
-
-        self._drained.append(
-            DrainedSubscription(
-                self,
-                found.message_type,
-                found.name,
-                found.qos,
-                self._health.guarded(handle),
-                raw=True,
-                event_callbacks=SubscriptionEventCallbacks(
-                    message_lost=message_lost, incompatible_qos=incompatible
-                ),
-            )
-        )
-
-    def _take(self, topic: RecordedTopic, batch: Batch) -> None:
-        topic.received += len(batch)
-        topic.latest = batch[-1][0]
-        self._count_gaps(topic, batch)
+    def _take(self, topic: HeardTopic, batch: Batch) -> None:
         if self._recording is not None:
             now_ns = time.time_ns()
             times = (
@@ -155,18 +84,9 @@ class RecorderNode(Node):
             )
             items = [(data, received, sent or received) for data, received, sent in times]
             self._recording.put(Messages(topic.channel, items))
-
-    def _count_gaps(self, topic: RecordedTopic, batch: Batch) -> None:
-        """Count messages that the middleware numbered but never delivered, per publisher."""
-        for _, info in batch:
-            number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
-            if not number or publisher is None:
-                return
-            gid = bytes(publisher["data"])
-            last = topic.sequences.get(gid, number - 1)
-            if number > last + 1:
-                self._losses[f"gap {topic.channel.topic}"] += number - last - 1
-            topic.sequences[gid] = number
+        if topic.channel.topic == self._observation_topic:
+            self._expect_receipts(batch)
+        self._settle_receipts()
 
     def _expect_receipts(self, batch: Batch) -> None:
         for data, _ in batch:
@@ -175,11 +95,15 @@ class RecorderNode(Node):
             self._pending.append((stamp_ns(message.window_end), receipt))
 
     def _settle_receipts(self) -> None:
-        """Queue a receipt once the tracer's readings of its window have arrived here too."""
+        """Queue a receipt once the readings of its window have arrived here too."""
         if not self._pending or self._recording is None:
             return
-        tracer = self._topics.get(self.resolve_topic_name(names.TRACER_LENGTH))
-        reached = None if tracer is None else tracer.latest_stamp_ns()
+        streams = map(self.resolve_topic_name, (names.TRACER_LENGTH, names.PROBE_POINT))
+        stream = next(
+            (self._listener.topics[name] for name in streams if name in self._listener.topics),
+            None,
+        )
+        reached = None if stream is None else stream.latest_stamp_ns()
         waiting = []
         for window_end_ns, receipt in self._pending:
             if reached is None or reached >= window_end_ns:
@@ -193,7 +117,7 @@ class RecorderNode(Node):
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""
         queued = self._recording.losses if self._recording is not None else Counter[str]()
-        return self._losses + queued
+        return self._listener.losses + queued
 
     def _lost_in_streams(self) -> int:
         """Return how many of the messages were lost that a replay needs."""
@@ -239,7 +163,7 @@ class RecorderNode(Node):
         self._earlier = None
         writer.note(names.RUN, {"number": settings.run})
         self._pending.clear()
-        self._losses.clear()
+        self._listener.losses.clear()
         self._lost_told = 0
         self._recording = Recording(writer, settings.queue_bytes, self._confirm)
         for name, media_type, text in (
@@ -252,7 +176,7 @@ class RecorderNode(Node):
 
     async def _attach_parameters(self, recording: Recording) -> None:
         """Ask all nodes for their parameters, while the calibration begins."""
-        text = await parameters_json(self)
+        text = await parameters_json(self, self._health.present())
         recording.put(Attachment(names.PARAMETERS, "application/json", text.encode()))
 
     async def _stop(
@@ -265,19 +189,18 @@ class RecorderNode(Node):
         self._close()
         await until(lambda: recording.finished, CLOSE_TIMEOUT_S)
         response.success = recording.finished and not recording.error
-        response.message = recording.error or self._loss_text()
+        losses = self._all_losses()
+        response.message = recording.error or ", ".join(f"{n}: {k}" for k, n in losses.items())
         response.file, response.messages = recording.file, recording.messages
-        response.lost = sum(self._all_losses().values())
+        response.lost = sum(losses.values())
         return response
 
     def _close(self) -> None:
         """Take what has arrived and close the bag behind it."""
         if self._recording is None or self._recording.finished:
             return
-        for drained in self._drained:
-            drained.drain()
-        self._recording.other_losses = Counter(self._losses)
-        self._recording.close()
+        self._listener.drain()
+        self._recording.close(self._listener.losses)
 
     def _lost_node(self, name: str) -> None:
         """Without its planner a calibration is over: close the bag."""
@@ -285,18 +208,17 @@ class RecorderNode(Node):
             self.get_logger().error("the planner is lost: closing the bag")
             self._close()
 
-    def _loss_text(self) -> str:
-        losses = self._all_losses().items()
-        return ", ".join(f"{count} messages: {where}" for where, count in losses)
-
     def _report(self) -> tuple[str, dict[str, Any]]:
-        values: dict[str, Any] = {"topics": len(self._topics), **self._refused}
+        listener = self._listener
+        values: dict[str, Any] = {"topics": len(listener.topics), **listener.refused}
         values |= {f"lost {where}": count for where, count in self._all_losses().items()}
         recording = self._recording
+        if recording is not None and recording.error:
+            return f"{FAILED}: {recording.error}", values
         if recording is None or recording.finished:
             return "idle", values
         values |= {"file": recording.file, "messages": recording.messages}
-        return recording.error or "recording", values
+        return "recording", values
 
 
 def make() -> Node:

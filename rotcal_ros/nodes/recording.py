@@ -78,8 +78,7 @@ class Recording:
     """One bag being written. ``confirm`` is called from the thread, after the sync.
 
     After a failure of the disk ``error`` says why, nothing is confirmed any more, and what still
-    arrives counts as lost. ``losses`` are those at the full queue, ``other_losses`` what the owner
-    knows of besides; both are kept in the bag.
+    arrives counts as lost. ``losses`` are those at the full queue.
     """
 
     def __init__(
@@ -93,7 +92,7 @@ class Recording:
         self._lock = Lock()
         self._channels: dict[Channel, int] = {}
         self.losses: Counter[str] = Counter()
-        self.other_losses: Counter[str] = Counter()
+        self._further_losses: Counter[str] = Counter()
         self.messages = 0
         self.error = ""
         self._thread = Thread(target=self._work, name="bag writer", daemon=True)
@@ -120,8 +119,12 @@ class Recording:
                 self._waiting += size
         self._queue.put(item)
 
-    def close(self) -> None:
-        """Close the bag after everything that is queued; see ``finished``."""
+    def close(self, further_losses: Mapping[str, int] | None = None) -> None:
+        """Close the bag after everything that is queued; see ``finished``.
+
+        ``further_losses`` happened before the queue and go into the bag's counters too.
+        """
+        self._further_losses = Counter(further_losses or {})
         self._queue.put(_Close())
 
     def join(self, timeout_s: float) -> bool:
@@ -183,7 +186,7 @@ class Recording:
 
     def _finish(self) -> None:
         """Keep the loss counters in the bag and close it."""
-        losses = self.losses + self.other_losses
+        losses = self.losses + self._further_losses
         if losses and not self._writer.closed:
             self._writer.note(names.LOSSES, losses)
         self._writer.close()

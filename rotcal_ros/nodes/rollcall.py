@@ -25,9 +25,9 @@ class RollCall:
         """Forget ``name``: it said goodbye."""
         self._seen.pop(name, None)
 
-    def present(self, now: float) -> set[str]:
-        """Return the names that have beaten recently."""
-        return {name for name, seen in self._seen.items() if now - seen <= self.timeout_s}
+    def known(self) -> set[str]:
+        """Return the names that have beaten and not left, silent ones included."""
+        return set(self._seen)
 
     def silent(self, now: float) -> dict[str, float]:
         """Return the lost names with their silence in seconds; call it regularly."""

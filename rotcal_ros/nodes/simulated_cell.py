@@ -19,6 +19,7 @@ from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell, SimulationSettings
+from rotcal_ros.simulation.settings import TRACKER
 
 PERIOD_S: Final = 0.005
 LONGEST_TURN_S: Final = 0.02
@@ -41,13 +42,19 @@ class SimulatedCellNode(Node):
         self._order_text = "no order yet"
         self._health = Health(self, self._report)
         guarded = self._health.guarded
-        self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
-        self._table = self.create_publisher(JointState, "joint_states", STREAM)
+        if self._cell.has_tracer:
+            self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+        self._probe_frame = TRACKER if settings.instrument == TRACKER else MACHINE_FRAME
+        if settings.table.external:
+            follow = guarded(self._follow)
+            self.create_subscription(JointState, "table_actual", follow, STREAM)
+        else:
+            self._table = self.create_publisher(JointState, "joint_states", STREAM)
+            self.create_timer(PERIOD_S, guarded(self._turn))
         self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
         self._temperature = self.create_publisher(Temperature, "temperature", EVENT)
         for kind, topic in ((TableAngle, "table_angle"), (ProbeTarget, "probe_target")):
             self.create_subscription(kind, topic, guarded(self._obey), EVENT)
-        self.create_timer(PERIOD_S, guarded(self._turn))
         self.create_timer(UNASKED_PERIOD_S, guarded(self._tell_position))
 
     def begin_stop(self) -> None:
@@ -71,6 +78,11 @@ class SimulatedCellNode(Node):
         self._cell.order_probe(command)
         self._order_text = f"step {command.step}, attempt {command.attempt}"
 
+    def _follow(self, message: JointState) -> None:
+        """Take the actual angle of a table that another program moves; its clock is ours."""
+        stamp_ns = conversions.stamp_ns(message.header.stamp)
+        self._publish(self._cell.follow_table(stamp_ns, message.position[0]))
+
     def _turn(self) -> None:
         """Let as much machine time pass as wall time has."""
         now = time.monotonic()
@@ -82,7 +94,7 @@ class SimulatedCellNode(Node):
     def _publish(self, output: CellOutput) -> None:
         """Publish the streams, the probe first: its point begins the wait for the readings."""
         for probe in output.probe:
-            self._probe.publish(conversions.probe_message(probe, MACHINE_FRAME))
+            self._probe.publish(conversions.probe_message(probe, self._probe_frame))
         for table in output.table:
             self._table.publish(conversions.table_message(table, self._joint, TABLE_FRAME))
         for temperature in output.temperature:
@@ -94,7 +106,7 @@ class SimulatedCellNode(Node):
         """Tell the probe's position unasked, so that a preflight hears the machine."""
         if not self._cell.busy:
             self._probe.publish(
-                conversions.probe_message(self._cell.unasked_point(), MACHINE_FRAME)
+                conversions.probe_message(self._cell.unasked_point(), self._probe_frame)
             )
 
     def _report(self) -> tuple[str, dict[str, Any]]:

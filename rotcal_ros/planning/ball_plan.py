@@ -62,6 +62,7 @@ def plan_measurement(
     *,
     positions: list[int] | Ints | None = None,
     order: Order = "table_once",
+    rounds: int = 1,
     backlash: bool = True,
     radius: float = 0.185,
     kinematics: Kinematics | None = None,
@@ -70,16 +71,20 @@ def plan_measurement(
 
     ``table_once`` turns the table once around in all and lets the probe visit the balls at
     every position, to and fro; ``probe_rests`` keeps the probe at one CMM position and turns
-    all balls to it, as in the paper. With ``backlash`` every position is approached in the
-    positive direction: no reversals, and a lead-in of one step. ``radius`` of the ball circle
-    in metres. Raises PlanError for steps outside the grid.
+    all balls to it, as in the paper. ``rounds`` > 1 turns the table around so often, each time
+    for a share of the CMM positions that is spread over the circle: the errors separate after
+    the first rounds and the rest only sharpens them. With ``backlash`` every position is
+    approached in the positive direction: no reversals, and a lead-in of one step. ``radius`` of
+    the ball circle in metres. Raises PlanError for steps outside the grid.
     """
     balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
     for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
         if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
             raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
+    if not 1 <= rounds <= len(cmm):
+        raise PlanError(f"{len(cmm)} CMM positions cannot be shared out among {rounds} rounds")
     if order == "table_once":
-        turns, ball = _table_once(grid, balls, cmm)
+        turns, ball = _in_rounds(grid, balls, cmm, rounds)
     elif order == "probe_rests":
         turns, ball = (_probe_rests if backlash else _to_and_fro)(grid, balls, cmm)
     else:
@@ -99,6 +104,24 @@ def plan_measurement(
         reversals=int(np.count_nonzero(np.diff(directions))),
         duration=_duration(grid, turns, ball, moves, radius, kinematics or Kinematics()),
     )
+
+
+def spread_out(grid: int) -> Ints:
+    """Order the positions so that any first few are spread over the circle without a period."""
+    golden = 0.5 * (np.sqrt(5.0) - 1.0)
+    return np.argsort(np.argsort(np.arange(grid) * golden % 1.0))
+
+
+def _in_rounds(grid: int, balls: Ints, cmm: Ints, rounds: int) -> tuple[Ints, Ints]:
+    """Go around once for every share of the CMM positions, the table always onward."""
+    spread = spread_out(grid)
+    shares = np.array_split(spread[np.isin(spread, cmm)], rounds)
+    turns, visited = [], []
+    for number, share in enumerate(shares):
+        turn, ball = _table_once(grid, balls, share)
+        turns.append(turn + number * grid)
+        visited.append(ball)
+    return np.concatenate(turns), np.concatenate(visited)
 
 
 def _table_once(grid: int, balls: Ints, cmm: Ints) -> tuple[Ints, Ints]:

@@ -10,6 +10,7 @@ from rotcal_ros.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.general import solve_general
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 from rotcal_ros.planning.ball_layout import Layout, best_layout
+from rotcal_ros.planning.ball_plan import spread_out
 from rotcal_ros.planning.layout_variance import Floats, Ints
 from rotcal_ros.results import COMPONENTS
 
@@ -104,7 +105,7 @@ def _fewest_positions(
     The sets are nested, so that more positions never raise the uncertainty.
     """
     grid = layout.grid
-    spread = _spread_out(grid)
+    spread = spread_out(grid)
 
     def worst(count: int) -> float:
         try:
@@ -125,9 +126,3 @@ def _fewest_positions(
         else:
             too_few = middle
     return tuple(int(k) for k in np.sort(spread[:enough])), reached
-
-
-def _spread_out(grid: int) -> Ints:
-    """Order the positions so that any first few are spread over the circle without a period."""
-    golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    return np.argsort(np.argsort(np.arange(grid) * golden % 1.0))

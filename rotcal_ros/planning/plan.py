@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from rotcal_ros.errors import PlanError
 from rotcal_ros.observations import Approach, Command, PointKind
 
 Point = tuple[float, float, float]
+
+PAUSED: Final = "paused: "
+"""What a planner says it does begins with this while it waits for a person."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +20,8 @@ class Step:
 
     ``table_angle`` (rad) is approached from the side ``approach``; ``position`` (m) is the
     nominal place of target number ``target``. ``n_points`` is the number of probe points that
-    make the observation (1 for a reflector that just stands there).
+    make the observation (1 for a reflector that just stands there); ``ball_diameter`` (m) is
+    that of the ball that is touched, 0 where there is none.
     """
 
     index: int
@@ -28,6 +33,7 @@ class Step:
     position: Point
     station: int = 0
     n_points: int = 1
+    ball_diameter: float = 0.0
 
     def command(self, attempt: int) -> Command:
         """Return the order for one attempt at this step."""
@@ -39,17 +45,35 @@ class Step:
             kind=self.kind,
             target=self.target,
             position=self.position,
+            station=self.station,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """A person's work before step ``first``, told in ``instruction``.
+
+    The steps ``first`` to ``last`` show whether it was done well: they are measured and judged by
+    the method before the rest follows. ``last`` = ``first`` - 1: nothing shows it.
+    """
+
+    first: int
+    last: int
+    instruction: str
 
 
 @dataclass(frozen=True)
 class Plan:
-    """All steps of one calibration, with the table angles (rad) and targets (m) they refer to."""
+    """All steps of one calibration, with the table angles (rad) and targets (m) they refer to.
+
+    ``pauses`` are in the order of their steps; most methods need none.
+    """
 
     method: str
     table_angles: tuple[float, ...]
     targets: tuple[Point, ...]
     steps: tuple[Step, ...]
+    pauses: tuple[Pause, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a plan whose steps do not fit its tables."""
@@ -63,6 +87,10 @@ class Plan:
                     f"step {number}: table index {step.table_index} outside 0.."
                     f"{len(self.table_angles) - 1}"
                 )
+
+    def pause_before(self, index: int) -> Pause | None:
+        """Return the pause before step ``index``, if there is one."""
+        return next((pause for pause in self.pauses if pause.first == index), None)
 
     def step(self, index: int) -> Step:
         """Return step ``index``; raises PlanError when the plan has no such step."""

@@ -27,7 +27,7 @@ class PlannerSettings:
         maximum=3600.0,
     )
     stream_timeout_s: float = setting(
-        1.5, doc="s, silence of an instrument after which it is lost", minimum=0.1, maximum=3600.0
+        2.0, doc="s, silence of an instrument after which it is lost", minimum=0.1, maximum=3600.0
     )
     join_steps: int = setting(
         8,

@@ -8,30 +8,25 @@ each station.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 
 from rotcal_ros.errors import PlanError
-from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.runs import visits
+from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
 
 STATIONS_PER_TARGET = "stations_per_target"
 TARGETS_PER_STATION = "targets_per_station"
 
 
 @dataclass(frozen=True)
-class TracerPlanSettings:
+class TracerPlanSettings(TableAngleSettings):
     """Where the table turns and where the reflector goes."""
 
-    table_start_deg: float = setting(0.0, doc="deg, first table angle")
-    table_step_deg: float = setting(30.0, doc="deg, step between table angles")
-    table_positions: int = setting(12, doc="number of table angles", minimum=2, maximum=3600)
-    table_angles_deg: tuple[float, ...] = setting(
-        (), doc="deg, explicit ascending table angles; replaces start, step and positions"
-    )
     box_centre_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.6), doc="m, centre of the block of targets"
     )
@@ -46,42 +41,54 @@ class TracerPlanSettings:
         doc="what changes fastest: the table (the paper's order) or the target",
         choices=(STATIONS_PER_TARGET, TARGETS_PER_STATION),
     )
+    runs: int = setting(
+        1,
+        doc="how often all table angles are measured; ISO 230-2 asks for 5",
+        minimum=1,
+        maximum=100,
+    )
+    bidirectional: bool = setting(
+        False, doc="measure every run on the way up and, from the other side, on the way down"
+    )
+
+    @property
+    def repeated(self) -> bool:
+        """Whether the table comes to an angle more than once."""
+        return self.runs > 1 or self.bidirectional
 
 
 def tracer_plan(settings: TracerPlanSettings, method: str = "tracer_multistation") -> Plan:
     """Return the plan of one laser-tracer calibration.
 
-    Raises PlanError when explicit angles do not ascend.
+    Repeated runs list the table angles again for every arrival: a station is one arrival, at which
+    the table stands until all targets are measured. Raises PlanError when explicit angles do not
+    ascend, or when repeated runs come with an order that leaves the angle for every target.
     """
+    if settings.repeated and settings.order != TARGETS_PER_STATION:
+        raise PlanError(
+            f"repeated runs need the order {TARGETS_PER_STATION}: with {settings.order} the table "
+            "would arrive anew for every target, and no arrival could be told from another"
+        )
     angles = table_angles(settings)
+    arrivals = visits(len(angles), settings.runs, settings.bidirectional)
     targets = block_of_targets(settings)
-    pairs = product(range(len(targets)), range(len(angles)))
+    pairs = product(range(len(targets)), range(len(arrivals)))
     if settings.order == TARGETS_PER_STATION:
-        pairs = ((t, a) for a, t in product(range(len(angles)), range(len(targets))))  # type: ignore[assignment]
+        pairs = ((t, a) for a, t in product(range(len(arrivals)), range(len(targets))))  # type: ignore[assignment]
     steps = tuple(
         Step(
             index=number,
-            table_index=angle,
-            table_angle=angles[angle],
-            approach=Approach.POSITIVE,
+            table_index=arrival,
+            table_angle=angles[arrivals[arrival].target],
+            approach=arrivals[arrival].approach,
             kind=PointKind.REFLECTOR,
             target=target,
             position=targets[target],
         )
-        for number, (target, angle) in enumerate(pairs)
+        for number, (target, arrival) in enumerate(pairs)
     )
-    return Plan(method=method, table_angles=angles, targets=targets, steps=steps)
-
-
-def table_angles(settings: TracerPlanSettings) -> tuple[float, ...]:
-    """Return the commanded table angles in radians, ascending."""
-    degrees = settings.table_angles_deg or tuple(
-        settings.table_start_deg + i * settings.table_step_deg
-        for i in range(settings.table_positions)
-    )
-    if any(b <= a for a, b in pairwise(degrees)):
-        raise PlanError(f"table angles must ascend, found {list(degrees)} degrees")
-    return tuple(d * DEGREE for d in degrees)
+    every = tuple(angles[visit.target] for visit in arrivals)
+    return Plan(method=method, table_angles=every, targets=targets, steps=steps)
 
 
 def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:

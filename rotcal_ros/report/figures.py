@@ -16,15 +16,11 @@ from numpy.typing import NDArray
 
 from rotcal_ros.observations import Observation
 from rotcal_ros.report import style
+from rotcal_ros.report.units import unit_of
 from rotcal_ros.results import COMPONENTS, Result
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 
 COVERAGE_FACTOR = 2.0
-
-
-def unit_of(component: str) -> tuple[float, str]:
-    """Return factor and label of the unit in which a deviation is shown."""
-    return (MICROMETRE, "µm") if component in ("EXC", "EYC", "EZC") else (ARCSEC, "arcsec")
 
 
 @style.styled
@@ -115,9 +111,15 @@ def _scatter_residuals(
 
 @style.styled
 def residual_map(result: Result) -> str:
-    """Draw the normalised residual of every table position and target as a map."""
+    """Draw the normalised residual of every table position and target as a map.
+
+    Where a cell would hold several residuals there is no map.
+    """
     rows = result.residuals
     if rows is None or rows.test_value.size == 0:
+        return ""
+    cells = np.column_stack([rows.table_index, rows.target])
+    if len(np.unique(cells, axis=0)) < len(cells):
         return ""
     grid = np.full((rows.table_index.max() + 1, rows.target.max() + 1), np.nan)
     grid[rows.table_index, rows.target] = rows.test_value
@@ -145,7 +147,8 @@ def stations(result: Result) -> str:
     arms = points - centre
     nominal = centre + radius * arms / np.linalg.norm(arms, axis=1, keepdims=True)
     tangent = np.column_stack([-arms[:, 1], arms[:, 0]]) / radius
-    error = (points - nominal) + tangent * (radius * result.deviations["ECC"])[:, None]
+    turned = np.asarray(details.get("station_deviations", result.deviations["ECC"]))
+    error = (points - nominal) + tangent * (radius * turned)[:, None]
     largest = float(np.max(np.linalg.norm(error, axis=1)))
     scale = 0.25 * radius / largest if largest > 0 else 1.0
     (ax,) = style.grid(height=5.6)

@@ -14,7 +14,8 @@ from rotcal_ros import __version__
 from rotcal_ros.bags.many import Outcome
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.report import style
-from rotcal_ros.report.figures import COVERAGE_FACTOR, unit_of
+from rotcal_ros.report.figures import COVERAGE_FACTOR
+from rotcal_ros.report.units import unit_of
 from rotcal_ros.results import COMPONENTS
 
 

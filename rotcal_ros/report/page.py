@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from rotcal_ros import __version__
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import figures
+from rotcal_ros.report import ball_plate_figures, figures, harmonics, mirror_figures
+from rotcal_ros.report.iso230 import section as iso230_section
+from rotcal_ros.report.template import environment
+from rotcal_ros.report.units import unit_of
 from rotcal_ros.results import COMPONENTS, Result
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.units import DEGREE
 
 
 @dataclass(frozen=True)
@@ -40,23 +41,21 @@ class ReportInput:
 def render_report(report: ReportInput) -> str:
     """Return the report as one HTML page without any reference to other files."""
     result = report.result
-    environment = Environment(
-        loader=PackageLoader("rotcal_ros.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    return environment.get_template("report.html.j2").render(
-        report=report,
-        result=result,
-        version=__version__,
-        figures=_figures(report),
-        columns=_columns(result),
-        rows=_deviation_rows(result),
-        summary=_summary(result),
-        sections=_detail_sections(result.details),
-        attempts=[o for o in report.observations if not o.accepted],
+    return (
+        environment()
+        .get_template("report.html.j2")
+        .render(
+            report=report,
+            result=result,
+            version=__version__,
+            figures=_figures(report),
+            columns=_columns(result),
+            rows=_deviation_rows(result),
+            summary=_summary(result),
+            extra=[*_evaluation_sections(result), *report.extra],
+            sections=_detail_sections(result.details),
+            attempts=[o for o in report.observations if not o.accepted],
+        )
     )
 
 
@@ -73,8 +72,8 @@ def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
     candidates = [
         (
             "Deviations",
-            "Deviation = actual − commanded, cumulative from the first angle. The band is the "
-            "expanded uncertainty (k = 2).",
+            "Deviation = actual − commanded, at every angle. The band is the expanded "
+            "uncertainty (k = 2).",
             figures.deviations(result, report.truth),
         ),
         (
@@ -83,17 +82,7 @@ def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
             "deviations: a controller needs the cumulative curve above.",
             figures.adjacent(result),
         ),
-        (
-            "Residuals",
-            "Observed − computed. A pattern by table position or by target points to an error "
-            "that the model does not hold.",
-            figures.residuals(result),
-        ),
-        (
-            "Normalised residuals",
-            "Residual divided by its own standard deviation, by table position and target.",
-            figures.residual_map(result),
-        ),
+        *(ball_plate_figures.candidates(result) or _residual_figures(result)),
         (
             "Stations in plan view",
             "Solved stations on their circle with strongly exaggerated errors.",
@@ -105,13 +94,38 @@ def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
             figures.temperature(report.observations),
         ),
     ]
+    candidates[1:1] = mirror_figures.sections(result, report.truth)
     return [candidate for candidate in candidates if candidate[2]]
 
 
-def _columns(result: Result) -> list[str]:
+def _residual_figures(result: Result) -> list[tuple[str, str, str]]:
+    """Return the figures of residuals by table position and target."""
     return [
-        f"{name} / {figures.unit_of(name)[1]}" for name in COMPONENTS if name in result.deviations
+        (
+            "Residuals",
+            "Observed − computed. A pattern by table position or by target points to an error "
+            "that the model does not hold.",
+            figures.residuals(result),
+        ),
+        (
+            "Normalised residuals",
+            "Residual divided by its own standard deviation, by table position and target.",
+            figures.residual_map(result),
+        ),
     ]
+
+
+def _evaluation_sections(result: Result) -> list[tuple[str, str]]:
+    """Return (title, HTML) of what the curves say about the axis."""
+    candidates = [
+        ("Harmonic content", harmonics.section(result)),
+        ("ISO 230-2: positioning of the axis", iso230_section(result)),
+    ]
+    return [candidate for candidate in candidates if candidate[1]]
+
+
+def _columns(result: Result) -> list[str]:
+    return [f"{name} / {unit_of(name)[1]}" for name in COMPONENTS if name in result.deviations]
 
 
 def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
@@ -121,7 +135,7 @@ def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
         cells = []
         for name in COMPONENTS:
             if name in result.deviations:
-                factor, _ = figures.unit_of(name)
+                factor, _ = unit_of(name)
                 value = result.deviations[name][i] / factor
                 band = figures.COVERAGE_FACTOR * result.std[name][i] / factor
                 cells.append(f"{value:+.3f} ± {band:.3f}")
@@ -136,11 +150,13 @@ def _summary(result: Result) -> list[tuple[str, str]]:
         ("Degrees of freedom", str(result.dof)),
         ("σ₀ (1 = the stated noise fits)", f"{result.sigma0:.3f}"),
     ]
-    if "ECC" in result.deviations:
-        ecc = result.deviations["ECC"] / ARCSEC
-        band = figures.COVERAGE_FACTOR * result.std["ECC"].max() / ARCSEC
-        summary.append(("ECC, range", f"{ecc.min():+.3f} to {ecc.max():+.3f} arcsec"))
-        summary.append(("ECC, largest uncertainty (k = 2)", f"{band:.3f} arcsec"))
+    for name in COMPONENTS:
+        if name in result.deviations:
+            factor, unit = unit_of(name)
+            values = result.deviations[name] / factor
+            band = figures.COVERAGE_FACTOR * result.std[name].max() / factor
+            span = f"{values.min():+.3f} to {values.max():+.3f} {unit}"
+            summary.append((name, f"{span}, U ≤ {band:.3f} {unit} (k = 2)"))
     return summary
 
 

@@ -24,6 +24,8 @@ GREEN: Final = "#2e8b57"
 RED: Final = "#c0392b"
 GREY: Final = "#8795a1"
 MISSING: Final = "#c9d1d8"
+COLOURS: Final = (BLUE, ORANGE, GREEN, RED, "#7d4fa3", "#6b5b4b")
+"""Colours of curves that are drawn together, in this order."""
 
 _RC: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",
@@ -77,9 +79,14 @@ def whole_numbers(axis: Axis) -> None:
 
 
 def curve_with_band(
-    ax: Axes, x: NDArray[np.float64], y: NDArray[np.float64], band: NDArray[np.float64], label: str
+    ax: Axes,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    band: NDArray[np.float64],
+    label: str,
+    colour: str = BLUE,
 ) -> None:
     """Draw measured points with their expanded uncertainty as a band."""
-    ax.fill_between(x, y - band, y + band, color=BLUE, alpha=0.18, linewidth=0)
-    ax.plot(x, y, "o-", color=BLUE, markersize=3.5, linewidth=1.2, label=label)
+    ax.fill_between(x, y - band, y + band, color=colour, alpha=0.18, linewidth=0)
+    ax.plot(x, y, "o-", color=colour, markersize=3.5, linewidth=1.2, label=label)
     ax.axhline(0.0, color=GREY, linewidth=0.8)

@@ -27,6 +27,14 @@ class Source(IntEnum):
     PROBE_REPEAT = 8
     FOLLOWING = 9
     TEMPERATURE = 10
+    TRACKER = 30
+    STAND = 31
+    NEST = 32
+    REFLECTOR = 33
+    MACHINE = 40
+    TOUCH = 41
+    BALL = 42
+    DIRT = 43
 
 
 class IndexedNoise:

@@ -3,8 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
 
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import group, setting
+from rotcal_ros.simulation.touch_settings import SimulatedPlateSettings, TouchProbeSettings
+from rotcal_ros.simulation.tracker_settings import SimulatedMirrorSettings, TrackerSettings
+
+TRACER: Final = "tracer"
+TRACKER: Final = "tracker"
+TOUCH_PROBE: Final = "touch_probe"
 
 
 @dataclass(frozen=True)
@@ -26,6 +35,30 @@ class AngularHarmonics:
 
 
 @dataclass(frozen=True)
+class CompensationSettings:
+    """The correction table that the table's control applies, linear between its rows."""
+
+    angles_deg: tuple[float, ...] = setting(
+        (), doc="deg, ascending commanded angles; 0 to 360 repeats; none: no compensation"
+    )
+    forward_arcsec: tuple[float, ...] = setting(
+        (), doc="arcsec, added to the command when the angle increases, one for each row"
+    )
+    reverse_arcsec: tuple[float, ...] = setting(
+        (), doc="arcsec, added to the command when the angle decreases, one for each row"
+    )
+
+    def __post_init__(self) -> None:
+        counts = {len(self.angles_deg), len(self.forward_arcsec), len(self.reverse_arcsec)}
+        if len(counts) > 1 or any(b <= a for a, b in pairwise(self.angles_deg)):
+            raise ConfigurationError(
+                f"simulation.table.compensation: {len(self.angles_deg)} angles with "
+                f"{len(self.forward_arcsec)} forward and {len(self.reverse_arcsec)} reverse "
+                "corrections: expected ascending angles and one of both for each"
+            )
+
+
+@dataclass(frozen=True)
 class TableSettings:
     """The rotary table: deviations, axis, motion and feedback."""
 
@@ -35,6 +68,10 @@ class TableSettings:
     eac: AngularHarmonics = group(AngularHarmonics)
     ebc: AngularHarmonics = group(AngularHarmonics)
     ecc: AngularHarmonics = group(AngularHarmonics)
+    compensation: CompensationSettings = group(CompensationSettings)
+    external: bool = setting(
+        False, doc="another program moves the table and tells its actual angle on table_actual"
+    )
     backlash_arcsec: float = setting(
         0.0, doc="arcsec, by which the angle stays larger when approached from above"
     )
@@ -161,8 +198,14 @@ class FaultSettings:
 
 @dataclass(frozen=True)
 class SimulationSettings:
-    """The simulated cell."""
+    """The simulated cell: a table, a temperature, and one of the instruments."""
 
+    instrument: str = setting(
+        TRACER,
+        doc="what measures: a laser tracer with a machine for its reflector, a machine that "
+        "touches the balls of a plate, or a laser tracker with a mirror",
+        choices=(TRACER, TOUCH_PROBE, TRACKER),
+    )
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
     time_scale: float = setting(
         1.0,
@@ -174,7 +217,18 @@ class SimulationSettings:
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )
     table: TableSettings = group(TableSettings)
+    tracker: TrackerSettings = group(TrackerSettings)
+    mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings)
+    plate: SimulatedPlateSettings = group(SimulatedPlateSettings)
+    touch_probe: TouchProbeSettings = group(TouchProbeSettings)
     tracer: TracerSettings = group(TracerSettings)
     probe: ProbeSettings = group(ProbeSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
     faults: FaultSettings = group(FaultSettings)
+
+    def __post_init__(self) -> None:
+        if self.table.external and self.time_scale != 1.0:
+            raise ConfigurationError(
+                f"simulation: an external table moves at life speed, time_scale is "
+                f"{self.time_scale:g}: set it to 1"
+            )

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.compensation import plain_csv
 from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.results import COMPONENTS
 from rotcal_ros.simulation.motion import Limits, Motion
@@ -72,12 +73,30 @@ def table_poses(
     return axis @ small @ turn, shift @ axis.T + np.array(settings.axis_offset_m)
 
 
-def truth(settings: TableSettings, angles: Floats) -> Mapping[str, Floats]:
-    """Return the true deviations at ``angles`` (n,) as a result states them.
+def correction(settings: TableSettings, angles: Floats, approach: Approach) -> Floats:
+    """Return what the control adds to the commanded ``angles`` (n,), rad."""
+    rows = settings.compensation
+    if not rows.angles_deg:
+        return np.zeros_like(angles)
+    table = plain_csv.CsvTable(
+        angle_deg=np.array(rows.angles_deg),
+        forward_arcsec=np.array(rows.forward_arcsec),
+        reverse_arcsec=np.array(rows.reverse_arcsec),
+        std_arcsec=np.zeros(len(rows.angles_deg)),
+    )
+    return plain_csv.correction(table, angles, approach)
 
-    ECC is relative to the first angle.
+
+def truth(
+    settings: TableSettings, angles: Floats, approach: Approach = Approach.POSITIVE
+) -> Mapping[str, Floats]:
+    """Return the true deviations at commanded ``angles`` (n,) as a result states them.
+
+    They include what the control corrects. ECC is relative to the first angle.
     """
-    true = deviations(settings, angles)
+    corrected = correction(settings, angles, approach)
+    true = deviations(settings, angles + corrected)
+    true["ECC"] = true["ECC"] + corrected
     true["ECC"] = true["ECC"] - true["ECC"][0]
     return true
 
@@ -137,7 +156,9 @@ class SimulatedTable:
         extra *= float(self._arrival_noise.normal(self._arrivals, 1)[0])
         if self._approach == Approach.NEGATIVE:
             extra += self.settings.backlash_arcsec * ARCSEC
-        return table_poses(self.settings, self.angles(stamps), extra)
+        angles = self.angles(stamps)
+        angles = angles + correction(self.settings, angles, self._approach)
+        return table_poses(self.settings, angles, extra)
 
     def feedback(self, first: int, stamps: Stamps) -> tuple[TableSample, ...]:
         """Return the feedback number ``first`` and following at ``stamps``."""

@@ -17,6 +17,7 @@ from rotcal_ros.errors import PlanError
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, TrackerNoise
 from rotcal_ros.observations import PointKind
+from rotcal_ros.planning.mirror_layout import mirror_frame, reflector_places
 from rotcal_ros.units import DEGREE
 
 Floats = NDArray[np.float64]
@@ -42,15 +43,7 @@ class FlatMirror:
 
     def frame(self) -> Floats:
         """Return the columns u (sideways), v (upwards), n (out of the glass) at angle 0."""
-        ca, sa, cl, sl = (
-            np.cos(self.azimuth),
-            np.sin(self.azimuth),
-            np.cos(self.lean),
-            np.sin(self.lean),
-        )
-        n = np.array([cl * ca, cl * sa, sl])
-        u = np.array([-sa, ca, 0.0])
-        return np.column_stack([u, np.cross(n, u), n])
+        return mirror_frame(self.azimuth, self.lean)
 
 
 @dataclass(frozen=True)
@@ -170,7 +163,7 @@ def look(
     actual = deviation if deviation is not None else np.zeros(6)
     centre, frame = _mirror_pose(cell, angle, actual)
     where = f"table at {angle / DEGREE:g} deg, tracker station {station}"
-    return stand.seen(_image(cell.mirror, centre, frame, stand, place, where))
+    return stand.seen(image(cell.mirror, centre, frame, stand, place, where))
 
 
 def measure_direct(
@@ -238,17 +231,11 @@ def _mirror_pose(cell: MirrorCell, angle: float, deviation: Floats) -> tuple[Flo
 
 def _put_up(cell: MirrorCell, station: TrackerStation, centre: Floats, frame: Floats) -> Floats:
     """Places (K, 3) that the tracker sees near the middle of the mirror."""
-    beam = centre - np.array(station.place)
-    beam = beam / np.linalg.norm(beam)
-    reflected = beam - 2.0 * (beam @ frame[:, 2]) * frame[:, 2]
-    side = np.linspace(-0.5, 0.5, cell.reflectors) if cell.reflectors > 1 else np.zeros(1)
-    spread = 0.3 * min(cell.mirror.width, cell.mirror.height)
-    offsets = np.outer(side, frame[:, 0]) + np.outer(side**2, frame[:, 1])
-    places: Floats = centre + cell.reach * reflected + spread * offsets
-    return places
+    edge = min(cell.mirror.width, cell.mirror.height)
+    return reflector_places(station.place, centre, frame, cell.reflectors, cell.reach, edge)
 
 
-def _image(
+def image(
     mirror: FlatMirror,
     centre: Floats,
     frame: Floats,
@@ -256,7 +243,12 @@ def _image(
     place: Floats,
     where: str,
 ) -> Floats:
-    """Image of a reflector in the plane that touches the glass at the spot the beam strikes."""
+    """Return the image (3,) of the reflector at ``place`` as seen from ``station``, world frame.
+
+    It lies behind the plane that touches the glass at the spot which the beam strikes. The
+    mirror's middle is at ``centre``, ``frame`` holds its columns u, v, n. Raises PlanError,
+    with ``where`` in its text, when the beam misses the mirror.
+    """
     tracker = np.array(station.place)
     touch, normal = centre, frame[:, 2]
     for _ in range(5):  # the spot moves by nanometres once the plane touches the glass

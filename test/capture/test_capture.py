@@ -50,17 +50,25 @@ def test_window_is_the_first_readings_after_rest_and_settling():
     assert (observation.step, observation.attempt, observation.kind) == (0, 0, 1)
 
 
-def test_temperature_is_the_last_one_a_lag_before_or_the_first_of_the_run():
+def test_temperature_is_the_last_one_a_lag_before_the_probe_arrived():
     scene = make_scene(PLAN, 2)
-    first, second = replay(PLAN, scene.by_stamp())
-    assert first.temperature_c == pytest.approx(20 + 0.2)  # at 200 ms: the run began at 150 ms
-    assert second.temperature_c == pytest.approx(20 + 0.8)  # at 800 ms: 300 ms before 1150 ms
+    _, second = replay(PLAN, scene.by_stamp())
+    assert second.temperature_c == pytest.approx(20 + 0.8)  # at 800 ms: the last before 850 ms
 
 
-@pytest.mark.parametrize("begin", [-900, -300, 0, 149])
-def test_it_does_not_matter_when_the_capture_began_to_listen(begin):
-    records = [r for r in SCENE.by_stamp() if r.stamp_ns >= begin * MS]
-    assert replay(PLAN, records) == EXPECTED
+def test_temperatures_from_before_the_first_probe_sample_change_nothing():
+    scene = make_scene(PLAN, 2)
+    found = replay(PLAN, scene.by_stamp())
+    assert found[0].temperature_c == pytest.approx(20.2)  # the first one after 150 ms
+    scene.temperature = [t for t in scene.temperature if t.stamp_ns >= 150 * MS]
+    assert replay(PLAN, scene.by_stamp()) == found
+
+
+def test_without_an_early_temperature_the_first_one_is_taken():
+    scene = make_scene(PLAN, 1)
+    scene.temperature = [t for t in scene.temperature if t.stamp_ns >= 300 * MS]
+    (observation,) = replay(PLAN, scene.by_stamp())
+    assert observation.temperature_c == pytest.approx(20.3)
 
 
 def test_feedback_a_full_turn_away_is_the_same_place():
@@ -184,6 +192,18 @@ def test_blocks_of_readings_give_the_same_bits(seed, size):
             found.extend(capture.feed(record))
     feed_block()
     assert tuple(found) == EXPECTED
+
+
+@pytest.mark.parametrize("begin", [-900, -300, 0, 149])
+def test_it_does_not_matter_when_the_capture_began_to_listen(begin):
+    records = [r for r in SCENE.by_stamp() if r.stamp_ns >= begin * MS]
+    assert replay(PLAN, records) == EXPECTED
+
+
+def test_positions_told_unasked_change_nothing():
+    unasked = [replace(p, kind=PointKind.UNKNOWN, stamp_ns=p.stamp_ns - MS) for p in SCENE.probe]
+    records = sorted([*SCENE.by_stamp(), *unasked], key=lambda r: r.stamp_ns)
+    assert replay(PLAN, records) == EXPECTED
 
 
 @settings(max_examples=10, deadline=None)

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from capture_scenes import MS, SETTINGS, make_plan, make_scene, probe_sample, replay, table_off
 
-from rotcal_ros.capture.points import REDUCERS
-from rotcal_ros.capture.window import Reduced
 from rotcal_ros.observations import PointKind
 
 KINDS = [PointKind.CENTRE, PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST]
@@ -58,18 +56,6 @@ def test_points_do_not_depend_on_the_order_of_arrival(order):
     expected = replay(plan, scene.by_stamp())
     streams = scene.streams()
     assert replay(plan, [r for number in order for r in streams[number]]) == expected
-
-
-def test_surface_points_need_a_fit(monkeypatch):
-    plan = make_plan(PointKind.SURFACE, n_points=4)
-    scene, _ = scene_of_points(plan)
-    (observation,) = replay(plan, scene.by_stamp())
-    assert observation.reason == "4 surface points, but no sphere fit to reduce them"
-    seen = []
-    monkeypatch.setitem(REDUCERS, PointKind.SURFACE, lambda s: seen.extend(s) or Reduced((1.0,)))
-    (observation,) = replay(plan, scene.by_stamp())
-    assert observation.mean == (1.0,)
-    assert seen == scene.probe
 
 
 def test_missing_points_are_rejected_after_the_deadline():

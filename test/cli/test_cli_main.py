@@ -36,9 +36,7 @@ def raising(error):
 
 
 @pytest.mark.parametrize("name", main.VERBS)
-def test_every_verb_has_help_that_agrees_with_the_list(name):
-    command = main.rotcal.get_command(None, name)
-    assert command.get_short_help_str(limit=200).rstrip(".") == main.VERBS[name].rstrip(".")
+def test_every_verb_has_help(name):
     result = run(name, "--help")
     assert result.exit_code == 0
     assert f"Usage: rotcal {name}" in result.stdout

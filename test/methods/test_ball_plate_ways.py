@@ -1,5 +1,6 @@
 """Dense, spectral, general and closed form: one model, one answer."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -215,7 +216,11 @@ def test_general_names_the_table_positions_that_have_too_few_balls():
 
 def test_spectral_takes_thousands_of_positions_within_little_memory():
     problem, truth = simulated(3600, [50 * b + b % 7 for b in PAPER_PLATE], seed=3)
+    tracemalloc.start()
     solution = solve_spectral(problem)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 50e6
     error = solution.estimate.component("ECC") - truth.component("ECC")
     expected = 5e-8 * solution.unit_std.component("ECC")
     assert np.sqrt(np.mean((error / expected) ** 2)) == pytest.approx(1.0, abs=0.05)

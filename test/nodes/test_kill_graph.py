@@ -56,7 +56,7 @@ def last_reading_ns(file: Path) -> int:
     return last
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_kill_9_of_everything_at_once(cell, seed):
     live = cell()
     _, accepted, file, before = under_way(live, seed)
@@ -67,10 +67,9 @@ def test_kill_9_of_everything_at_once(cell, seed):
     check(live, accepted, file, before, died_ns)
 
 
-@pytest.mark.parametrize("seed", range(10, 13))
-def test_kill_9_of_the_recorder(cell, seed):
+def test_kill_9_of_the_recorder(cell):
     live = cell()
-    client, accepted, file, before = under_way(live, seed)
+    client, accepted, file, before = under_way(live, 10)
     died_ns = time.time_ns()
     live.kill("recorder")
     outcome = client.result()
@@ -78,10 +77,9 @@ def test_kill_9_of_the_recorder(cell, seed):
     check(live, max(accepted, outcome["n_used"]), file, before, died_ns)
 
 
-@pytest.mark.parametrize("seed", range(20, 22))
-def test_kill_9_of_the_planner(cell, seed):
+def test_kill_9_of_the_planner(cell):
     live = cell()
-    _, accepted, file, before = under_way(live, seed)
+    _, accepted, file, before = under_way(live, 20)
     live.kill("planner")
     wait_until(
         lambda: read_recording(live.session / "bag").verdicts[0].state == "complete",

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
 
-BAD_CONFIGURATION, TOPIC_MISSING, NODE_LOST, CANCELED = 601, 602, 603, 607
+BAD_CONFIGURATION, TOPIC_MISSING, NODE_LOST, RECORDER_FAILED, CANCELED = 601, 602, 603, 604, 607
 
 
 def verdicts(live) -> tuple[FileVerdict, ...]:
@@ -157,7 +157,7 @@ def test_a_killed_node_ends_the_calibration_and_is_named_by_all_others(cell, vic
     live.kill(victim)
     outcome = client.result()
     assert outcome["error_code"] == NODE_LOST
-    assert f"node {victim} fell silent" in outcome["error_msg"]
+    assert f"node {victim}" in outcome["error_msg"]
     for name in {*SUITE, "simulated_cell"} - {victim}:
         live.wait_for_log(name, f"node {victim} fell silent")
     if victim != "recorder":
@@ -183,11 +183,22 @@ def test_a_recorder_ended_by_sigterm_closes_the_bag(cell):
     client = live.client()
     client.wait_for_step(2)
     live.processes.signal("recorder", signal.SIGTERM)
-    client.result()
+    outcome = client.result()
+    assert outcome["error_code"] == NODE_LOST
+    assert "node recorder was ended" in outcome["error_msg"]
     wait_until(lambda: "recorder" in live.processes.ended(), "the recorder ends")
     assert live.processes.ended()["recorder"] == 0
     assert [v.state for v in verdicts(live)] == ["complete"]
     assert "Traceback" not in live.log("recorder")
+
+
+def test_a_full_disk_ends_the_calibration_with_the_reason(cell):
+    # A limit of free space that no disk has stands for a full one.
+    live = cell("recorder.writer.min_free_bytes=4000000000000000000")
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == RECORDER_FAILED
+    assert "are free below" in outcome["error_msg"]
 
 
 def test_a_wrong_parameter_is_one_clear_line(cell):

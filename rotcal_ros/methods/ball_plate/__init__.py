@@ -6,5 +6,6 @@ freedom; closed form and groups follow a second paper. docs/ball_plate.md has th
 
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, select
 from rotcal_ros.methods.ball_plate.solve import solve
+from rotcal_ros.methods.ball_plate.trials import plate_trials
 
-__all__ = ["BallPlateProblem", "select", "solve"]
+__all__ = ["BallPlateProblem", "plate_trials", "select", "solve"]

@@ -137,8 +137,8 @@ class _GapCovariance:
     def __call__(self, first: str, second: str) -> Floats:
         columns = np.stack([response.component(first) for response in self.responses], axis=1)
         others = np.stack([response.component(second) for response in self.responses], axis=1)
-        covariance: Floats = self.start.unit_covariance(first, second)
-        return covariance + columns @ self.inverse @ others.T
+        added: Floats = columns @ self.inverse @ others.T
+        return self.start.unit_covariance(first, second) + added
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.sparse import csr_array
 
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
@@ -63,6 +64,32 @@ def residual_operator(problem: BallPlateProblem) -> Callable[[Floats], Floats]:
         return left
 
     return residuals
+
+
+def table_gain(problem: BallPlateProblem) -> Floats:
+    """Return d deviations / d centres (6 N, 3 n): the estimate itself, it is linear.
+
+    Rows: the components in the order of ``COMPONENTS``, N values each, in metres and radians;
+    columns: the coordinates of the rows of ``problem``, metres.
+    """
+    _check(problem)
+    system = _Eliminated(problem)
+    mover = _to_constraints(problem, system.invisible)
+    spread = mover @ (system.covariance() / system.unit) @ mover.T
+    start = {"rotation": system.at.rotation, "translation": system.at.translation}
+    length = {"rotation": problem.radius, "translation": 1.0}
+    table = np.concatenate(
+        [
+            spread[start[field] + axis + 3 * np.arange(problem.grid)] / length[field]
+            for field, axis in model.TABLE_COMPONENTS.values()
+        ]
+    )
+    n, width = system.columns.shape
+    rows = np.repeat(np.arange(3 * n), width)
+    columns = np.repeat(system.columns, 3, axis=0).ravel()
+    weighted = (system.weight[:, :, None] * system.local).ravel()
+    design = csr_array((weighted, (rows, columns)), shape=(3 * n, system.at.total))
+    return np.asarray((design @ table.T).T, dtype=np.float64)
 
 
 class _Eliminated:

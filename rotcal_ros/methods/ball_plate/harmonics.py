@@ -20,6 +20,8 @@ from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate.problem import Complexes, Floats, Ints, grid_angles
 
 PLANE, AXIS = 0, 1
+POSE = ((1, PLANE), (0, AXIS))
+"""Rows that tell the pose of the axis at q = 1: w- (shift) and z (tilt)."""
 ROOT_HALF = np.sqrt(0.5)
 TO_PLANE = ROOT_HALF * np.array([[1.0, 1.0], [-1j, 1j]])  # (w+, w-) to (w_x, w_y)
 RANK_TOLERANCE = 1e-9
@@ -33,17 +35,22 @@ WEAK = 100.0
 class Harmonics:
     """The factored systems of q = 1..N//2, Q of them, for R balls.
 
-    ``centred`` (2, Q, 2R, 3) is the table's design, rows ordered ball by ball, with the mean
-    over the balls taken off, which eliminates the CMM's unknowns; ``mean`` (2, Q, 2, 3) is that
-    mean; ``inverse`` (2, Q, 3, 3) is the unit covariance of the table's unknowns, zero where a
-    constraint fixes one.
+    ``shift`` (3, Q, R) are the phases that bring the rows +, - and z from the frame that turns
+    with the table to the one that turns with the CMM position; in the former the table's design
+    is the same for all harmonics, ``adjoint`` (3, R, 3) being its adjoint. ``mean`` (2, Q, 2, 3)
+    is the mean of the design over the balls in the latter; ``inverse`` (2, Q, 3, 3) is the unit
+    covariance of the table's unknowns, zero where a constraint fixes one; ``amplification`` is
+    its largest entry, 1 for balls that share nothing.
     """
 
     grid: int
     balls: Ints
-    centred: Complexes
+    phase: Complexes
+    shift: Complexes
+    adjoint: Complexes
     mean: Complexes
     inverse: Complexes
+    amplification: float
 
 
 def phases(grid: int, balls: Ints) -> Complexes:
@@ -109,60 +116,137 @@ def factor(grid: int, balls: Ints) -> Harmonics:
     phase = phases(grid, balls)
     sums = phase.sum(axis=1)
     normal = normal_matrices(sums, len(balls))
-    mean = design(sums[:, None] / len(balls))[:, :, 0]
-    centred = (design(phase) - mean[:, :, None]).reshape(2, len(sums) - 2, -1, 3)
     try:
         inverse = np.asarray(np.linalg.inv(normal), dtype=np.complex128)
     except np.linalg.LinAlgError:
         inverse = np.full_like(normal, np.inf)
-    if not np.abs(inverse).max() * RANK_TOLERANCE * len(balls) < 1.0:
+    amplification = float(np.abs(inverse).max()) * len(balls)
+    if not amplification * RANK_TOLERANCE < 1.0:
         raise ObservabilityError(
             f"balls at steps {balls.tolist()} of {grid} do not separate table, plate and CMM at "
             "every harmonic; choose other steps (separability names the lost harmonics)"
         )
     inverse[:, 0, 1, 1] = 0.0
-    return Harmonics(grid, balls, centred, mean, inverse)
+    return Harmonics(
+        grid=grid,
+        balls=balls,
+        phase=phase,
+        shift=np.stack([phase[2:], phase[:-2], phase[1:-1]]),
+        adjoint=_adjoint(phase[1]),
+        mean=design(sums[:, None] / len(balls))[:, :, 0],
+        inverse=inverse,
+        amplification=amplification,
+    )
+
+
+def _adjoint(turn: Complexes) -> Complexes:
+    """Return the adjoint (3, R, 3) of the design in the table's frame; ``turn`` is e_1 (R,)."""
+    half = (1j * ROOT_HALF) * turn
+    adjoint = np.zeros((3, len(turn), 3), dtype=np.complex128)
+    adjoint[0, :, 0] = adjoint[1, :, 1] = adjoint[2, :, 2] = 1.0
+    adjoint[0, :, 2] = -half
+    adjoint[2, :, 1] = half
+    adjoint[1, :, 2] = adjoint[2, :, 0] = half.conj()
+    adjoint[1, :, 2] *= -1.0
+    return adjoint
 
 
 def fit(system: Harmonics, spectrum: Complexes) -> tuple[Complexes, Complexes, Complexes]:
-    """Solve all harmonics: ``spectrum`` (2, Q, R, 2) to table (2, Q, 3), CMM (2, Q, 2), rest.
+    """Solve all harmonics: ``spectrum`` (3, Q, R) to table (2, Q, 3), CMM (3, Q), rest (3, Q, R).
 
-    Where a layout is weak, a step of iterative refinement takes the squared condition number
-    out of the answer.
+    Rows are +, - and z in the frame that turns with the table. Where a layout is weak, a step of
+    iterative refinement takes the squared condition number out of the answer.
     """
-    mean = spectrum.sum(axis=2) / len(system.balls)
-    right = (spectrum - mean[:, :, None]).reshape(*spectrum.shape[:2], -1, 1)
-    adjoint = system.centred.conj().swapaxes(2, 3)
-    table = system.inverse @ (adjoint @ right)
-    residual = right - system.centred @ table
-    if np.abs(system.inverse).max() * len(system.balls) > WEAK:
-        table += system.inverse @ (adjoint @ residual)
-        residual = right - system.centred @ table
-    cmm = mean - (system.mean @ table)[..., 0]
-    return table[..., 0], cmm, residual.reshape(spectrum.shape)
+    table = _table_of(system, _centred(system, spectrum.copy())[1])
+    cmm, rest = _centred(system, spectrum - _fitted(system, table))
+    if system.amplification > WEAK:
+        table = table + _table_of(system, rest)
+        cmm, rest = _centred(system, spectrum - _fitted(system, table))
+    return table, cmm, rest
 
 
-def cmm_covariance(system: Harmonics) -> Complexes:
-    """Return the unit covariance (2, Q, 2, 2) of the CMM's unknowns, pose of the axis included."""
-    spread = system.mean @ system.inverse @ system.mean.conj().swapaxes(2, 3)
-    covariance: Complexes = spread + np.eye(2) / len(system.balls)
-    return covariance
+def _centred(system: Harmonics, rows: Complexes) -> tuple[Complexes, Complexes]:
+    """Split rows (3, Q, R), in place, into the CMM's mean over the balls (3, Q) and the rest."""
+    rows *= system.shift
+    mean = rows.sum(axis=2)
+    mean /= len(system.balls)
+    rows -= mean[:, :, None]
+    rows *= system.shift.conj()
+    return mean, rows
 
 
-def from_plane(sequences: Complexes) -> tuple[Complexes, Complexes]:
-    """Transform x + i y, (N, ...), to w+ and w- (Q, ...) for q = 1..N//2."""
-    grid = len(sequences)
+def _table_of(system: Harmonics, centred: Complexes) -> Complexes:
+    """Return the table's unknowns (2, Q, 3) from centred rows (3, Q, R)."""
+    right = centred @ system.adjoint
+    right[1] += right[0]
+    unknowns: Complexes = np.einsum("bqij,bqj->bqi", system.inverse, right[1:])
+    return unknowns
+
+
+def _fitted(system: Harmonics, table: Complexes) -> Complexes:
+    """Return the rows (3, Q, R) that the table's unknowns (2, Q, 3) cause."""
+    fitted: Complexes = table[[PLANE, PLANE, AXIS]] @ system.adjoint.conj().swapaxes(1, 2)
+    return fitted
+
+
+def centred_design(system: Harmonics) -> Complexes:
+    """Return the table's design (2, Q, R, 2, 3) at the CMM, its mean over the balls taken off."""
+    centred: Complexes = design(system.phase) - system.mean[:, :, None]
+    return centred
+
+
+def cmm_covariance(system: Harmonics) -> tuple[Complexes, Floats]:
+    """Return the unit covariance of the CMM's unknowns at lag 0, (2, 2, 2), and of the pose.
+
+    The pose (2,), shift and tilt, are the coefficients of w- and z at q = 1, which the CMM does
+    not have.
+    """
+    grid, noise = system.grid, 1.0 / len(system.balls)
+    rows = system.mean.transpose(2, 3, 0, 1).copy()  # harmonics last: quick for small matrices
+    carried = np.einsum("ikbq,klbq->ilbq", rows, system.inverse.transpose(2, 3, 0, 1))
+    adjoint = rows.conj()
+    pose = noise + np.array(
+        [(carried[i, :, block, 0] @ adjoint[i, :, block, 0]).real for i, block in POSE]
+    )
+    for i, block in POSE:
+        carried[i, :, block, 0] = adjoint[i, :, block, 0] = 0.0
+    carried *= _multiplicity(grid) / grid
+    lag = np.einsum("ikbq,jkbq->bij", carried, adjoint)
+    lag[PLANE, 0, 0] += noise * (grid - 1) / grid
+    lag[PLANE, 1, 1] += noise * (grid - 3) / grid
+    lag[AXIS, 0, 0] += noise * (grid - 3) / grid
+    return lag, pose
+
+
+def _multiplicity(grid: int) -> Floats:
+    """How often the harmonics q = 1..N//2 occur with both signs; Nyquist has no twin."""
+    twice = np.full(grid // 2, 2.0)
+    twice[-1] = 1.0 + grid % 2
+    return twice
+
+
+def to_harmonics(sequences: Complexes) -> tuple[Complexes, Complexes]:
+    """Transform x + i y, then z, (2 R, N): rows +, -, z (3, Q, R) of q = 1..N//2; mean (2, R)."""
+    n_balls, grid = len(sequences) // 2, sequences.shape[1]
     last = grid // 2 + 1
-    full = ROOT_HALF * np.fft.fft(sequences, axis=0)
-    return full[1:last], full[: grid - last : -1].conj()
+    full = np.fft.fft(sequences, axis=1)
+    rows = np.empty((3, last - 1, n_balls), dtype=np.complex128)
+    rows[0] = full[:n_balls, 1:last].T
+    rows[1] = full[:n_balls, : grid - last : -1].T.conj()
+    rows[:2] *= ROOT_HALF
+    rows[2] = full[n_balls:, 1:last].T
+    return rows, full[:, 0].reshape(2, n_balls) / grid
 
 
-def to_plane(plus: Complexes, minus: Complexes, grid: int) -> Complexes:
-    """Return x + i y (N, ...) of zero mean from w+ and w- (Q, ...): inverts from_plane."""
-    full = np.zeros((grid, *plus.shape[1:]), dtype=np.complex128)
-    full[1 : grid // 2 + 1] = plus
-    full[: grid - grid // 2 - 1 : -1] = minus.conj()
-    sequences: Complexes = np.fft.ifft(full / ROOT_HALF, axis=0)
+def to_sequences(plus: Complexes, minus: Complexes, axial: Complexes, grid: int) -> Complexes:
+    """Return x + i y, then z, (m + n, N) of zero mean from w+ and w- (m, Q) and z (n, Q)."""
+    n_plane, last = len(plus), grid // 2 + 1
+    full = np.zeros((n_plane + len(axial), grid), dtype=np.complex128)
+    backward = full[:, : grid - last : -1]
+    full[:n_plane, 1:last], backward[:n_plane] = plus, minus.conj()
+    full[:n_plane] *= 1.0 / ROOT_HALF
+    full[n_plane:, 1:last], backward[n_plane:] = axial, axial.conj()
+    sequences: Complexes = np.fft.ifft(full, axis=1)
     return sequences
 
 
@@ -174,15 +258,12 @@ def to_time(coefficients: Complexes, grid: int) -> Floats:
     return sequences
 
 
-def zero_lag(spectrum: Complexes, grid: int, axis: int) -> Complexes:
-    """Return the sum over harmonics of both signs / N, before the real part is taken.
+def zero_lag(spectrum: Complexes, grid: int) -> Complexes:
+    """Return the sum over harmonics of both signs / N of (2, Q, ...), still complex.
 
     Its real part is the covariance at lag 0 once the basis is real (:func:`real_basis`).
     """
-    total = 2.0 * spectrum.sum(axis=axis)
-    if grid % 2 == 0:
-        total -= spectrum.take(-1, axis=axis)  # the Nyquist harmonic has no twin
-    mean: Complexes = total / grid
+    mean: Complexes = np.einsum("bq...,q->b...", spectrum, _multiplicity(grid) / grid)
     return mean
 
 

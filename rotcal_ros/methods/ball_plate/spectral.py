@@ -36,12 +36,14 @@ def solve_spectral(problem: BallPlateProblem) -> Solution:
             f"a grid of {problem.grid}"
         )
     system = harmonics.factor(problem.grid, problem.balls)
-    zeroth, spectrum, by_cmm = _measured_spectrum(problem)
+    turn = np.exp(1j * problem.angles)
+    spectrum, mean = harmonics.to_harmonics(_in_table_frame(problem, turn))
     table, cmm, rest = harmonics.fit(system, spectrum)
-    residuals = _residuals(problem, rest, by_cmm)
+    pose = _axis_pose(problem, cmm)
+    fields, residuals = _back(problem, turn, table, cmm, rest)
     return Solution(
-        estimate=_estimate(problem, zeroth / problem.grid, table, cmm),
-        unit_std=_unit_std(problem, system),
+        estimate=_estimate(problem, turn, fields, mean, pose),
+        unit_std=_unit_std(problem, turn, system),
         unit_covariance=TableCovariance(problem.radius, system),
         residuals=residuals,
         cofactor=ResidualCofactor(problem.cmm_index, system),
@@ -51,81 +53,90 @@ def solve_spectral(problem: BallPlateProblem) -> Solution:
     )
 
 
-def _measured_spectrum(problem: BallPlateProblem) -> tuple[Floats, Complexes, Ints]:
-    """Transform the data in the turning frame over the CMM positions.
+def _in_table_frame(problem: BallPlateProblem, turn: Complexes) -> Complexes:
+    """Return x + i y in the frame that turns with the table, then z, (2 R, N)."""
+    n_balls = len(problem.balls)
+    x, y, z = problem.deviations.T.reshape(3, n_balls, problem.grid)
+    sequences = np.zeros((2 * n_balls, problem.grid), dtype=np.complex128)
+    sequences[:n_balls].real, sequences[:n_balls].imag = x, y
+    sequences[:n_balls] *= turn.conj()
+    sequences[n_balls:].real = z
+    return sequences
 
-    Returns harmonic zero (R, 3) in x, y, z, the others (2, Q, R, 2) as :mod:`harmonics` wants
-    them, and ``by_cmm`` (R, N), the row of ball r at CMM position k.
+
+def _axis_pose(problem: BallPlateProblem, cmm: Complexes) -> tuple[complex, complex]:
+    """Take tilt (radians) and shift (m) of the axis out of the CMM's coefficients (3, Q).
+
+    At q = 1 the CMM's coefficient is the pose of the axis (Eq. 15 leaves nothing for b).
     """
-    grid, n_balls = problem.grid, len(problem.balls)
-    shift = (np.arange(grid) - problem.balls[:, None]) % grid
-    by_cmm = np.arange(n_balls)[:, None] * grid + shift
-    x, y, z = problem.deviations.T
-    plane = (x + 1j * y)[by_cmm].T * np.exp(-1j * problem.angles)[:, None]
-    height = np.fft.rfft(z[by_cmm].T, axis=0)
-    spectrum = np.zeros((2, grid // 2, n_balls, 2), dtype=np.complex128)
-    spectrum[PLANE, ..., 0], spectrum[PLANE, ..., 1] = harmonics.from_plane(plane)
-    spectrum[AXIS, ..., 0] = height[1:]
-    zeroth = plane.sum(axis=0)
-    return np.stack([zeroth.real, zeroth.imag, height[0].real], axis=1), spectrum, by_cmm
+    shift = np.sqrt(2.0) * cmm[1, 0].conjugate() / problem.grid
+    tilt = -2.0 * cmm[2, 0] / (problem.grid * problem.radius)
+    cmm[1:, 0] = 0.0
+    return complex(tilt), complex(shift)
+
+
+def _back(
+    problem: BallPlateProblem, turn: Complexes, table: Complexes, cmm: Complexes, rest: Complexes
+) -> tuple[Floats, Floats]:
+    """Bring harmonics back to the fixed frame.
+
+    Returns translation, rotation times radius and CMM, (3, N, 3), and the residuals (n, 3).
+    """
+    n_balls, grid = len(problem.balls), problem.grid
+    plus, minus, axial = np.empty((3, n_balls + 3, grid // 2), dtype=np.complex128)
+    plus[3:], minus[3:], axial[3:] = rest.transpose(0, 2, 1)
+    plus[:2], minus[:2] = table[:, :, 0], table[:, :, 1]
+    axial[0], axial[1] = table[AXIS, :, 2], table[PLANE, :, 2]
+    plus[2], minus[2], axial[2] = cmm
+    sequences = harmonics.to_sequences(plus, minus, axial, grid)
+    plane = sequences[: n_balls + 3] * turn
+    vectors = np.empty((n_balls + 3, grid, 3))
+    vectors[..., 0], vectors[..., 1] = plane.real, plane.imag
+    vectors[..., 2] = sequences[n_balls + 3 :].real
+    return vectors[:3], vectors[3:].reshape(-1, 3)
 
 
 def _estimate(
-    problem: BallPlateProblem, mean: Floats, table: Complexes, cmm: Complexes
+    problem: BallPlateProblem,
+    turn: Complexes,
+    fields: Floats,
+    mean: Complexes,
+    pose: tuple[complex, complex],
 ) -> Parameters:
-    """Bring the harmonics back to the fixed frame; ``mean`` (R, 3) is harmonic zero."""
-    grid, radius = problem.grid, problem.radius
-    # At q = 1 the CMM's coefficient is the pose of the axis (Eq. 15 leaves nothing for b).
-    shift = np.sqrt(2.0) * cmm[PLANE, 0, 1].conj() / grid
-    tilt = -2.0 * cmm[AXIS, 0, 0] / (grid * radius)
-    cmm[PLANE, 0, 1] = cmm[AXIS, 0, 0] = 0.0
-    turn = np.exp(1j * problem.angles)
-    pairs = np.stack([table[PLANE, :, :2], table[AXIS, :, :2], cmm[PLANE]], axis=1)
-    plane = harmonics.to_plane(pairs[..., 0], pairs[..., 1], grid) * turn[:, None]
-    along = np.stack([table[AXIS, :, 2], table[PLANE, :, 2], cmm[AXIS, :, 0]], axis=1)
-    fields = np.stack([plane.real, plane.imag, harmonics.to_time(along, grid)], axis=2)
-    common = mean[:, 1:].sum(axis=0) / len(mean)  # tangential and axial: u_z and v_z (Eq. 19)
-    ball = (mean[:, 0] + 1j * (mean[:, 1] - common[0])) * turn[problem.balls]
+    """Join all parameters; ``mean`` (2, R), x + i y and z, is harmonic zero on the plate."""
+    tilt, shift = pose
+    out = turn[problem.balls]
+    local = mean[0] * out.conj()  # radial and tangential
+    common = local.imag.sum() / len(out), mean[1].real.sum() / len(out)  # u_z, v_z (Eq. 19)
+    ball = (local - 1j * common[0]) * out
     return Parameters(
-        plate=np.stack([ball.real, ball.imag, mean[:, 2] - common[1]], axis=1),
-        cmm=fields[:, 2],
-        rotation=fields[:, 1] / radius,
-        translation=fields[:, 0],
-        axis_rotation=np.array([tilt.imag, tilt.real, common[0] / radius]),
+        plate=np.stack([ball.real, ball.imag, mean[1].real - common[1]], axis=1),
+        cmm=fields[2],
+        rotation=fields[1] / problem.radius,
+        translation=fields[0],
+        axis_rotation=np.array([tilt.imag, tilt.real, common[0] / problem.radius]),
         axis_shift=np.array([shift.real, shift.imag, common[1]]),
     )
 
 
-def _residuals(problem: BallPlateProblem, rest: Complexes, by_cmm: Ints) -> Floats:
-    """Residuals (n, 3) in the fixed frame, canonical order, from those of the harmonics."""
-    plane = harmonics.to_plane(rest[PLANE, ..., 0], rest[PLANE, ..., 1], problem.grid)
-    plane *= np.exp(1j * problem.angles)[:, None]
-    height = harmonics.to_time(rest[AXIS, ..., 0], problem.grid)
-    residuals = np.empty((by_cmm.size, 3))
-    residuals[by_cmm.T] = np.stack([plane.real, plane.imag, height], axis=2)
-    return residuals
-
-
-def _unit_std(problem: BallPlateProblem, system: Harmonics) -> Parameters:
+def _unit_std(problem: BallPlateProblem, turn: Complexes, system: Harmonics) -> Parameters:
     """Return the standard deviations of all parameters for unit noise."""
-    grid, radius, n_balls = problem.grid, problem.radius, len(problem.balls)
-    cmm_spectrum = harmonics.cmm_covariance(system)
-    shift = cmm_spectrum[PLANE, 0, 1, 1].real / grid
-    tilt = 2.0 * cmm_spectrum[AXIS, 0, 0, 0].real / grid / radius**2
-    cmm_spectrum[PLANE, 0, 1, :] = cmm_spectrum[PLANE, 0, :, 1] = 0.0
-    cmm_spectrum[AXIS, 0] = 0.0
-    cmm = harmonics.zero_lag(cmm_spectrum, grid, axis=1)
-    table = harmonics.zero_lag(system.inverse, grid, axis=1)
-    common = 1.0 / (grid * n_balls)
-    pairs = np.array([table[PLANE, :2, :2], table[AXIS, :2, :2], cmm[PLANE]])
+    grid, radius = problem.grid, problem.radius
+    cmm, (shift, tilt) = harmonics.cmm_covariance(system)
+    table = harmonics.zero_lag(system.inverse, grid)
+    shift, tilt = shift / grid, 2.0 * tilt / grid / radius**2
+    common = 1.0 / (grid * len(problem.balls))
+    pairs = np.empty((3, 2, 2), dtype=np.complex128)
+    pairs[:2], pairs[2] = table[:, :2, :2], cmm[PLANE]
     along = np.array([table[AXIS, 2, 2], table[PLANE, 2, 2], cmm[AXIS, 0, 0]]).real
-    turn = np.exp(2j * problem.angles)
-    fields = _turned_std(pairs, along, turn)
-    # In its own frame a ball has the variances 1/N (radial) and 1/N - 1/(N R) (others).
-    ball = np.array([[[1.0 / grid - 0.5 * common, 0.5 * common]] * 2])
-    ball[:, 1] = ball[:, 1, ::-1]
+    fields = _turned_std(pairs, along, turn * turn)
+    # A ball has the variances 1/N (radial) and 1/N - 1/(N R) (tangential, axial).
+    out = turn[problem.balls]
+    less = np.full((len(out), 3), common)
+    less[:, 0] *= out.imag**2
+    less[:, 1] *= out.real**2
     return Parameters(
-        plate=_turned_std(ball, np.array([1.0 / grid - common]), turn[problem.balls])[0],
+        plate=np.sqrt(1.0 / grid - less),
         cmm=fields[2],
         rotation=fields[1] / radius,
         translation=fields[0],
@@ -134,7 +145,7 @@ def _unit_std(problem: BallPlateProblem, system: Harmonics) -> Parameters:
     )
 
 
-def _turned_std(pairs: Complexes | Floats, along: Floats, turn: Complexes) -> Floats:
+def _turned_std(pairs: Complexes, along: Floats, turn: Complexes) -> Floats:
     """Return the standard deviations (f, n, 3) of f vectors at n angles in the fixed frame.
 
     ``pairs`` (f, 2, 2) are the covariances of (w+, w-) in the turning frame at lag 0, ``along``
@@ -161,10 +172,10 @@ class ResidualCofactor:
     def __call__(self) -> Floats:
         """Return the unit covariance (n, 3, 3) of all residuals."""
         system, n_balls = self.system, len(self.system.balls)
-        rows = system.centred.reshape(*system.centred.shape[:2], n_balls, 2, 3)
+        rows = harmonics.centred_design(system)
         fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
         kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
-        lag = harmonics.zero_lag(kept, system.grid, axis=1)
+        lag = harmonics.zero_lag(kept, system.grid)
         turning = np.zeros((n_balls, 3, 3))
         turning[:, :2, :2] = harmonics.real_basis(lag[PLANE]).real
         turning[:, 2, 2] = lag[AXIS, :, 0, 0].real

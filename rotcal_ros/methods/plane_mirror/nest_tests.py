@@ -25,7 +25,8 @@ from rotcal_ros.methods.plane_mirror.registration import (
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_MIN_APART: Final = 5e-3  # smaller than any reflector
+MIN_APART: Final = 5e-3
+"""Two nests are never closer than this (m): it is less than any reflector."""
 _MATCH: Final = 2e-3  # distances that agree within this show the same two nests
 _MIN_REDUNDANCY: Final = 1e-3
 
@@ -168,7 +169,7 @@ def _check_apart(problem: PlaneMirrorProblem, nests: Nests) -> None:
         points = problem.xyz[nests.row[at]]
         for i, j in combinations(range(len(at)), 2):
             apart = np.linalg.norm(points[i] - points[j])
-            if nests.point[at[i]] != nests.point[at[j]] and apart < _MIN_APART:
+            if nests.point[at[i]] != nests.point[at[j]] and apart < MIN_APART:
                 a, b = nests.name[nests.point[at[i]]], nests.name[nests.point[at[j]]]
                 raise DataError(
                     f"{problem.source}: from tracker station {problem.station_name(int(station))} "

@@ -244,10 +244,12 @@ def _with_nests(
     if fit is None:
         return outcome
     nests, problem = prepared.nests, prepared.problem
+    placed = prepared.poses.placed(problem.xyz[nests.row], nests.station)
     outcome.details["nests"] = [
         {
             "nest": nests.name[nests.point[q]],
             "station": problem.station_name(int(nests.station[q])),
+            "position_m": placed[q],
             "residual_m": fit.residual[q],
             "test_value": fit.test_value[q],
         }

@@ -110,6 +110,7 @@ def _layout_details(prepared: Prepared) -> dict[str, Any]:
         normals = fit_normals(problem.xyz, pairs, prepared.pair_weight)
         angle = incidence(problem.xyz, pairs, normals.normal)
         steepest = np.maximum.reduceat(angle, pairs.start)
+        details["incidence_limit_rad"] = problem.incidence_limit
         details["normals"] = [
             {
                 "angle_rad": prepared.angles[pairs.position[g]],

@@ -27,11 +27,16 @@ def read_points(text: str, name: str, angles: ArrayLike, **settings: Any) -> Pla
 
     Positions count from 0 into ``angles``; nest rows may leave theirs empty. Tracker stations are
     any labels, in the order of their first row: the order in which the tracker was moved.
+    ``#`` begins a comment line.
     Coordinates are metres in the tracker's own frame. ``settings`` (``noise``, ``way``, ...) go to
     :class:`~rotcal_ros.methods.plane_mirror.problem.PlaneMirrorProblem`. DataError names the line.
     """
-    reader = csv.reader(io.StringIO(text.removeprefix("\ufeff")))
-    head = tuple(cell.strip() for cell in next(reader, []))
+    reader = csv.reader(
+        "" if line.lstrip().startswith("#") else line
+        for line in io.StringIO(text.removeprefix("\ufeff"))
+    )
+    first = next((cells for cells in reader if any(cells)), [])
+    head = tuple(cell.strip() for cell in first)
     if head != HEADER:
         raise DataError(
             f"{name}: the columns are {', '.join(head) or 'missing'}, expected {', '.join(HEADER)}"

@@ -6,5 +6,6 @@
 
 from rotcal_ros.methods.tracer.problem import TracerProblem, TracerSettings
 from rotcal_ros.methods.tracer.solve import METHOD, solve
+from rotcal_ros.methods.tracer.trials import TracerTrials, tracer_trials
 
-__all__ = ["METHOD", "TracerProblem", "TracerSettings", "solve"]
+__all__ = ["METHOD", "TracerProblem", "TracerSettings", "TracerTrials", "solve", "tracer_trials"]

@@ -62,6 +62,9 @@ class TracerProblem:
     radial error motion (EXC, EYC) in metres. One tracer position cannot tell it from the
     angle; it enters the uncertainty as a type B component.
 
+    ``repeated_runs``: equal table angles are separate arrivals, whose differences are the table's
+    repeatability and reversal and no closure of the measurement.
+
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
     all targets lie in one plane.
@@ -83,6 +86,7 @@ class TracerProblem:
     variant: Variant = "station"
     datum: Datum = "prior"
     error_motion_std: float = 0.0
+    repeated_runs: bool = False
     start_stations: Floats | None = None
     settings: TracerSettings = field(default_factory=TracerSettings)
 

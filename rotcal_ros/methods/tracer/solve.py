@@ -49,7 +49,7 @@ def solve(problem: TracerProblem) -> Result:
     Raises ObservabilityError when the geometry cannot tell the angle (it names the weak direction
     or both sides of Eq. 2), DataError for contradictory or implausible data.
     """
-    solution = _solve(problem)
+    solution = adjusted(problem)
     verdict, warnings = judge(solution.evidence, problem.settings)
     motion, angles = solution.motion, solution.angles
     return Result(
@@ -71,7 +71,8 @@ def solve(problem: TracerProblem) -> Result:
     )
 
 
-def _solve(problem: TracerProblem) -> Solution:
+def adjusted(problem: TracerProblem) -> Solution:
+    """Return the adjustment of ``problem`` and all that follows from it but the verdict."""
     grid, repeated, unfit = arrange(problem)
     check_counts(grid)
     missing = tuple(np.setdiff1d(np.arange(len(problem.table_angles)), grid.station_ids).tolist())
@@ -104,7 +105,9 @@ def _solve(problem: TracerProblem) -> Solution:
         lengths=lengths,
         circle=circle_test(motion, total),
         radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
-        closures=closures(commanded, motion.cumulative, angles.covariance, grid.station_ids),
+        closures=()
+        if problem.repeated_runs
+        else closures(commanded, motion.cumulative, angles.covariance, grid.station_ids),
         n_lengths=len(problem.length) - len(repeated),
         n_rejected=len(unfit) + len(outliers),
         missing=missing,

@@ -1,0 +1,96 @@
+"""Monte Carlo: seconds per trial, vectorised, against a plain loop over ``solve``.
+
+The trials of the plane mirror are measured in bench_plane_mirror.py. Both sides solve the same
+numbers; the best time of each counts.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotcal_ros.methods import ball_plate, tracer
+from rotcal_ros.simulation import one_table
+
+TRIALS, LOOPS = 1000, 20
+BALLS = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Times in seconds; ``difference`` is the largest one between the answers, rad or m."""
+
+    name: str
+    ours_s: float
+    opponent_s: float | None
+    ratio: float | None
+    difference: float | None
+
+
+Model = Callable[[np.random.Generator, int], np.ndarray]
+
+
+def race(name: str, model: Model, plain: Callable[[], np.ndarray]) -> Row:
+    """Time ``model`` per trial and ``plain``, which solves the first LOOPS trials of seed 1."""
+    ours, theirs = np.inf, np.inf
+    difference = float(np.abs(model(np.random.default_rng(1), LOOPS) - plain()).max())
+    for _ in range(3):
+        start = time.perf_counter()
+        model(np.random.default_rng(1), TRIALS)
+        middle = time.perf_counter()
+        plain()
+        ours = min(ours, (middle - start) / TRIALS)
+        theirs = min(theirs, (time.perf_counter() - middle) / LOOPS)
+    return Row(f"Monte Carlo trial, {name}", ours, theirs, theirs / ours, difference)
+
+
+# Problems without noise of their own: a trial then carries the noise of one measurement, and the
+# solver rejects nothing that the trials keep.
+EXACT = one_table.Instruments(1e-15, 1e-15, 1e-15, motion=0.0, tilt=0.0)
+LENGTH, TARGET, CENTRE = 0.2e-6, 1e-6, 0.1e-6
+
+
+def laser_tracer(variant: str) -> Row:
+    """12 stations, 48 targets."""
+    rng = np.random.default_rng(0)
+    exact = one_table.by_tracer(one_table.table_deviations(12, rng, EXACT), rng, 1, EXACT)
+    task = replace(exact, variant=variant, length_std=LENGTH, target_std=TARGET)
+    trials = tracer.tracer_trials(task)
+    length, targets, _ = trials.draw(np.random.default_rng(1), LOOPS)
+
+    def plain() -> np.ndarray:
+        problems = (
+            replace(task, length=a.ravel(), targets=b)
+            for a, b in zip(length, targets, strict=True)
+        )
+        return np.array([tracer.solve(problem).deviations["ECC"] for problem in problems])
+
+    return race(f"laser tracer, {variant}", trials, plain)
+
+
+def plate() -> Row:
+    """12 balls at 72 table positions."""
+    rng = np.random.default_rng(0)
+    table = one_table.table_deviations(72, rng, EXACT)
+    task = replace(one_table.by_ball_plate(table, rng, BALLS, 0.185, EXACT), sigma=CENTRE)
+    trials = ball_plate.plate_trials(task)
+    noise = CENTRE * np.random.default_rng(1).standard_normal((LOOPS, *task.centres.shape))
+
+    def plain() -> np.ndarray:
+        results = (ball_plate.solve(replace(task, centres=task.centres + e)) for e in noise)
+        return np.array([np.concatenate(list(r.deviations.values())) for r in results])
+
+    return race("ball plate, 72 positions", trials, plain)
+
+
+def rows() -> Iterator[Row]:
+    """Run everything, one row after the other."""
+    yield laser_tracer("station")
+    yield laser_tracer("joint")
+    yield plate()
+
+
+if __name__ == "__main__":
+    for row in rows():
+        print(row)

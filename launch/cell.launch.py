@@ -1,0 +1,60 @@
+"""The nodes of one cell; with simulated:=true the simulated machine and instruments as well."""
+
+import os
+from importlib.resources import files
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+SUITE = ("planner", "capture", "solver", "recorder")
+CLOSING_S = "25"
+
+
+def generate_launch_description():
+    configuration = LaunchConfiguration("configuration")
+    demo = PathJoinSubstitution([FindPackageShare("rotcal_ros"), "config", "tracer_demo.yaml"])
+    profiles = os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE") or str(
+        files("rotcal_ros") / "nodes" / "fastdds.xml"
+    )
+
+    def node(name, **more):
+        return Node(
+            package="rotcal_ros",
+            executable=name,
+            name=name,
+            namespace=LaunchConfiguration("namespace"),
+            parameters=[configuration],
+            output="screen",
+            respawn=False,
+            # Closing a bag takes time: no SIGKILL before the recorder had it.
+            sigterm_timeout=CLOSING_S,
+            sigkill_timeout=CLOSING_S,
+            **more,
+        )
+
+    simulated = IfCondition(LaunchConfiguration("simulated"))
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "configuration",
+                default_value=demo,
+                description="Configuration of the calibration: an ordinary parameter file.",
+            ),
+            DeclareLaunchArgument(
+                "namespace", default_value="/cell", description="Namespace of the cell's topics."
+            ),
+            DeclareLaunchArgument(
+                "simulated",
+                default_value="false",
+                description="Simulate the machine and the instruments.",
+                choices=["true", "false"],
+            ),
+            SetEnvironmentVariable("FASTDDS_DEFAULT_PROFILES_FILE", profiles),
+            *(node(name) for name in SUITE),
+            node("simulated_cell", condition=simulated),
+        ]
+    )

@@ -1,0 +1,119 @@
+"""``rotcal compare``: whether results of one table agree within their uncertainties."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rotcal_ros.cli.console import json_option, print_json, say
+from rotcal_ros.cli.inputs import read_curve, read_text
+from rotcal_ros.results import COMPONENTS
+
+if TYPE_CHECKING:
+    from rotcal_ros.compensation.measured import MeasuredCurve
+    from rotcal_ros.evaluation.compare import Comparison
+
+path_type = click.Path(path_type=Path)
+
+
+@click.command(
+    "compare", short_help="Compare results of one table, and references: do they agree?"
+)
+@click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...]")
+@click.option(
+    "--polygon",
+    type=path_type,
+    help="Calibrated face errors by table angle, taken off every reference table.",
+)
+@click.option(
+    "--component",
+    type=click.Choice(COMPONENTS),
+    default="ECC",
+    show_default=True,
+    help="The deviation to compare.",
+)
+@click.option(
+    "--align-order",
+    type=click.IntRange(0, 12),
+    default=0,
+    show_default=True,
+    help="Harmonics taken off beside the offset; 1 for radial deviations of other origins.",
+)
+@click.option(
+    "-o", "--output", type=path_type, help="Draw the curves and E_n there: .svg or .html."
+)
+@json_option
+def command(
+    sources: tuple[Path, ...],
+    polygon: Path | None,
+    component: str,
+    align_order: int,
+    output: Path | None,
+    as_json: bool,
+) -> int:
+    """Compare results of one table pair by pair: result.json, bags, reference tables (.csv).
+
+    A reference table has the columns angle_deg, deviation_arcsec and, if known, u_arcsec. The
+    offset that no method can know is taken off. The exit code is 1 when some |E_n| is above 1.
+    """
+    from rotcal_ros.evaluation.compare import compare_all
+
+    if len(sources) < 2 or len(set(sources)) < len(sources):
+        raise click.UsageError("give at least two different results to compare")
+    curves = _read(sources, polygon, component)
+    comparisons = compare_all(curves, align_order)
+    if output is not None:
+        _draw(output, curves, comparisons, component)
+    if as_json:
+        print_json(_plain(comparisons, component))
+    else:
+        from rotcal_ros.cli.comparison_table import print_comparisons
+
+        print_comparisons(comparisons, component)
+    if output is not None:
+        say(f"drawn: {output.absolute()}")
+    return int(any(c.largest > 1.0 for c in comparisons.values()))
+
+
+def _read(
+    sources: tuple[Path, ...], polygon: Path | None, component: str
+) -> dict[str, MeasuredCurve]:
+    from rotcal_ros.evaluation.reference import read_reference
+
+    faces = None if polygon is None else read_reference(read_text(polygon), str(polygon))
+    if faces is not None and not any(source.suffix == ".csv" for source in sources):
+        raise click.UsageError("--polygon belongs to a reference table (.csv), none is given")
+    return {str(source): read_curve(source, component, faces) for source in sources}
+
+
+def _draw(
+    output: Path,
+    curves: Mapping[str, MeasuredCurve],
+    comparisons: Mapping[tuple[str, str], Comparison],
+    component: str,
+) -> None:
+    from rotcal_ros.bags.durable import write_atomically
+    from rotcal_ros.report.comparison import comparison_page, curves_and_errors
+
+    if output.suffix == ".html":
+        write_atomically(output, comparison_page(curves, comparisons, component))
+    elif output.suffix == ".svg":
+        write_atomically(output, curves_and_errors(curves, comparisons, component))
+    else:
+        raise click.UsageError(f"cannot draw {output.name}: name a .svg or .html file")
+
+
+def _plain(comparisons: Mapping[tuple[str, str], Comparison], component: str) -> Mapping[str, Any]:
+    """Return the machine-readable form, SI."""
+    return {
+        "component": component,
+        "all_within_one": all(c.largest <= 1.0 for c in comparisons.values()),
+        "agree": all(c.agree for c in comparisons.values()),
+        "pairs": [
+            {"first": a, "second": b, **comparison.to_dict()}
+            for (a, b), comparison in comparisons.items()
+        ],
+    }

@@ -1,0 +1,195 @@
+"""``rotcal export``: from a bag or a result to the files of a controller."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from rotcal_ros.cli.console import json_option, print_json, say
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
+
+if TYPE_CHECKING:
+    from rotcal_ros.compensation.export import ExportFiles
+    from rotcal_ros.compensation.table import CompensationTable
+    from rotcal_ros.results import Result
+
+VOLUMETRIC: Final = "volumetric"
+"""Not a controller: all deviations that were measured, as CSV and JSON."""
+DEFAULT_AXIS: Final = "C"
+
+path_type = click.Path(path_type=Path)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A result, where it comes from (name -> SHA-256), and the axis that was measured."""
+
+    result: Result
+    sha256: Mapping[str, str]
+    axis: str | None
+
+
+@click.command(
+    "export",
+    short_help="Write the correction table of a calibration for a controller.",
+    epilog="Controllers and their settings: docs/compensation.md.",
+)
+@click.argument("source", type=path_type, metavar="BAG|RESULT")
+@click.option("--to", "controller", required=True, help="Controller, or 'volumetric'.")
+@click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
+@click.option("--spacing", type=float, metavar="DEG", help="Distance of the rows.")
+@click.option("--axis", help=f"Letter of the axis; default: the bag's, {DEFAULT_AXIS} else.")
+@click.option("--reference", type=float, metavar="DEG", help="Angle with correction zero.")
+@click.option("--reverse", type=path_type, metavar="BAG|RESULT", help="The other direction.")
+@click.option("--harmonics", type=int, metavar="N", help="Fit N harmonics, not a spline.")
+@click.option(
+    "--revolutions", metavar="FIRST:LAST", help="Travel, for controllers that do not wrap."
+)
+@click.option("--set", "options", multiple=True, metavar="NAME=VALUE", help="Controller setting.")
+@click.option("--name", help="File name without extension; default: axis_controller.")
+@click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet.")
+@json_option
+def command(
+    source: Path,
+    controller: str,
+    out: Path,
+    spacing: float | None,
+    axis: str | None,
+    reference: float | None,
+    reverse: Path | None,
+    harmonics: int | None,
+    revolutions: str | None,
+    options: tuple[str, ...],
+    name: str | None,
+    accept_unverified: bool,
+    as_json: bool,
+) -> int:
+    """Write the table of BAG (a folder, .mcap, .db3) or RESULT (.json) for a controller.
+
+    The files are read back and applied by the controller's own rule before they are written,
+    all or none, and nothing is ever overwritten. Only the verdict ok may be fed.
+    """
+    from rotcal_ros.compensation.options import parse_options, parse_revolutions
+    from rotcal_ros.compensation.writing import write_files
+    from rotcal_ros.units import DEGREE
+
+    settings = parse_options(options)
+    if revolutions is not None:
+        settings |= parse_revolutions(revolutions)
+    forward = read_source(source)
+    backward = None if reverse is None else read_source(reverse)
+    measured = forward.axis or axis or DEFAULT_AXIS
+    sources = {**forward.sha256, **(backward.sha256 if backward else {})}
+    if controller == VOLUMETRIC:
+        _write_volumetric(forward, axis or measured, name, out, as_json)
+        return 0
+    table = _table(forward, backward, measured, harmonics, spacing)
+    from rotcal_ros.compensation.export import prepare_export
+
+    made = prepare_export(
+        table,
+        controller,
+        now=datetime.now(timezone.utc),
+        axis=axis,
+        spacing=None if spacing is None else spacing * DEGREE,
+        reference_angle=None if reference is None else reference * DEGREE,
+        settings=settings,
+        stem=name,
+        accept_unverified=accept_unverified,
+        sources=sources,
+    )
+    paths = write_files(made.files, out)
+    if as_json:
+        print_json(outcome(made, paths))
+    else:
+        _tell(made, paths)
+    return 0
+
+
+def read_source(path: Path) -> Source:
+    """Return the result in a JSON file, or the solution of a bag.
+
+    Raises BagError when it cannot be read, DataError when the file holds no result.
+    """
+    from rotcal_ros.results import Result
+
+    if path.suffix == ".json":
+        try:
+            data = path.read_bytes()
+            result = Result.from_dict(json.loads(data))
+        except OSError as error:
+            raise BagError(f"cannot read {path}: {error.strerror}") from error
+        except ValueError as error:
+            raise BagError(f"{path} is not JSON: {error}") from error
+        except DataError as error:
+            raise DataError(f"{path}: {error}") from error
+        return Source(result, {path.name: sha256(data).hexdigest()}, None)
+    from rotcal_ros.bags.replay import read_recording
+    from rotcal_ros.planning.cell_settings import CellSettings
+
+    recording = read_recording(path)
+    for warning in recording.warnings():
+        say(f"warning: {warning}")
+    axis = recording.calibration.configuration.group("cell", CellSettings).axis
+    return Source(recording.solve(), recording.sha256, axis)
+
+
+def outcome(made: ExportFiles, paths: tuple[Path, ...]) -> dict[str, Any]:
+    """Return what was written, in the form of ``--json``."""
+    side = next(text for name, text in made.files.items() if name.endswith(".provenance.json"))
+    facts: dict[str, Any] = json.loads(side)
+    return {"files": [str(path.absolute()) for path in paths], "provenance": facts}
+
+
+def _table(
+    forward: Source,
+    backward: Source | None,
+    axis: str,
+    harmonics: int | None,
+    spacing: float | None,
+) -> CompensationTable:
+    """Return the correction table at the measured angles, or on rows of a harmonic fit."""
+    from rotcal_ros.compensation.table import table_from_result
+    from rotcal_ros.units import DEGREE
+
+    if backward is not None and backward.axis not in (None, axis):
+        raise ConfigurationError(
+            f"the forward run is of axis {axis}, the reverse run of axis {backward.axis}"
+        )
+    return table_from_result(
+        forward.result,
+        reverse=None if backward is None else backward.result,
+        axis=axis,
+        harmonics=harmonics,
+        # A fit knows its curve between the measured angles; a spline is sampled at export.
+        spacing=None if harmonics is None or spacing is None else spacing * DEGREE,
+    )
+
+
+def _write_volumetric(
+    forward: Source, axis: str, name: str | None, out: Path, as_json: bool
+) -> None:
+    from rotcal_ros.compensation.volumetric import volumetric_files
+    from rotcal_ros.compensation.writing import write_files
+
+    files = volumetric_files(forward.result, name or f"{axis}_{VOLUMETRIC}".lower(), axis)
+    paths = write_files(files, out)
+    if as_json:
+        print_json({"files": [str(path.absolute()) for path in paths]})
+    for path in () if as_json else paths:
+        click.echo(path.absolute())
+
+
+def _tell(made: ExportFiles, paths: tuple[Path, ...]) -> None:
+    for path in paths:
+        click.echo(path.absolute())
+    say(made.residual.in_words())
+    for warning in made.warnings:
+        say(f"warning: {warning}")

@@ -1,0 +1,69 @@
+"""``rotcal iso230``: accuracy and repeatability of positioning from repeated runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rotcal_ros.cli.console import json_option, print_json, say
+from rotcal_ros.cli.inputs import read_result, read_text
+
+if TYPE_CHECKING:
+    from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
+
+path_type = click.Path(path_type=Path)
+
+
+@click.command("iso230", short_help="Evaluate repeated bidirectional runs after ISO 230-2.")
+@click.argument("source", type=path_type, metavar="RUNS")
+@click.option(
+    "-o", "--output", type=path_type, help="Draw the diagrams of the standard there (.svg)."
+)
+@json_option
+def command(source: Path, output: Path | None, as_json: bool) -> int:
+    """Evaluate RUNS: a table (.csv), or the result.json or bag of a plan with runs.
+
+    The table has the columns angle_deg, run, direction (up or down), deviation_arcsec; every
+    target is there once in every run and direction.
+    """
+    from rotcal_ros.evaluation.iso230 import iso230
+
+    runs = _read(source)
+    figures = iso230(runs)
+    if output is not None:
+        _draw(output, runs, figures)
+    if as_json:
+        print_json(figures.to_dict())
+    else:
+        from rotcal_ros.cli.iso230_table import print_iso230
+
+        print_iso230(figures, runs.forward.shape[1])
+    if output is not None:
+        say(f"drawn: {output.absolute()}")
+    return 0
+
+
+def _read(source: Path) -> BidirectionalRuns:
+    from rotcal_ros.errors import DataError
+    from rotcal_ros.evaluation.runs import read_runs, runs_of
+
+    if source.suffix == ".csv":
+        return read_runs(read_text(source), str(source))
+    runs = runs_of(read_result(source))
+    if runs is None:
+        raise DataError(
+            f"{source}: the result holds no repeated runs in both directions; measure with the "
+            "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional'"
+        )
+    return runs
+
+
+def _draw(output: Path, runs: BidirectionalRuns, figures: Iso230) -> None:
+    from rotcal_ros.bags.durable import write_atomically
+    from rotcal_ros.report.iso230 import diagrams
+
+    if output.suffix != ".svg":
+        raise click.UsageError(f"cannot draw {output.name}: name a .svg file")
+    write_atomically(output, diagrams(runs, figures))

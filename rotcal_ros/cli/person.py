@@ -1,0 +1,61 @@
+"""The person at the cell: told what to do, asked to press Enter when it is done."""
+
+from __future__ import annotations
+
+import select
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from rotcal_ros.cli.session import Session
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.plan import PAUSED
+
+
+class Person:
+    """Does the work that a plan leaves to a person, or tells when it is done.
+
+    In a simulated cell, or with ``at_once``, the work is done as soon as it is asked for. In a
+    terminal Enter says so. Without one only the service ``resume`` of the cell does.
+    """
+
+    def __init__(self, session: Session, at_once: bool) -> None:
+        cell = session.configuration.group("cell", CellSettings)
+        self._service = f"{cell.namespace.rstrip('/')}/resume"
+        self._simulated = session.simulated
+        self._at_once = at_once or session.simulated
+        self._asked = False
+
+    def hear(self, event: Mapping[str, Any]) -> str:
+        """Take an event of the client and return what the person has to read, often nothing."""
+        if event["event"] == "paused":
+            self._asked = True
+            return f"{event['instruction']}{self._what_then()}"
+        if event["event"] == "resumed" and not event["success"]:
+            return str(event["reason"])
+        if event["event"] == "feedback":  # whoever said that it goes on
+            self._asked = self._asked and event["activity"].startswith(PAUSED)
+        return ""
+
+    def is_done(self) -> bool:
+        """Return True once for every work that is done."""
+        done = self._asked and (self._at_once or _enter_pressed())
+        self._asked = self._asked and not done
+        return done
+
+    def _what_then(self) -> str:
+        if self._simulated:
+            return ": done by the simulated person"
+        if self._at_once:
+            return ": taken as done (--yes)"
+        if sys.stdin.isatty():
+            return "; then press Enter"
+        return f"; then call the service {self._service} (std_srvs/srv/Trigger)"
+
+
+def _enter_pressed() -> bool:
+    """Return whether a line was entered in the terminal; never waits."""
+    if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:
+        return False
+    sys.stdin.readline()
+    return True

@@ -1,0 +1,324 @@
+"""``rotcal plan``: design a ball plate, the effort it takes, and the order of measuring."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rotcal_ros.cli.console import json_option, print_json, progress_bar
+from rotcal_ros.errors import PlanError
+from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+
+if TYPE_CHECKING:
+    from rotcal_ros.planning.ball_layout import Layout
+    from rotcal_ros.planning.ball_plan import BallPlan, Kinematics
+
+_TRANSLATIONS = ("EXC", "EYC", "EZC")
+
+grid_option = click.option(
+    "--grid", type=click.IntRange(min=3), required=True, help="Table positions in a turn."
+)
+sigma_option = click.option(
+    "--sigma-um",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=0.05,
+    show_default=True,
+    help="um, standard deviation (k = 1) of a ball centre along each axis.",
+)
+radius_option = click.option(
+    "--radius-m",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=0.185,
+    show_default=True,
+    help="m, radius of the ball circle.",
+)
+gap_option = click.option(
+    "--min-gap", type=click.IntRange(min=1), default=1, help="Grid steps between neighbours."
+)
+seed_option = click.option("--seed", type=int, default=0, help="Seed of the exchange search.")
+touch_option = click.option(
+    "--touches", type=click.IntRange(min=1), default=15, show_default=True, help="Per ball."
+)
+
+
+@click.group()
+def command() -> None:
+    """Design a ball plate and its measurement."""
+
+
+@command.command()
+@grid_option
+@click.option("--balls", type=click.IntRange(min=4), required=True, help="Number of balls.")
+@gap_option
+@click.option("--subset-of", metavar="STEPS", help="Choose among these grid steps, e.g. 0,8,12.")
+@click.option(
+    "--weights",
+    metavar="ECC,XY,TILT,Z",
+    default="1,1,1,1",
+    show_default=True,
+    help="Weights of the mean variances of ECC, EXC and EYC, EAC and EBC, EZC.",
+)
+@seed_option
+@click.option("--starts", type=click.IntRange(min=1), default=40, help="Exchange searches.")
+@sigma_option
+@radius_option
+@touch_option
+@json_option
+def plate(
+    grid: int,
+    balls: int,
+    min_gap: int,
+    subset_of: str | None,
+    weights: str,
+    seed: int,
+    starts: int,
+    sigma_um: float,
+    radius_m: float,
+    touches: int,
+    as_json: bool,
+) -> int:
+    """Find the ball steps with the smallest predicted uncertainty.
+
+    Looks at all layouts where they can be counted out (up to rotation and reflection), else
+    exchanges one ball at a time from many starts. The gap is the distance to a bound that no
+    layout can beat.
+    """
+    from rotcal_ros.planning.ball_layout import best_layout
+
+    with progress_bar() as bar:
+        task = bar.add_task("layouts", total=None)
+        layout = best_layout(
+            grid,
+            balls,
+            min_gap=min_gap,
+            subset_of=None if subset_of is None else _integers(subset_of, "--subset-of"),
+            weights=_numbers(weights, "--weights"),
+            seed=seed,
+            starts=starts,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    std = layout.predicted_std(sigma_um * MICROMETRE, radius_m)
+    orders = _orders(grid, list(layout.steps), radius_m, touches)
+    if as_json:
+        print_json(_layout_dict(layout, std, orders))
+    else:
+        _print_layout(layout, std, orders)
+    return 0
+
+
+@command.command()
+@grid_option
+@click.option(
+    "--need",
+    metavar="COMPONENT=LIMIT",
+    required=True,
+    help="Wanted expanded uncertainty (k = 2), um or arcsec, e.g. ECC=0.05.",
+)
+@gap_option
+@click.option("--most-balls", type=click.IntRange(min=5), help="No more balls than this.")
+@seed_option
+@sigma_option
+@radius_option
+@touch_option
+@json_option
+def effort(
+    grid: int,
+    need: str,
+    min_gap: int,
+    most_balls: int | None,
+    seed: int,
+    sigma_um: float,
+    radius_m: float,
+    touches: int,
+    as_json: bool,
+) -> int:
+    """Say how many balls and CMM positions an uncertainty needs, the least work first."""
+    from rotcal_ros.planning.ball_plan import plan_measurement
+    from rotcal_ros.planning.effort import required_effort
+
+    component, limit = _need(need)
+    ways = required_effort(
+        grid,
+        component,
+        limit * _unit(component)[0],
+        sigma=sigma_um * MICROMETRE,
+        radius=radius_m,
+        min_gap=min_gap,
+        most_balls=most_balls,
+        seed=seed,
+    )
+    rows = []
+    for way in ways:
+        steps = list(way.layout.steps)
+        order = plan_measurement(
+            grid, steps, positions=list(way.positions), radius=radius_m,
+            kinematics=_kinematics(touches),
+        )  # fmt: skip
+        rows.append(
+            {
+                "balls": len(steps),
+                "cmm_positions": len(way.positions),
+                "centres": way.centres,
+                "duration_s": order.duration,
+                "expanded": way.expanded,
+                "ball_steps": steps,
+                "positions": list(way.positions),
+            }
+        )
+    if as_json:
+        print_json({"component": component, "coverage": ways[0].coverage, "ways": rows})
+    else:
+        _print_effort(component, limit, rows)
+    return 0
+
+
+@command.command()
+@click.argument("configuration", type=click.Path(path_type=Path), metavar="CONFIG")
+@touch_option
+@click.option("--touch-s", type=float, default=2.0, show_default=True, help="s per touch point.")
+@click.option("--settle-s", type=float, default=1.0, show_default=True, help="s after a turn.")
+@click.option("--table-deg-s", type=float, default=11.0, show_default=True, help="deg/s, speed.")
+@json_option
+def order(
+    configuration: Path,
+    touches: int,
+    touch_s: float,
+    settle_s: float,
+    table_deg_s: float,
+    as_json: bool,
+) -> int:
+    """Print the measuring order of a ball plate configuration with its predicted duration."""
+    from rotcal_ros.catalogue import prepare
+    from rotcal_ros.configuration import read_configuration
+    from rotcal_ros.planning.ball_plan import Kinematics
+    from rotcal_ros.planning.ball_plate_plan import BallPlatePlanSettings, measuring_order
+
+    prepared = prepare(read_configuration(configuration))
+    settings = prepared.configuration.group("plan", BallPlatePlanSettings)
+    kinematics = Kinematics(
+        table_velocity=table_deg_s * DEGREE,
+        settle=settle_s,
+        touch=touch_s,
+        touches_per_ball=touches,
+    )
+    rows = measuring_order(settings, kinematics)
+    steps = [
+        {"step": s.index, "table_deg": round(s.table_angle / DEGREE, 9), "ball_step": s.target}
+        for s in prepared.plan.steps
+    ]
+    if as_json:
+        print_json({**_order_dict(rows), "steps": steps})
+        return 0
+    click.echo("step,table_deg,ball_step")
+    for s in steps:
+        click.echo(f"{s['step']},{s['table_deg']},{s['ball_step']}")
+    click.echo(_order_in_words(settings.order, rows), err=True)
+    return 0
+
+
+def _print_layout(layout: Layout, std: dict[str, float], orders: dict[str, BallPlan]) -> None:
+    click.echo(f"ball_steps: [{', '.join(map(str, layout.steps))}]   # of {layout.grid}")
+    how = "proven optimal" if layout.optimal else "best found"
+    click.echo(
+        f"{how} of {layout.evaluated} layouts, {100.0 * layout.gap:.1f} % above the proven bound"
+    )
+    click.echo("predicted standard deviation (k = 1, rms over the table positions):")
+    for name, value in std.items():
+        unit, label = _unit(name)
+        click.echo(f"  {name}  {value / unit:.4f} {label}")
+    for name, rows in orders.items():
+        click.echo(_order_in_words(name, rows))
+
+
+def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> None:
+    unit, label = _unit(component)
+    click.echo(f"for U({component}) <= {limit:g} {label} (k = 2), the least work first:")
+    click.echo("balls  CMM positions  centres  hours  U        ball steps")
+    for row in rows:
+        steps = " ".join(map(str, row["ball_steps"]))
+        click.echo(
+            f"{row['balls']:5d}  {row['cmm_positions']:13d}  {row['centres']:7d}  "
+            f"{row['duration_s'] / 3600.0:5.1f}  {row['expanded'] / unit:7.4f}  {steps}"
+        )
+
+
+def _orders(grid: int, steps: list[int], radius: float, touches: int) -> dict[str, BallPlan]:
+    """Return both orders of measuring a layout at all positions."""
+    from rotcal_ros.planning.ball_plan import plan_measurement
+
+    kinematics = _kinematics(touches)
+    return {
+        "table_once": plan_measurement(
+            grid, steps, order="table_once", radius=radius, kinematics=kinematics
+        ),
+        "probe_rests": plan_measurement(
+            grid, steps, order="probe_rests", radius=radius, kinematics=kinematics
+        ),
+    }
+
+
+def _kinematics(touches: int) -> Kinematics:
+    from rotcal_ros.planning.ball_plan import Kinematics
+
+    return Kinematics(touches_per_ball=touches)
+
+
+def _layout_dict(
+    layout: Layout, std: dict[str, float], orders: dict[str, BallPlan]
+) -> dict[str, Any]:
+    return {
+        "grid": layout.grid,
+        "ball_steps": list(layout.steps),
+        "score": layout.score,
+        "bound": layout.bound,
+        "gap": layout.gap,
+        "optimal": layout.optimal,
+        "evaluated": layout.evaluated,
+        "predicted_std": std,
+        "orders": {name: _order_dict(rows) for name, rows in orders.items()},
+    }
+
+
+def _order_dict(rows: BallPlan) -> dict[str, Any]:
+    return {
+        "centres": len(rows.ball_step),
+        "duration_s": rows.duration,
+        "table_travel_rad": rows.table_travel,
+        "reversals": rows.reversals,
+    }
+
+
+def _order_in_words(name: str, rows: BallPlan) -> str:
+    return (
+        f"order {name}: {len(rows.ball_step)} balls, {rows.duration / 3600.0:.1f} h, table travel "
+        f"{rows.table_travel / DEGREE / 360.0:.1f} turns, {rows.reversals} reversals"
+    )
+
+
+def _unit(component: str) -> tuple[float, str]:
+    return (MICROMETRE, "um") if component in _TRANSLATIONS else (ARCSEC, "arcsec")
+
+
+def _need(text: str) -> tuple[str, float]:
+    """Return component and limit of 'ECC=0.05'."""
+    component, _, value = text.partition("=")
+    limit = _numbers(value, "--need")
+    if len(limit) != 1:
+        raise PlanError(f"--need {text}: expected COMPONENT=LIMIT, e.g. ECC=0.05")
+    return component.strip().upper(), limit[0]
+
+
+def _integers(text: str, option: str) -> list[int]:
+    numbers = _numbers(text, option)
+    if any(number != int(number) for number in numbers):
+        raise PlanError(f"{option} {text}: expected whole numbers")
+    return [int(number) for number in numbers]
+
+
+def _numbers(text: str, option: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise PlanError(f"{option} {text}: expected numbers separated by commas") from None

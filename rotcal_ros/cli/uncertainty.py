@@ -1,0 +1,101 @@
+"""``rotcal uncertainty``: the noise propagated by Monte Carlo, beside the solver's covariance."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rotcal_ros.cli.console import json_option, print_json, progress_bar
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue import Calibration
+    from rotcal_ros.evaluation.monte_carlo import Model, Propagation
+    from rotcal_ros.observations import Observation
+
+
+@click.command("uncertainty", short_help="Propagate the noise by Monte Carlo (JCGM 101).")
+@click.argument("source", type=click.Path(path_type=Path), metavar="BAG|CONFIG")
+@click.option(
+    "--trials",
+    type=click.IntRange(min=2),
+    default=100_000,
+    show_default=True,
+    help="Most trials; they end sooner when all figures are stable.",
+)
+@click.option(
+    "--digits",
+    type=click.IntRange(1, 4),
+    default=2,
+    show_default=True,
+    help="Significant digits of the standard uncertainty that shall be stable.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option("--workers", type=click.IntRange(min=1), help="Processes; default: one per core.")
+@json_option
+def command(
+    source: Path, trials: int, digits: int, seed: int, workers: int | None, as_json: bool
+) -> int:
+    """Propagate the stated noise through the solver by Monte Carlo, after JCGM 101.
+
+    BAG: about what was measured. CONFIG (.yaml): about the plan's nominal geometry, before
+    anything is measured. Seed and number of trials alone decide the figures, not the workers.
+    The exit code is 1 when the trials contradict the solver's uncertainty.
+    """
+    # The last bit of a matrix product depends on the threads that share it.
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ[f"{library}_NUM_THREADS"] = "1"
+    from rotcal_ros.evaluation.propagated import Propagated
+
+    calibration, observations = _read(source)
+    result = calibration.solve(observations)
+    spread = _propagate(calibration.trials(observations), trials, digits, seed, workers)
+    both = Propagated(result, spread, seed)
+    if as_json:
+        print_json(both.to_dict())
+    else:
+        from rotcal_ros.cli.uncertainty_table import print_uncertainty
+
+        print_uncertainty(both)
+    return int(bool(both.warnings))
+
+
+def _read(source: Path) -> tuple[Calibration, tuple[Observation, ...]]:
+    """Return the calibration and its observations: measured ones, or nominal ones."""
+    if source.suffix in (".yaml", ".yml"):
+        from rotcal_ros.catalogue import prepare
+        from rotcal_ros.configuration import read_configuration
+        from rotcal_ros.simulation.nominal import nominal_observations
+
+        calibration = prepare(read_configuration(source))
+        return calibration, nominal_observations(calibration)
+    from rotcal_ros.bags.replay import read_recording
+
+    recording = read_recording(source)
+    return recording.calibration, recording.observations
+
+
+def _propagate(
+    model: Model, trials: int, digits: int, seed: int, workers: int | None
+) -> Propagation:
+    from rotcal_ros.evaluation.monte_carlo import BLOCK, propagate
+
+    with progress_bar() as bar:
+        task = bar.add_task("trials", total=trials)
+        return propagate(
+            model,
+            seed=seed,
+            max_trials=trials,
+            digits=digits,
+            workers=workers or _cores(),
+            block=min(BLOCK, trials),
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+
+
+def _cores() -> int:
+    """Return the number of cores that this process may use."""
+    usable: Any = getattr(os, "sched_getaffinity", None)
+    return len(usable(0)) if usable else os.cpu_count() or 1

@@ -1,0 +1,40 @@
+"""The settings of the bridge to a controller: group ``bridge`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rotcal_ros.compensation.controllers import CONTROLLERS
+from rotcal_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class BridgeSettings:
+    """Which controller gets tables, in which form, and how far they may change it."""
+
+    controller: str = setting("csv", doc="kind of controller", choices=tuple(CONTROLLERS))
+    options: tuple[str, ...] = setting((), doc="controller settings, each as NAME=VALUE")
+    spacing_deg: float = setting(
+        10.0, doc="deg, distance of the rows", minimum=1e-3, maximum=180.0
+    )
+    reference_deg: float | None = setting(
+        None, doc="deg, angle with correction zero; none: the table's own"
+    )
+    output_folder: str = setting(
+        "", doc="folder that takes the files of every table; empty: no files are written"
+    )
+    controller_folder: str = setting(
+        "", doc="folder that the controller loads its table from; empty: nothing can be applied"
+    )
+    max_change_arcsec: float = setting(
+        60.0,
+        doc="arcsec, largest change of the correction that may be applied",
+        minimum=0.0,
+        maximum=36_000.0,
+    )
+    accept_unverified: bool = setting(
+        False, doc="write files although something about the controller is not verified"
+    )
+    answer_timeout_s: float = setting(
+        5.0, doc="s, after which the controller counts as silent", minimum=0.01, maximum=600.0
+    )

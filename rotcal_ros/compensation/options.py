@@ -1,0 +1,45 @@
+"""A controller's settings as people write them: ``turns=3``, one by one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Any
+
+import yaml
+
+from rotcal_ros.errors import ConfigurationError
+
+
+def parse_options(texts: Iterable[str]) -> dict[str, Any]:
+    """Return ``name=value`` texts as a mapping; values are YAML scalars.
+
+    Raises ConfigurationError for a text of another form and for a name given twice.
+    """
+    options: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals or not name.strip():
+            raise ConfigurationError(f"controller setting {text!r}: expected NAME=VALUE")
+        if name.strip() in options:
+            raise ConfigurationError(f"controller setting {name.strip()!r} is given twice")
+        try:
+            options[name.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigurationError(f"controller setting {text!r}: not a value") from error
+    return options
+
+
+def parse_revolutions(text: str) -> dict[str, int]:
+    """Return the settings of a travel ``FIRST:LAST`` in revolutions; "-1:2" is -360 .. 720 deg.
+
+    For controllers whose tables do not wrap. Raises ConfigurationError for any other text.
+    """
+    match = re.fullmatch(r"([+-]?\d{1,4}):([+-]?\d{1,4})", text.strip())
+    first, last = (int(match[1]), int(match[2])) if match else (0, 0)
+    if last <= first:
+        raise ConfigurationError(
+            f"revolutions {text!r}: expected FIRST:LAST with LAST above FIRST, such as -1:2 for a "
+            "travel of -360 .. 720 degrees"
+        )
+    return {"first_turn": first, "turns": last - first}

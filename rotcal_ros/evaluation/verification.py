@@ -1,0 +1,115 @@
+"""Before and after compensation: what a correction table has removed, and whether that is all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.iso230 import Iso230
+from rotcal_ros.results import Result, Verdict
+from rotcal_ros.units import ARCSEC, DEGREE
+
+Floats = NDArray[np.float64]
+
+SCHEMA: Final = 1
+AGREEMENT: Final = 4.0
+"""Standard uncertainties within which two measurements agree."""
+ISO_FIGURES: Final = ("accuracy", "repeatability", "systematic", "reversal", "mean_range")
+
+
+@dataclass(frozen=True, eq=False)
+class Positioning:
+    """One measured run: deviations and standard uncertainties (n,) rad at angles (n,) rad.
+
+    One approach in one direction: a range after ISO 230-2 (E of that direction), no
+    repeatability.
+    """
+
+    angles: Floats
+    deviation: Floats
+    std: Floats
+
+    @property
+    def systematic(self) -> float:
+        """E, the range of the deviations, rad."""
+        return float(np.ptp(self.deviation))
+
+    @property
+    def rms(self) -> float:
+        """Standard deviation of the deviations around their mean, rad."""
+        return float(np.std(self.deviation))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return figures and numbers in degrees and arcseconds."""
+        return {
+            "systematic_E_arcsec": self.systematic / ARCSEC,
+            "rms_arcsec": self.rms / ARCSEC,
+            "largest_std_arcsec": float(np.max(self.std)) / ARCSEC,
+            "angles_deg": (self.angles / DEGREE).tolist(),
+            "deviation_arcsec": (self.deviation / ARCSEC).tolist(),
+            "std_arcsec": (self.std / ARCSEC).tolist(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Two measurements of one axis, without and with its correction table.
+
+    ``stated`` (rad) is what the table was said to leave. ``iso`` holds ISO 230-2 evaluations of
+    the axis itself under "before" and "after", where somebody knows its true angle.
+    """
+
+    before: Positioning
+    after: Positioning
+    stated: float
+    iso: Mapping[str, Iso230] = field(default_factory=dict)
+
+    @property
+    def ratio(self) -> float:
+        """How many times smaller E is after the compensation."""
+        return self.before.systematic / max(self.after.systematic, 1e-15)
+
+    @property
+    def expected(self) -> float:
+        """Largest deviation (rad) that may be left: both uncertainties and what was stated."""
+        squares = float(np.max(self.before.std)) ** 2 + float(np.max(self.after.std)) ** 2
+        return AGREEMENT * float(np.sqrt(squares)) + self.stated
+
+    @property
+    def verdict(self) -> Verdict:
+        """Return "ok" when no more is left than was expected, and less than there was."""
+        centred = self.after.deviation - np.mean(self.after.deviation)
+        left = float(np.max(np.abs(centred)))
+        if self.after.systematic >= self.before.systematic:
+            return "failed"
+        return "ok" if left <= self.expected else "suspect"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the machine-readable form (degrees and arcseconds)."""
+        data: dict[str, Any] = {
+            "schema": SCHEMA,
+            "verdict": self.verdict,
+            "ratio": self.ratio,
+            "stated_residual_arcsec": self.stated / ARCSEC,
+            "expected_at_most_arcsec": self.expected / ARCSEC,
+            "before": self.before.to_dict(),
+            "after": self.after.to_dict(),
+        }
+        if self.iso:
+            data["iso230_2_arcsec"] = {
+                when: {name: getattr(figures, name) / ARCSEC for name in ISO_FIGURES}
+                for when, figures in self.iso.items()
+            }
+        return data
+
+
+def positioning(result: Result) -> Positioning:
+    """Return the ECC deviations of ``result``; DataError when there are none."""
+    if "ECC" not in result.deviations:
+        raise DataError(f"the {result.method} result holds no ECC: no positioning to verify")
+    return Positioning(result.angles, result.deviations["ECC"], result.std["ECC"])

@@ -1,0 +1,179 @@
+"""Monte Carlo trials of the laser-tracer method, vectorised: hundreds of solutions in one go.
+
+Every trial is solved to the end: Gauss-Newton with the exact gradient; only the normal matrix is
+that of the measurement for all of them. Its error is of the order of noise over distance (1e-5):
+a few steps leave nothing but rounding. A trial that does not settle so, as some of a free network
+with weak geometry, is solved alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.geometry.rotations import wrap_angle
+from rotcal_ros.methods.tracer.grid import Grid
+from rotcal_ros.methods.tracer.joint import linearise, relax
+from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.schur import Reduced
+from rotcal_ros.methods.tracer.solve import adjusted
+
+Floats = NDArray[np.float64]
+
+STEPS: Final = 3
+MOST_STEPS: Final = 6
+SETTLED: Final = 1e-10
+"""Squared length, in standard deviations, of a last step that left nothing to do."""
+PLACES: Final = 200_000
+"""Lengths of all trials of a chunk together: arrays of this size stay in the cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkGain:
+    """What gradients (t, m, 4) of stations and (t, n, 3) of targets do to them."""
+
+    kept: Floats
+    reduced: Reduced
+    stations_kept: bool
+
+    def step(self, station: Floats, target: Floats) -> tuple[Floats, Floats]:
+        """Return the Gauss-Newton steps, to be subtracted, in the shapes of the gradients."""
+        a, b = station.reshape(len(station), -1), target.reshape(len(target), -1)
+        kept, other = (a, b) if self.stations_kept else (b, a)
+        blocks = len(self.reduced.inverse)
+        x = (kept - other @ self.reduced.transfer.T) @ self.kept
+        own = np.einsum("qab,tqb->tqa", self.reduced.inverse, other.reshape(len(x), blocks, -1))
+        y = own.reshape(other.shape) - x @ self.reduced.transfer
+        a, b = (x, y) if self.stations_kept else (y, x)
+        return a.reshape(station.shape), b.reshape(target.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class TracerTrials:
+    """Draws measurements like the given one and solves them; made by :func:`tracer_trials`.
+
+    ``state`` (m, 4) and ``targets`` (n, 3) are the solution, ``weights`` (m, n) those of the
+    solver. ``inverse`` (m, 4, 4) are the inverse normal matrices of the variant "station",
+    ``network`` the gain of the variant "joint". ``scale`` enlarges the stated noise as the
+    solver does, ``wobble`` (2, 3) are standard error motions in the plane of the stations.
+    """
+
+    grid: Grid
+    angles: Floats
+    state: Floats
+    targets: Floats
+    weights: Floats
+    scale: float
+    wobble: Floats
+    inverse: Floats | None
+    network: NetworkGain | None
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return the cumulative deviations (count, m) in rad of simulated measurements."""
+        size = max(1, PLACES // self.weights.size)
+        parts = [self._solve(*self.draw(rng, min(size, count - d))) for d in range(0, count, size)]
+        return np.concatenate(parts)
+
+    def draw(self, rng: np.random.Generator, count: int) -> tuple[Floats, Floats, Floats]:
+        """Return lengths (count, m, n), machine coordinates (count, n, 3), wobble (count, m, 3).
+
+        The measured values with fresh noise.
+        """
+        grid = self.grid
+        m, n = grid.used.shape
+        length = grid.length + self.scale * grid.length_std * rng.standard_normal((count, m, n))
+        places = rng.standard_normal((count, n, 3))
+        targets = grid.targets + self.scale * grid.target_std * places
+        return length, targets, rng.standard_normal((count, m, 2)) @ self.wobble
+
+    def _solve(self, length: Floats, places: Floats, wobble: Floats) -> Floats:
+        state = np.broadcast_to(self.state, (len(length), *self.state.shape)).copy()
+        if self.network is None:
+            assert self.inverse is not None
+            targets = places
+            for _ in range(STEPS):
+                by_station, _ = self._gradients(state, targets, length)
+                state -= (self.inverse @ by_station[..., None])[..., 0]
+        else:
+            targets = np.broadcast_to(self.targets, places.shape).copy()
+            for _ in range(MOST_STEPS):
+                by_station, by_target = self._gradients(state, targets, length)
+                if not self.grid.free:
+                    by_target += (targets - places) / self.grid.target_std**2
+                steps = self.network.step(by_station, by_target)
+                state -= steps[0]
+                targets -= steps[1]
+                left = (by_station * steps[0]).sum(axis=(1, 2))
+                left += (by_target * steps[1]).sum(axis=(1, 2))
+                if (open_ := ~(np.abs(left) < SETTLED)).sum() == 0:
+                    break
+            for t in np.flatnonzero(open_):
+                grid = replace(self.grid, length=length[t], targets=places[t])
+                state[t] = relax(grid, self.state, self.targets).state
+        return cumulative_deviations(state[:, :, :3] + wobble, self.angles)
+
+    def _gradients(self, state: Floats, targets: Floats, length: Floats) -> tuple[Floats, Floats]:
+        """Return half the slope of chi-squared for stations (t, m, 4) and targets (t, n, 3)."""
+        difference = state[:, :, None, :3] - targets[:, None]
+        distance = np.sqrt(np.einsum("tjia,tjia->tji", difference, difference))
+        pull = self.weights * (distance - state[:, :, 3:] - length)
+        push = difference * (pull / distance)[..., None]
+        by_station = np.concatenate([push.sum(axis=2), -pull.sum(axis=2)[..., None]], axis=2)
+        return by_station, -push.sum(axis=1)
+
+
+def tracer_trials(problem: TracerProblem) -> TracerTrials:
+    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
+
+    Rejected lengths stay rejected. The output quantities are the deviations ECC of the result.
+    """
+    solution = adjusted(problem)
+    grid, fit = solution.grid, solution.fit
+    gain: NetworkGain | None = None
+    inverse: Floats | None = None
+    weights = grid.used / fit.std**2
+    if problem.variant == "joint":
+        network = linearise(grid, fit.state, fit.targets)
+        gain = NetworkGain(network.reduced.covariance(), network.reduced, network.stations_kept)
+    else:
+        difference = fit.stations[:, None] - fit.targets
+        unit = difference / np.linalg.norm(difference, axis=2, keepdims=True)
+        design = np.concatenate([unit, -np.ones((*unit.shape[:2], 1))], axis=2)
+        normal = design.swapaxes(1, 2) @ (design * weights[..., None])
+        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    return TracerTrials(
+        grid=grid,
+        angles=problem.table_angles[grid.station_ids],
+        state=fit.state,
+        targets=fit.targets,
+        weights=weights,
+        scale=solution.scale,
+        wobble=problem.error_motion_std * solution.motion.plane.basis(),
+        inverse=inverse,
+        network=gain,
+    )
+
+
+def cumulative_deviations(stations: Floats, angles: Floats) -> Floats:
+    """Return the cumulative deviations (..., m) in rad for ``stations`` (..., m, 3).
+
+    The same as :func:`~rotcal_ros.methods.tracer.angles.table_motion` for many sets of stations at
+    once. The normal comes from the 3 by 3 moments: what their squares lose of it is of second
+    order for the angles.
+    """
+    centred = stations - stations.mean(axis=-2, keepdims=True)
+    _, axes = np.linalg.eigh(centred.swapaxes(-1, -2) @ centred)
+    normal = axes[..., 0] * np.where(axes[..., 2, 0] < 0.0, -1.0, 1.0)[..., None]
+    first = np.array([1.0, 0.0, 0.0]) - normal[..., :1] * normal
+    first /= np.linalg.norm(first, axis=-1, keepdims=True)
+    basis = np.stack([first, np.cross(normal, first)], axis=-1)
+    flat = centred @ basis
+    squares = 0.5 * (flat * flat).sum(axis=-1, keepdims=True)
+    across = flat.swapaxes(-1, -2)
+    offset = np.linalg.solve(across @ flat, across @ squares)
+    arm = flat - offset.swapaxes(-1, -2)
+    excess = np.arctan2(arm[..., 1], arm[..., 0]) - angles
+    return wrap_angle(excess - excess[..., :1])

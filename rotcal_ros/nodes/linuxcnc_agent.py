@@ -1,0 +1,168 @@
+"""Speaks with a running LinuxCNC for the driver node, in JSON lines.
+
+LinuxCNC's Python modules belong to the system's own Python and not to the one that ROS runs
+on; this file is therefore a program of its own, run by /usr/bin/python3, and imports nothing of
+rotcal_ros.
+
+The machine must be on and homed; ``--start`` lets the program do both. It says
+``{"event": "ready"}``, then at a steady rate ``{"stamp_ns", "angle_deg", "motor_deg",
+"actual_deg", "errors"}``: the feedback of joint 0, the motor's command, the value of the pin
+``--actual`` (null without one) and what LinuxCNC complained about. Standard input takes
+``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there from below (1), from above (-1),
+or from anywhere (0). The end of standard input ends the program.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import queue
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+START_TIMEOUT_S = 30.0
+MOVE_TIMEOUT_S = 120.0
+
+
+class Machine:
+    """Commands and state of LinuxCNC; one thread uses one object."""
+
+    def __init__(self, linuxcnc: Any) -> None:
+        self._linuxcnc = linuxcnc
+        self.command, self.stat = linuxcnc.command(), linuxcnc.stat()
+
+    def start(self) -> None:
+        """Switch on and home joint 0."""
+        deadline = time.monotonic() + START_TIMEOUT_S
+        lx = self._linuxcnc
+        self.command.state(lx.STATE_ESTOP_RESET)
+        self.command.state(lx.STATE_ON)
+        self._wait(lambda: self.stat.task_state == lx.STATE_ON, deadline, "machine that is on")
+        self.command.mode(lx.MODE_MANUAL)
+        self.command.wait_complete(START_TIMEOUT_S)
+        self.command.teleop_enable(0)
+        self.command.wait_complete(START_TIMEOUT_S)
+        self.command.home(-1)
+        self._wait(lambda: bool(self.stat.homed[0]), deadline, "homed joint 0")
+
+    def take(self) -> None:
+        """Go over to commands; ends the program when the machine is not ready for them."""
+        lx = self._linuxcnc
+        self.stat.poll()
+        if self.stat.task_state != lx.STATE_ON or not self.stat.homed[0]:
+            sys.exit("LinuxCNC is not on or joint 0 is not homed: switch it on and home it first")
+        self.command.mode(lx.MODE_MDI)
+        self.command.wait_complete(START_TIMEOUT_S)
+
+    def go(self, angle_deg: float) -> None:
+        """Move there and wait until it is done."""
+        self.command.mdi(f"G90 G0 A{angle_deg:.9f}")
+        self.command.wait_complete(MOVE_TIMEOUT_S)
+        self._wait(
+            lambda: self.stat.inpos and self.stat.queue == 0,
+            time.monotonic() + MOVE_TIMEOUT_S,
+            f"joint 0 at {angle_deg} deg",
+        )
+
+    def move(self, order: dict[str, float]) -> None:
+        """Carry out one order, with the overshoot that its side of approach needs."""
+        self.stat.poll()
+        angle = order["angle_deg"]
+        ahead = angle - self.stat.joint_position[0]
+        side, beyond = order.get("side", 0), order.get("overshoot_deg", 2.0)
+        if side and ahead * side <= 0.0:
+            self.go(angle - side * beyond)
+        self.go(angle)
+
+    def _wait(self, done: Any, deadline: float, what: str) -> None:
+        while True:
+            self.stat.poll()
+            if done():
+                return
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"LinuxCNC: no {what}")
+            time.sleep(0.002)
+
+
+def say(message: dict[str, Any]) -> None:
+    """Write one line."""
+    sys.stdout.write(json.dumps(message) + "\n")
+    sys.stdout.flush()
+
+
+def obey(linuxcnc: Any, orders: queue.Queue[dict[str, float]], errors: list[str]) -> None:
+    """Carry out orders, one after the other; what fails is told and the next one tried."""
+    machine = Machine(linuxcnc)
+    while True:
+        order = orders.get()
+        with told(errors):
+            machine.move(order)
+
+
+@contextmanager
+def told(errors: list[str]) -> Iterator[None]:
+    """Put the text of an exception into ``errors``."""
+    try:
+        yield
+    except Exception as error:
+        errors.append(str(error))
+
+
+def listen(orders: queue.Queue[dict[str, float]]) -> None:
+    """Read orders until standard input ends."""
+    for line in sys.stdin:
+        orders.put(json.loads(line))
+
+
+def main() -> None:
+    """Run until standard input ends."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-ini", required=True, help="ini file of the running LinuxCNC")
+    parser.add_argument("--actual", default="", help="HAL pin of the actual angle in degrees")
+    parser.add_argument("--rate", type=float, default=100.0, help="Hz, lines on standard output")
+    parser.add_argument("--start", action="store_true", help="switch on and home joint 0")
+    arguments = parser.parse_args()
+    os.environ["INI_FILE_NAME"] = arguments.ini
+
+    import hal
+    import linuxcnc
+
+    component = hal.component(f"rotcal-agent-{os.getpid()}")
+    component.ready()
+    channel = linuxcnc.error_channel()
+    machine = Machine(linuxcnc)
+    if arguments.start:
+        machine.start()
+    machine.take()
+    errors: list[str] = []
+    orders: queue.Queue[dict[str, float]] = queue.Queue()
+    threading.Thread(target=obey, args=(linuxcnc, orders, errors), daemon=True).start()
+    listener = threading.Thread(target=listen, args=(orders,), daemon=True)
+    listener.start()
+    say({"event": "ready"})
+    while listener.is_alive():
+        while (complaint := channel.poll()) is not None:
+            errors.append(str(complaint[1]).strip())
+        pins = ("joint.0.pos-fb", "joint.0.motor-pos-cmd")
+        angle, motor = (hal.get_value(pin) for pin in pins)
+        say(
+            {
+                "stamp_ns": time.time_ns(),
+                "angle_deg": angle,
+                "motor_deg": motor,
+                "actual_deg": hal.get_value(arguments.actual) if arguments.actual else None,
+                "errors": errors[:],
+            }
+        )
+        errors.clear()
+        time.sleep(1.0 / arguments.rate)
+    component.exit()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Listening to every topic of a cell as serialised bytes, whoever publishes it whenever."""
+
+from __future__ import annotations
+
+import struct
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+
+from rotcal_ros.errors import BagError
+from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
+from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.recording import Channel
+from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_topics
+
+_STAMP: Final = struct.Struct("<4xiI")
+"""CDR encapsulation, then the stamp that begins every message with a header."""
+
+
+@dataclass
+class HeardTopic:
+    """A topic that is listened to: its channel and how far it has come."""
+
+    channel: Channel
+    latest: bytes = b""
+    sequences: dict[bytes, int] = field(default_factory=dict)
+
+    def latest_stamp_ns(self) -> int:
+        """Return the stamp of the newest message, which must have a header; 0: none came."""
+        if not self.latest:
+            return 0
+        seconds, nanoseconds = _STAMP.unpack_from(self.latest)
+        return int(seconds) * 1_000_000_000 + int(nanoseconds)
+
+
+class Listener:
+    """Subscribes to topics as they appear and hands their messages to ``take``.
+
+    ``topics`` maps absolute names to what was heard, ``refused`` names topics whose type is not
+    installed, ``losses`` counts what the middleware lost.
+    """
+
+    def __init__(
+        self, node: Node, health: Health, take: Callable[[HeardTopic, Batch], None]
+    ) -> None:
+        self._node = node
+        self._health = health
+        self._hand_over = take
+        self._drained: list[DrainedSubscription] = []
+        self.topics: dict[str, HeardTopic] = {}
+        self.refused: dict[str, str] = {}
+        self.losses: Counter[str] = Counter()
+        node.create_timer(GRAPH_PERIOD_S, health.guarded(self._look))
+
+    def drain(self) -> None:
+        """Take what has arrived and is still waiting."""
+        for drained in self._drained:
+            drained.drain()
+
+    def _look(self) -> None:
+        """Subscribe to topics that are new in the graph."""
+        for name, type_name in wanted_topics(self._node).items():
+            if name in self.topics or name in self.refused:
+                continue
+            try:
+                discovered = discover(self._node, name, type_name)
+            except BagError as error:
+                self.refused[name] = str(error)
+                self._node.get_logger().error(f"{name} cannot be recorded: {error}")
+                continue
+            if discovered is not None:
+                self._subscribe(discovered)
+
+    def _subscribe(self, found: DiscoveredTopic) -> None:
+        channel = Channel(
+            found.name, found.type_name, found.definition, found.type_hash, found.offered_qos
+        )
+        topic = self.topics[found.name] = HeardTopic(channel)
+
+        def handle(batch: Batch) -> None:
+            topic.latest = batch[-1][0]
+            self._count_gaps(topic, batch)
+            self._hand_over(topic, batch)
+
+        def message_lost(event: Any) -> None:
+            self.losses[f"middleware {found.name}"] += event.total_count_change
+
+        def incompatible(event: Any) -> None:
+            self.losses[f"incompatible publisher {found.name}"] += event.total_count_change
+
+        self._drained.append(
+            DrainedSubscription(
+                self._node,
+                found.message_type,
+                found.name,
+                found.qos,
+                self._health.guarded(handle),
+                raw=True,
+                event_callbacks=SubscriptionEventCallbacks(
+                    message_lost=message_lost, incompatible_qos=incompatible
+                ),
+            )
+        )
+
+    def _count_gaps(self, topic: HeardTopic, batch: Batch) -> None:
+        """Count messages that the middleware numbered but never delivered, per publisher."""
+        for _, info in batch:
+            number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
+            if not number or publisher is None:
+                return
+            gid = bytes(publisher["data"])
+            last = topic.sequences.get(gid, number - 1)
+            if number > last + 1:
+                self.losses[f"gap {topic.channel.topic}"] += number - last - 1
+            topic.sequences[gid] = number

@@ -1,0 +1,33 @@
+"""Where the table stops: the part of a plan that all methods share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+from rotcal_ros.errors import PlanError
+from rotcal_ros.settings import setting
+from rotcal_ros.units import DEGREE
+
+
+@dataclass(frozen=True)
+class TableAngleSettings:
+    """The commanded table angles."""
+
+    table_start_deg: float = setting(0.0, doc="deg, first table angle")
+    table_step_deg: float = setting(30.0, doc="deg, step between table angles")
+    table_positions: int = setting(12, doc="number of table angles", minimum=2, maximum=3600)
+    table_angles_deg: tuple[float, ...] = setting(
+        (), doc="deg, explicit ascending table angles; replaces start, step and positions"
+    )
+
+
+def table_angles(settings: TableAngleSettings) -> tuple[float, ...]:
+    """Return the commanded table angles in radians; raises PlanError when they do not ascend."""
+    degrees = settings.table_angles_deg or tuple(
+        settings.table_start_deg + i * settings.table_step_deg
+        for i in range(settings.table_positions)
+    )
+    if any(b <= a for a, b in pairwise(degrees)):
+        raise PlanError(f"table angles must ascend, found {list(degrees)} degrees")
+    return tuple(d * DEGREE for d in degrees)

@@ -1,0 +1,96 @@
+"""The page of a comparison: all curves with their bands, E_n by angle, and the verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import cycle
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from rotcal_ros import __version__
+from rotcal_ros.compensation.measured import MeasuredCurve
+from rotcal_ros.evaluation.compare import COVERAGE, Comparison
+from rotcal_ros.report import style
+from rotcal_ros.report.template import environment
+from rotcal_ros.report.units import unit_of
+from rotcal_ros.units import DEGREE
+
+Pairs = Mapping[tuple[str, str], Comparison]
+
+
+@style.styled
+def curves_and_errors(
+    curves: Mapping[str, MeasuredCurve], comparisons: Pairs, component: str
+) -> str:
+    """Draw the curves, aligned to the first one, above the normalised errors of every pair."""
+    unit, name = unit_of(component)
+    top, bottom = style.grid(2, 1, height=3.2, sharex=True)
+    first = next(iter(curves))
+    for (label, curve), colour in zip(curves.items(), cycle(style.COLOURS), strict=False):
+        offset = 0.0 if label == first else comparisons[first, label].offset
+        value = (curve.deviation + offset) / unit
+        band = COVERAGE * np.sqrt(np.diag(curve.covariance)) / unit
+        style.curve_with_band(top, curve.angles / DEGREE, value, band, label, colour)
+    top.set_ylabel(f"{component} / {name}")
+    top.legend(loc="best")
+    _errors(bottom, comparisons)
+    return style.svg(top)
+
+
+def _errors(ax: Axes, comparisons: Pairs) -> None:
+    """Draw E_n by angle; hollow where a curve was interpolated."""
+    largest = max(comparison.largest for comparison in comparisons.values())
+    ax.axhspan(-1.0, 1.0, color=style.GREEN, alpha=0.10, linewidth=0)
+    # The colours of the curves are not used again: a pair is not a curve.
+    colours = cycle(style.COLOURS[::-1])
+    for ((a, b), comparison), colour in zip(comparisons.items(), colours, strict=False):
+        angles, measured = comparison.angles / DEGREE, ~comparison.interpolated
+        values = comparison.normalised_error
+        ax.plot(angles[measured], values[measured], "o", color=colour, ms=4, label=f"{a} − {b}")
+        ax.plot(angles[~measured], values[~measured], "o", color=colour, ms=4, mfc="none")
+    ax.set_ylim(-max(1.3, 1.1 * largest), max(1.3, 1.1 * largest))
+    ax.set_ylabel("E$_n$ = difference / U (k = 2)")
+    ax.set_xlabel("commanded table angle / °")
+    ax.legend(loc="best")
+
+
+def comparison_page(
+    curves: Mapping[str, MeasuredCurve], comparisons: Pairs, component: str
+) -> str:
+    """Return the comparison as one self-contained HTML page."""
+    unit, name = unit_of(component)
+    pairs = [
+        {
+            "names": f"{a} − {b}",
+            "words": comparison.in_words(unit, name),
+            "notes": comparison.notes,
+            "rows": _rows(comparison, unit),
+        }
+        for (a, b), comparison in comparisons.items()
+    ]
+    agree = all(comparison.agree for comparison in comparisons.values())
+    return (
+        environment()
+        .get_template("comparison.html.j2")
+        .render(
+            title=f"Comparison of {component}",
+            version=__version__,
+            agree=agree,
+            figure=curves_and_errors(curves, comparisons, component),
+            pairs=pairs,
+            unit=name,
+        )
+    )
+
+
+def _rows(comparison: Comparison, unit: float) -> list[tuple[str, ...]]:
+    """Return angle, difference, expanded uncertainty, E_n and a remark of every angle."""
+    return [
+        (f"{angle / DEGREE:.4f}", f"{d / unit:+.3f}", f"{COVERAGE * s / unit:.3f}", f"{e:+.2f}",
+         "interpolated" if between else "")
+        for angle, d, s, e, between in zip(
+            comparison.angles, comparison.difference, comparison.std,
+            comparison.normalised_error, comparison.interpolated, strict=True,
+        )
+    ]  # fmt: skip

@@ -1,0 +1,82 @@
+"""Harmonic content of every deviation curve: bars and a table for the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from rotcal_ros.compensation.measured import measured_curve
+from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
+from rotcal_ros.report import style
+from rotcal_ros.report.template import environment
+from rotcal_ros.report.units import unit_of
+from rotcal_ros.results import COMPONENTS, Result
+from rotcal_ros.units import DEGREE
+
+COVERAGE = 2.0
+
+
+def contents(result: Result) -> dict[str, HarmonicContent]:
+    """Return the harmonic content of every component that goes round and closes."""
+    found = {}
+    for name in COMPONENTS:
+        if name not in result.deviations:
+            continue
+        try:
+            found[name] = harmonic_content(measured_curve(result, name))
+        except DataError:
+            continue  # an arc, or a curve that does not close: the report has said so already
+    return found
+
+
+@style.styled
+def bars(found: Mapping[str, HarmonicContent]) -> str:
+    """Draw the amplitudes over the order; pale where the order does not differ from zero."""
+    panels = style.grid(-(-len(found) // 2), min(2, len(found)), height=2.5)
+    for ax, (name, content) in zip(panels, found.items(), strict=False):
+        unit, label = unit_of(name)
+        whiskers = COVERAGE * content.amplitude_std / unit
+        heights = content.amplitude / unit
+        for sure, alpha in ((content.significant, 0.85), (~content.significant, 0.25)):
+            ax.bar(
+                content.orders[sure], heights[sure], 0.7, yerr=whiskers[sure], alpha=alpha,
+                color=style.BLUE, ecolor=style.INK, capsize=2,
+            )  # fmt: skip
+        ax.set_ylim(bottom=0.0)
+        ax.set_xlabel("order per turn")
+        ax.set_ylabel(f"{name} amplitude / {label}")
+        style.whole_numbers(ax.xaxis)
+    for ax in panels[len(found) :]:
+        ax.set_axis_off()
+    return style.svg(panels[0])
+
+
+def section(result: Result) -> str:
+    """Return the HTML of the report's section; empty when no curve goes round."""
+    found = contents(result)
+    if not found:
+        return ""
+    tables = [_table(name, content) for name, content in found.items()]
+    template = environment().get_template("harmonics.html.j2")
+    return template.render(figure=bars(found), tables=tables)
+
+
+def _table(name: str, content: HarmonicContent) -> dict[str, Any]:
+    """Return order, amplitude and phase of every order as text."""
+    unit, label = unit_of(name)
+    amplitude, spread = content.amplitude / unit, COVERAGE * content.amplitude_std / unit
+    phase = np.mod(content.phase, 2.0 * np.pi) / DEGREE
+    turn = COVERAGE * content.phase_std / DEGREE
+    rows = [
+        (
+            str(order),
+            f"{amplitude[k]:.4f} ± {spread[k]:.4f}",
+            f"{phase[k]:.1f} ± {turn[k]:.1f}" if content.significant[k] else "–",
+        )
+        for k, order in enumerate(content.orders)
+    ]
+    rest = f"{content.residual_rms / unit:.4f} {label}"
+    return {"name": name, "unit": label, "rows": rows, "rest": rest}

@@ -1,0 +1,204 @@
+"""The plane mirror from its configuration to the result: plan, problem, checks, other ways."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotcal_ros.capture import Capture, CaptureSettings
+from rotcal_ros.catalogue import METHODS, prepare
+from rotcal_ros.cli.session import changed
+from rotcal_ros.configuration import read_configuration
+from rotcal_ros.errors import ConfigurationError, DataError, PlanError
+from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem, write_points
+from rotcal_ros.methods.plane_mirror.problem import problem_from_observations
+from rotcal_ros.observations import PointKind
+from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.tables import read_measurements
+from rotcal_ros.units import ARCSEC
+
+CONFIG = Path(__file__).parents[2] / "config"
+SHORT = ("plan.table_positions=9", "plan.table_step_deg=15.0", "plan.reflectors=2",
+         "simulation.tracker.station_azimuths_deg=[22.5, 67.5, 105.0]")  # fmt: skip
+
+
+def configured(*changes):
+    return changed(read_configuration(CONFIG / "plane_mirror_demo.yaml"), changes)
+
+
+def measured(configuration):
+    """Return the calibration, its accepted observations, and the true ECC."""
+    calibration = prepare(configuration)
+    cell = SimulatedCell(configuration.group("simulation", SimulationSettings))
+    capture = Capture(calibration.plan, configuration.group("capture", CaptureSettings))
+    observations = []
+    for step in calibration.plan.steps:
+        command = step.command(0)
+        cell.order_table(command)
+        cell.order_probe(command)
+        found = ()
+        while not found:
+            out = cell.advance(0.2)
+            for record in (*out.table, *out.probe, *out.temperature):
+                found += capture.feed(record)
+        observations += found
+    truth = cell.truth(calibration.plan.table_angles)["ECC"]
+    return calibration, observations, truth
+
+
+@pytest.fixture(scope="module")
+def short():
+    return measured(configured(*SHORT))
+
+
+def consistent(result, truth):
+    """Return whether the error is what the covariance allows (99.9 % of a chi square)."""
+    error = (result.deviations["ECC"] - truth)[1:]
+    covariance = result.covariance["ECC"][1:, 1:]
+    return error @ np.linalg.solve(covariance, error) < {8: 26.1, 16: 39.3, 11: 31.3}[len(error)]
+
+
+def test_the_configurations_are_what_they_say():
+    demo = prepare(configured()).plan
+    assert (len(demo.table_angles), len(demo.pauses), len(demo.targets)) == (17, 6, 6)
+    assert len(demo.steps) == 6 * 6 + 22 * 3 * 2
+    real = prepare(read_configuration(CONFIG / "plane_mirror.yaml"))
+    assert "simulation" not in real.configuration.groups
+    assert len(real.plan.pauses) == 6
+    assert "tracer_length" not in METHODS["plane_mirror"].topics
+
+
+def test_the_demonstration_is_solved_to_the_truth():
+    calibration, observations, truth = measured(configured())
+    assert all(o.accepted for o in observations)
+    assert calibration.check(observations) == ()
+    result = calibration.solve(observations)
+    assert result.verdict == "ok", result.warnings
+    assert consistent(result, truth)
+    assert np.all(result.std["ECC"] < 0.8 * ARCSEC)
+    assert result.details["left_out"] == []
+
+
+def test_all_ways_of_the_same_points_are_in_the_details(short):
+    calibration, observations, truth = short
+    result = calibration.solve(observations)
+    assert result.details["way"] == "joint"
+    assert consistent(result, truth)
+    found = {way["way"]: way for way in result.details["ways"]}
+    assert found.keys() == {"stitching", "registration"}
+    for name, way in found.items():
+        other = prepare(configured(*SHORT, f"solver.way={name}"))
+        alone = other.solve(observations)
+        np.testing.assert_array_equal(way["ecc_rad"], alone.deviations["ECC"])
+        np.testing.assert_array_equal(way["ecc_std_rad"], alone.std["ECC"])
+        assert consistent(alone, truth)
+
+
+def test_the_order_of_the_observations_does_not_matter(short):
+    calibration, observations, _ = short
+    text = calibration.solve(observations).to_json()
+    assert calibration.solve(observations[::-1]).to_json() == text
+
+
+def test_a_reflector_without_its_image_is_left_out_and_named(short):
+    calibration, observations, truth = short
+    lost = next(o for o in observations if o.kind == PointKind.MIRRORED and o.table_index == 1)
+    rest = [o for o in observations if o is not lost]
+    result = calibration.solve(rest)
+    assert result.details["left_out"] == [
+        "position 1, tracker station 0, reflector 1: only direct was measured"
+    ]
+    assert result.n_observations == len(observations) - 2
+    assert consistent(result, truth)
+
+
+def test_nests_are_checked_as_soon_as_the_second_station_has_seen_them(short):
+    calibration, observations, _ = short
+    second = calibration.plan.pauses[1]
+    before = [o for o in observations if o.step < second.first]
+    so_far = [o for o in observations if o.step <= second.last]
+    assert calibration.check(before) == ()
+    assert calibration.check(so_far) == ()
+    last = so_far[-1]
+    moved = replace(last, mean=(last.mean[0] + 1e-3, *last.mean[1:]))
+    (text,) = calibration.check([*so_far[:-1], moved])
+    assert text.startswith(f"nest {last.target} moved between tracker stations 0 and 1 (by 1.0")
+    nests = [o for o in so_far if o.kind == PointKind.NEST and o.station == 1][:2]
+    with pytest.raises(DataError, match="2 nests"):
+        calibration.check([*before, *nests])
+
+
+def test_exchanged_direct_and_mirrored_is_refused(short):
+    calibration, observations, _ = short
+    swap = {PointKind.DIRECT: PointKind.MIRRORED, PointKind.MIRRORED: PointKind.DIRECT}
+    wrong = [
+        replace(o, kind=swap[o.kind]) if o.table_index == 2 and o.kind in swap else o
+        for o in observations
+    ]
+    with pytest.raises(DataError, match="exchange direct and mirrored"):
+        calibration.solve(wrong)
+
+
+def test_no_points_yet_is_said_so(short):
+    calibration, observations, _ = short
+    with pytest.raises(DataError, match="no reflector was measured both"):
+        calibration.solve([])
+    nests_only = observations[:6]
+    with pytest.raises(DataError, match="nothing to compute"):
+        calibration.solve(nests_only)
+
+
+def test_the_table_of_a_run_gives_the_result_of_the_run(short, tmp_path):
+    """CSV round trip: the same points in the same order, hence the same numbers."""
+    calibration, observations, _ = short
+    live = calibration.solve(observations)
+    problem = problem_from_observations(observations, np.array(calibration.plan.table_angles))
+    assert isinstance(problem, PlaneMirrorProblem)
+    path = tmp_path / "points.csv"
+    path.write_text(write_points(problem))
+    table = read_measurements(path, calibration.configuration).solve()
+    np.testing.assert_array_equal(table.deviations["ECC"], live.deviations["ECC"])
+    np.testing.assert_array_equal(table.covariance["ECC"], live.covariance["ECC"])
+    assert table.verdict == live.verdict == "ok"
+
+
+def test_reflectors_on_the_table_are_solved_directly():
+    calibration, observations, truth = measured(
+        configured(
+            "plan.carries=reflectors",
+            "plan.table_reflectors_m=[0.3, 0.0, 0.1, -0.1, 0.28, 0.1]",
+            "plan.table_positions=12",
+            "plan.table_step_deg=30.0",
+            "plan.positions_per_station=12",
+            "solver.way=direct",
+            "simulation.tracker.reflectors_on_table=true",
+        )
+    )
+    assert {o.kind for o in observations} == {PointKind.DIRECT}
+    result = calibration.solve(observations)
+    assert result.verdict == "ok", result.warnings
+    assert "ways" not in result.details
+    assert consistent(result, truth)
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "text"),
+    [
+        (["solver.way=direct"], ConfigurationError, "way = direct does not fit .* mirror"),
+        (["plan.carries=reflectors"], ConfigurationError, "needs reflectors on the table"),
+        (["plan.nests_m=[]"], PlanError, "joint joins 6 tracker stations through nests"),
+        (["solver.way=stitching", "plan.shared_positions=0"], PlanError, "shares none"),
+        (["solver.way=guessing"], ConfigurationError, "none of direct, stitching"),
+        (["plan.incidence_limit_deg=30.0"], PlanError, "tracker station 0 .* incidence"),
+    ],
+)
+def test_what_cannot_work_is_refused_before_the_first_motion(changes, kind, text):
+    with pytest.raises(kind, match=text):
+        prepare(configured(*changes))
+
+
+def test_stitching_needs_no_nests():
+    calibration = prepare(configured("solver.way=stitching", "plan.nests_m=[]"))
+    pause = calibration.plan.pauses[1]
+    assert (pause.first, pause.last) == (24, 23)

@@ -1,0 +1,144 @@
+"""``rotcal export``: files of every controller from a result, and why it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rotcal_ros.cli.main import rotcal
+from rotcal_ros.compensation.controllers import CONTROLLERS
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC
+
+ANGLES = np.arange(24) * np.pi / 12
+
+
+def deviation(angles):
+    return 12.0 * ARCSEC * (np.sin(angles) + 0.3 * np.sin(3 * angles))
+
+
+def write_result(path, verdict="ok", angles=ANGLES):
+    result = Result(
+        method="tracer_multistation",
+        angles=angles,
+        deviations={"ECC": deviation(angles), "EZC": 1e-6 * np.cos(angles)},
+        std={"ECC": np.full(len(angles), 1e-7), "EZC": np.full(len(angles), 1e-7)},
+        covariance={},
+        sigma0=1.0,
+        dof=50,
+        n_observations=100,
+        verdict=verdict,
+    )
+    path.write_text(result.to_json())
+    return path
+
+
+@pytest.fixture
+def export(tmp_path):
+    def run(*arguments, source=None):
+        source = source or write_result(tmp_path / "result.json")
+        out = ["--out", str(tmp_path / "files")]
+        return CliRunner().invoke(rotcal, ["export", str(source), *out, *map(str, arguments)])
+
+    return run
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_every_controller_gets_its_files(export, tmp_path, controller):
+    run = export("--to", controller, "--spacing", 10, "--accept-unverified", "--json")
+    assert run.exit_code == 0, run.stderr
+    told = json.loads(run.stdout)
+    assert sorted(told["files"]) == sorted(str(p) for p in (tmp_path / "files").iterdir())
+    facts = told["provenance"]
+    assert facts["controller"] == controller
+    assert facts["sources_sha256"].keys() == {"result.json"}
+    assert facts["residual_arcsec"]["simulated"] < facts["residual_arcsec"]["before"]
+
+
+def test_a_linuxcnc_table_over_three_revolutions_subtracts_the_deviation(export, tmp_path):
+    run = export("--to", "linuxcnc", "--spacing", 15, "--revolutions", "-1:2")
+    assert run.exit_code == 0, run.stderr
+    rows = np.loadtxt(tmp_path / "files" / "c_linuxcnc.comp")
+    np.testing.assert_allclose(rows[:, 0], np.arange(-360, 721, 15))
+    expected = -np.rad2deg(deviation(np.deg2rad(rows[:, 0])))
+    np.testing.assert_allclose(rows[:, 1], expected, atol=1e-9)
+
+
+def test_all_that_was_measured_as_a_volumetric_table(export, tmp_path):
+    assert export("--to", "volumetric", "--axis", "B").exit_code == 0
+    text = (tmp_path / "files" / "b_volumetric.csv").read_text()
+    assert text.startswith("angle_rad,EZC_m,u_EZC_m,ECC_rad,u_ECC_rad\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--to", "fanuc", "--spacing", 10], 2, "--accept-unverified"),
+        (["--to", "bosch"], 2, "expected one of: linuxcnc"),
+        (["--to", "linuxcnc", "--spacing", 1], 2, "360 rows x 1 turns"),
+        (["--to", "sinumerik", "--spacing", 7], 2, "choose a spacing that divides 360"),
+        (["--to", "csv", "--spacing", 0], 2, "spacing 0 deg"),
+        (["--to", "csv", "--revolutions", "0:2"], 2, "no setting 'first_turn'"),
+        (["--to", "linuxcnc", "--revolutions", "2:1"], 2, "LAST above FIRST"),
+        (["--to", "linuxcnc", "--set", "turns"], 2, "expected NAME=VALUE"),
+        (["--to", "linuxcnc", "--set", "turns=two"], 2, "turns is 'two', expected int"),
+        (["--to", "csv", "--name", "../table"], 2, "do not leave the output folder"),
+        (["--to", "csv", "--axis", "c"], 2, "axis name 'c'"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_nothing_is_written(
+    export, tmp_path, arguments, code, words
+):
+    run = export(*arguments)
+    assert run.exit_code == code
+    assert words in run.stderr
+    assert not (tmp_path / "files").exists()
+
+
+@pytest.mark.parametrize("verdict", ["suspect", "failed"])
+@pytest.mark.parametrize("controller", ["csv", "volumetric"])
+def test_a_bad_verdict_is_not_fed(export, tmp_path, verdict, controller):
+    source = write_result(tmp_path / "bad.json", verdict=verdict)
+    run = export("--to", controller, source=source)
+    assert run.exit_code == 3
+    assert f"'{verdict}'" in run.stderr
+    assert not (tmp_path / "files").exists()
+
+
+def test_deviations_that_do_not_close_are_refused(export, tmp_path):
+    angles = np.append(ANGLES, 2 * np.pi - 1e-12)
+    source = write_result(tmp_path / "open.json", angles=angles)
+    data = json.loads(source.read_text())
+    data["deviations"]["ECC"][-1] += 5 * ARCSEC
+    source.write_text(json.dumps(data))
+    run = export("--to", "csv", source=source)
+    assert run.exit_code == 3
+    assert "do not close" in run.stderr
+
+
+def test_nothing_is_overwritten(export, tmp_path):
+    assert export("--to", "csv").exit_code == 0
+    before = (tmp_path / "files" / "c_csv.csv").read_bytes()
+    again = export("--to", "csv", "--spacing", 30)
+    assert again.exit_code == 2
+    assert "exists already" in again.stderr
+    assert (tmp_path / "files" / "c_csv.csv").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("content", "code", "words"),
+    [(b"{", 2, "is not JSON"), (b"{}", 3, "not a rotcal result"), (b"[1]", 3, "not a rotcal")],
+)
+def test_what_is_no_result(export, tmp_path, content, code, words):
+    source = tmp_path / "other.json"
+    source.write_bytes(content)
+    run = export("--to", "csv", source=source)
+    assert run.exit_code == code
+    assert words in run.stderr
+
+
+def test_a_missing_file_is_named(export, tmp_path):
+    run = export("--to", "csv", source=tmp_path / "nothing.json")
+    assert run.exit_code == 2
+    assert "nothing.json" in run.stderr

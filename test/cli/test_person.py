@@ -1,0 +1,83 @@
+"""Who is asked what, and when the work counts as done."""
+
+import io
+from types import SimpleNamespace
+
+import pytest
+
+from rotcal_ros.cli import person as module
+from rotcal_ros.cli.person import Person
+from rotcal_ros.configuration import dump_configuration, parse_configuration
+
+PAUSED = {"event": "paused", "instruction": "put the tracker there"}
+WAITING = {"event": "feedback", "activity": "paused: put the tracker there"}
+GOING_ON = {"event": "feedback", "activity": "table position 3, target 1"}
+
+
+@pytest.fixture
+def enter(monkeypatch):
+    """Return a function that makes standard input a terminal, with or without a line entered."""
+
+    def press(pressed, terminal=True):
+        stdin = io.StringIO("\n")
+        stdin.isatty = lambda: terminal
+        monkeypatch.setattr("sys.stdin", stdin)
+        ready = ([stdin] if pressed else [], [], [])
+        monkeypatch.setattr(module, "select", SimpleNamespace(select=lambda *_: ready))
+
+    return press
+
+
+def make(*, simulated=False, yes=False):
+    text = dump_configuration("plane_mirror", {"cell": {"namespace": "/north"}})
+    session = SimpleNamespace(configuration=parse_configuration(text), simulated=simulated)
+    return Person(session, yes)
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ({"simulated": True}, "done by the simulated person"),
+        ({"yes": True}, "taken as done (--yes)"),
+    ],
+)
+def test_a_simulated_person_and_yes_are_done_at_once(kind, words, enter):
+    enter(pressed=False)
+    person = make(**kind)
+    assert not person.is_done()
+    assert person.hear(PAUSED) == f"put the tracker there: {words}"
+    assert person.is_done()
+    assert not person.is_done()
+
+
+def test_a_person_at_a_terminal_presses_enter(enter):
+    enter(pressed=False)
+    person = make()
+    assert person.hear(PAUSED) == "put the tracker there; then press Enter"
+    assert person.hear(WAITING) == ""
+    assert not person.is_done()
+    enter(pressed=True)
+    assert person.is_done()
+    assert not person.is_done()
+
+
+def test_enter_means_nothing_while_nothing_is_asked_or_once_the_service_was_called(enter):
+    enter(pressed=True)
+    person = make()
+    assert not person.is_done()
+    person.hear(PAUSED)
+    person.hear(GOING_ON)
+    assert not person.is_done()
+
+
+def test_without_a_terminal_the_service_is_named(enter):
+    enter(pressed=True, terminal=False)
+    person = make()
+    assert person.hear(PAUSED).endswith("call the service /north/resume (std_srvs/srv/Trigger)")
+    assert not person.is_done()
+
+
+def test_a_refused_resume_is_told_with_its_reason():
+    event = {"event": "resumed", "success": False, "reason": "nothing waits for resume"}
+    assert make().hear(event) == "nothing waits for resume"
+    assert make().hear({"event": "alive", "planner": "ready"}) == ""

@@ -1,0 +1,60 @@
+"""Child processes: all of them end, also those that do not want to."""
+
+import signal
+import sys
+import time
+
+import pytest
+
+from rotcal_ros.cli import processes
+from rotcal_ros.cli.processes import Processes
+
+STUBBORN = (
+    "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "
+    "print('ready', flush=True); time.sleep(600)"
+)
+DEADLINE_S = 30.0
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_output_goes_to_the_log_and_the_exit_code_is_known(tmp_path):
+    with Processes(tmp_path, {"GREETING": "hello"}) as children:
+        program = "import os, sys; print(os.environ['GREETING']); sys.exit(3)"
+        children.start("a", [sys.executable, "-c", program])
+        wait_for(lambda: children.ended() == {"a": 3})
+        assert children.log_tail("a") == "hello"
+
+
+def test_a_piped_child_is_read_and_its_errors_are_logged(tmp_path):
+    with Processes(tmp_path, {}) as children:
+        program = "import sys; print('out'); print('err', file=sys.stderr)"
+        children.start("a", [sys.executable, "-c", program], piped=True)
+        assert children.children["a"].stdout.read() == b"out\n"
+        wait_for(lambda: children.ended() == {"a": 0})
+        assert children.log_tail("a") == "err"
+
+
+def test_a_child_that_ignores_the_request_is_killed(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "TERMINATE_TIMEOUT_S", 0.2)
+    with Processes(tmp_path, {}) as children:
+        children.start("stubborn", [sys.executable, "-c", STUBBORN])
+        wait_for(lambda: children.log_tail("stubborn") == "ready")
+    assert children.children["stubborn"].returncode == -signal.SIGKILL
+
+
+def test_children_end_with_an_error_too(tmp_path):
+    def fail(children):
+        with children:
+            children.start("a", [sys.executable, "-c", "import time; time.sleep(600)"])
+            raise ZeroDivisionError
+
+    children = Processes(tmp_path, {})
+    with pytest.raises(ZeroDivisionError):
+        fail(children)
+    assert children.children["a"].returncode == -signal.SIGTERM

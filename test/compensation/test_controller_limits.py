@@ -1,0 +1,133 @@
+"""Limits and damage: refused before anything is written, and said when anything is read."""
+
+from datetime import datetime, timezone
+
+import numpy as np
+import pytest
+from compensation_examples import TAU, even, result_of, wavy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rotcal_ros.compensation.controllers import CONTROLLERS, controller, make_settings
+from rotcal_ros.compensation.export import prepare_export
+from rotcal_ros.compensation.table import table_from_result
+from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.observations import Approach
+from rotcal_ros.units import ARCSEC
+
+NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=timezone.utc)
+
+
+def export(table, name, spacing=None, **more):
+    return prepare_export(table, name, now=NOW, spacing=spacing, accept_unverified=True, **more)
+
+
+# Limits, before anything is written.
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "rows", "text"),
+    [
+        ("linuxcnc", {}, 360, r"360 rows x 1 turns \+ 1: 361, and the controller holds 256"),
+        ("linuxcnc", {"turns": 4}, 72, r"289, and the controller holds 256.*at most 3 turns"),
+        ("sinumerik", {}, 360, r"361, and the controller holds 200.*MD38000"),
+        ("sinumerik", {"tables": "cec"}, 360, r"holds 200.*MD18342"),
+        ("fanuc", {"reference_slot": 100}, 36, r"136, and the controller holds 127"),
+        ("twincat", {"max_points": 30}, 36, r"36, and the controller holds 30.*P-COMP-00059"),
+        ("heidenhain", {}, 360, r"361, and the controller holds 256"),
+        ("fagor", {"max_points": 30}, 36, r"37, and the controller holds 30"),
+        ("pmac", {"counts_per_turn": 1000}, 36, r"whole steps of 0.36 deg"),
+        ("twincat", {}, 7, r"whole steps of 0.0001 deg"),
+    ],
+)
+def test_limits_are_errors_with_the_number(name, values, rows, text):
+    angles = even(72)
+    table = table_from_result(result_of(angles, wavy(angles)))
+    with pytest.raises(ConfigurationError, match=text):
+        export(table, name, TAU / rows, settings=values)
+
+
+@pytest.mark.parametrize("name", ["fanuc", "pmac"])
+def test_tables_counted_from_the_machine_zero_must_be_zero_there(name):
+    angles = even(36)
+    table = table_from_result(result_of(angles, wavy(angles)), reference_angle=2.0)
+    with pytest.raises(ConfigurationError, match="move the reference angle to 0"):
+        export(table, name)
+    assert export(table, name, reference_angle=0.0).residual.stated < 15 * ARCSEC
+
+
+def test_settings_of_the_wrong_name_type_or_range_are_refused():
+    with pytest.raises(ConfigurationError, match="controller 'haas' is not known"):
+        controller("haas")
+    with pytest.raises(ConfigurationError, match="no setting 'turn'"):
+        make_settings("linuxcnc", {"turn": 2})
+    with pytest.raises(ConfigurationError, match="turns is '2', expected int"):
+        make_settings("linuxcnc", {"turns": "2"})
+    for name, values in [
+        ("linuxcnc", {"file_type": 2}),
+        ("linuxcnc", {"turns": 0}),
+        ("sinumerik", {"tables": "leak"}),
+        ("fanuc", {"magnification": 101}),
+        ("fanuc", {"slots": 5000}),
+        ("heidenhain", {"backlash": "both"}),
+        ("fagor", {"max_points": 1001}),
+        ("pmac", {"motor": 0}),
+    ]:
+        with pytest.raises(ConfigurationError, match=name):
+            make_settings(name, values)
+    with pytest.raises(ConfigurationError, match="axis name"):
+        make_settings("sinumerik", {"axis_name": "C1\n$MN"})
+
+
+# Damaged files: the reader says what and where, whatever was done to them.
+
+
+GOOD_FILES = {
+    name: CONTROLLERS[name].write(
+        table_from_result(result_of(even(12), wavy(even(12)))), make_settings(name, {}), "t"
+    )
+    for name in CONTROLLERS
+}
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+@settings(max_examples=50, deadline=None)
+@given(data=st.data())
+def test_damaged_files_raise_our_error_or_read_as_numbers(name, data):
+    kind, made = controller(name), make_settings(name, {})
+    files = dict(GOOD_FILES[name])
+    victim = data.draw(st.sampled_from(sorted(files)))
+    lines = files[victim].splitlines()
+    row = data.draw(st.integers(0, len(lines) - 1))
+    damage = data.draw(st.sampled_from(["drop", "blank", "text", "nan", "twice", "cut", "slip"]))
+    if damage == "drop":
+        del lines[row]
+    elif damage == "twice":
+        lines.insert(row, lines[row])
+    elif damage == "cut":
+        lines = lines[:row]
+    else:
+        place = data.draw(st.integers(0, len(lines[row])))
+        slip = data.draw(st.text("0189.,;-+e[]$#PA ", max_size=3))
+        texts = {
+            "blank": "",
+            "text": "# note",
+            "nan": lines[row].replace("0", "nan"),
+            "slip": lines[row][:place] + slip + lines[row][place + 1 :],
+        }
+        lines[row] = texts[damage]
+    files[victim] = "\n".join(lines) + "\n"
+    try:
+        said = kind.read(files, made)
+    except BagError:
+        return
+    assert np.all(np.isfinite(kind.correction(said, np.linspace(0, TAU, 50), Approach.POSITIVE)))
+
+
+def test_unreadable_rows_name_the_place():
+    kind, made = controller("csv"), make_settings("csv", {})
+    head = "angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec"
+    with pytest.raises(BagError, match=r"t\.csv, row 2: found 'x', expected a number"):
+        kind.read({"t.csv": f"{head}\n0,0,0,0\n90,x,0,0\n"}, made)
+    with pytest.raises(BagError, match="row 2: the position does not ascend"):
+        kind.read({"t.csv": f"{head}\n0,0,0,0\n0,1,0,0\n"}, made)

@@ -1,0 +1,316 @@
+"""Feeding a controller: confirmation, limits, the old table kept, read back, put back."""
+
+import os
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from compensation_examples import even, result_of, wavy
+
+from rotcal_ros.compensation.bridge_settings import BridgeSettings
+from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
+from rotcal_ros.compensation.feed import Feed
+from rotcal_ros.compensation.table import table_from_result
+from rotcal_ros.errors import ConfigurationError, ControllerError, DataError
+from rotcal_ros.units import ARCSEC
+
+SECOND = 1_000_000_000
+COMP = "c_linuxcnc.comp"
+
+
+def table_of(scale=1.0, verdict="ok", axis="C"):
+    deviation = scale * (wavy(even(24)) - wavy(0.0))
+    return table_from_result(result_of(even(24), deviation, verdict=verdict), axis=axis)
+
+
+class Clock:
+    def __init__(self):
+        self.ns = 1_700_000_000 * SECOND
+
+    def __call__(self):
+        self.ns += SECOND
+        return self.ns
+
+
+class Cell:
+    """A controller's folder and feeds for it."""
+
+    def __init__(self, root):
+        self.folder = root / "controller"
+        self.folder.mkdir()
+        self.output = root / "output"
+        self.clock = Clock()
+        self.settings = BridgeSettings(
+            controller="linuxcnc",
+            spacing_deg=15.0,
+            controller_folder=str(self.folder),
+            output_folder=str(self.output),
+            answer_timeout_s=20.0,
+        )
+
+    def feed(self, store=None, **changes):
+        return Feed(replace(self.settings, **changes), "C", self.clock, store)
+
+    def files(self):
+        return {p.name: p.read_bytes() for p in self.folder.iterdir() if p.is_file()}
+
+
+@pytest.fixture
+def cell(tmp_path):
+    return Cell(tmp_path)
+
+
+def applied(feed, table):
+    feed.take(table, feed._now_ns())
+    return feed.apply(table.table_hash)
+
+
+def trims(cell):
+    return np.loadtxt(cell.folder / COMP)[:, 1]
+
+
+def test_a_table_is_written_for_people_but_not_applied_by_itself(cell):
+    paths = cell.feed().take(table_of(), 1)
+    assert {p.name for p in paths} == {COMP, "c_linuxcnc.ini", "c_linuxcnc.provenance.json"}
+    assert all(p.parent.parent == cell.output for p in paths)
+    assert cell.files() == {}
+
+
+def test_the_same_table_again_writes_nothing_new(cell):
+    feed = cell.feed()
+    assert feed.take(table_of(), 1) == feed.take(table_of(), 2)
+
+
+def test_applying_replaces_the_table_keeps_the_old_and_tells_the_change(cell):
+    feed = cell.feed()
+    first = applied(feed, table_of())
+    largest = np.max(np.abs(wavy(even(24)) - wavy(0.0)))
+    assert first.largest_change == pytest.approx(largest, rel=1e-6)
+    old = cell.files()
+    second = applied(feed, table_of(1.5))
+    assert second.largest_change == pytest.approx(0.5 * largest, rel=1e-6)
+    np.testing.assert_allclose(
+        trims(cell)[:-1], -1.5 * np.rad2deg(wavy(even(24)) - wavy(0.0)), atol=2e-9
+    )
+    assert second.backup.is_dir()
+    feed.restore()
+    assert cell.files() == old
+    feed.restore()
+    assert cell.files() == {}
+    with pytest.raises(DataError, match="no table was applied"):
+        feed.restore()
+
+
+@pytest.mark.parametrize("confirmation", ["", "0" * 64])
+def test_the_hash_is_the_confirmation(cell, confirmation):
+    feed = cell.feed()
+    feed.take(table_of(), 1)
+    with pytest.raises(DataError, match="confirm this hash"):
+        feed.apply(confirmation)
+    assert cell.files() == {}
+
+
+def test_without_a_table_nothing_is_applied(cell):
+    with pytest.raises(DataError, match="no table has arrived"):
+        cell.feed().apply("")
+
+
+@pytest.mark.parametrize("verdict", ["suspect", "failed"])
+def test_a_bad_verdict_is_refused_and_the_table_before_it_forgotten(cell, verdict):
+    feed = cell.feed()
+    good = table_of()
+    feed.take(good, 1)
+    with pytest.raises(DataError, match=verdict):
+        feed.take(table_of(verdict=verdict), 2)
+    with pytest.raises(DataError, match="no table has arrived"):
+        feed.apply(good.table_hash)
+
+
+def test_a_table_of_another_axis_is_refused(cell):
+    with pytest.raises(ConfigurationError, match="for axis B and the export for axis C"):
+        cell.feed().take(table_of(axis="B"), 1)
+    assert not cell.output.exists()
+
+
+def test_a_spacing_that_the_controller_cannot_hold_is_refused(cell):
+    with pytest.raises(ConfigurationError, match="256"):
+        cell.feed(spacing_deg=1.0).take(table_of(), 1)
+    assert not cell.output.exists()
+
+
+def test_a_change_above_the_limit_is_refused_and_nothing_is_changed(cell):
+    feed = cell.feed(max_change_arcsec=5.0)
+    with pytest.raises(DataError, match=r"by up to 1\d\.\d* arcsec, max_change_arcsec is 5"):
+        applied(feed, table_of())
+    assert cell.files() == {}
+    assert applied(feed, table_of(0.2)).largest_change < 5.0 * ARCSEC
+
+
+def test_the_limit_holds_for_the_change_not_for_the_table(cell):
+    first = cell.feed()
+    applied(first, table_of())
+    first.close()
+    feed = cell.feed(max_change_arcsec=2.0)
+    assert applied(feed, table_of(1.1)).largest_change < 2.0 * ARCSEC
+    with pytest.raises(DataError, match="max_change_arcsec is 2"):
+        applied(feed, table_of(1.3))
+
+
+def test_without_a_controller_nothing_is_applied(cell):
+    with pytest.raises(DataError, match="no controller is configured"):
+        applied(cell.feed(controller_folder=""), table_of())
+
+
+def test_a_table_from_before_the_last_restore_is_stale(cell):
+    feed = cell.feed()
+    table = table_of()
+    stamp = feed._now_ns()
+    feed.take(table, stamp)
+    feed.apply(table.table_hash)
+    feed.restore()
+    with pytest.raises(DataError, match="stale"):
+        feed.apply(table.table_hash)
+    assert cell.files() == {}
+    feed.close()
+    again = cell.feed()  # also for a bridge that was started later
+    again.take(table, stamp)
+    with pytest.raises(DataError, match="stale"):
+        again.apply(table.table_hash)
+    assert applied(again, table).files
+
+
+def test_two_bridges_on_one_controller(cell):
+    first, second = cell.feed(), cell.feed()
+    applied(first, table_of())
+    held = cell.files()
+    with pytest.raises(ControllerError, match=f"fed by process {os.getpid()}"):
+        applied(second, table_of(1.5))
+    assert cell.files() == held
+    first.close()
+    applied(second, table_of(1.5))
+
+
+def test_the_lock_ends_with_its_process(cell):
+    script = (
+        "from pathlib import Path; import sys\n"
+        "from rotcal_ros.compensation.controller_folder import ControllerFolder\n"
+        "ControllerFolder(Path(sys.argv[1]), 20.0).lock(); print('locked', flush=True)\n"
+        "sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", script, str(cell.folder)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    ) as other:
+        assert other.stdout.readline() == b"locked\n"
+        with pytest.raises(ControllerError, match=f"fed by process {other.pid}"):
+            applied(cell.feed(), table_of())
+        other.kill()
+    applied(cell.feed(), table_of())
+
+
+def test_a_controller_that_is_not_there(cell):
+    feed = cell.feed(controller_folder=str(cell.folder / "gone"))
+    with pytest.raises(ControllerError, match="does not answer: cannot lock: No such file"):
+        applied(feed, table_of())
+
+
+class Broken(ControllerFolder):
+    """A controller that swallows writes, damages them, or never answers."""
+
+    def __init__(self, folder, timeout_s, *, damage=0, hang=False):
+        super().__init__(folder, timeout_s)
+        self.damage, self.hang = damage, threading.Event()
+        if not hang:
+            self.hang.set()
+
+    def _read(self, names):
+        self.hang.wait()
+        return super()._read(names)
+
+    def _write(self, files):
+        if self.damage:
+            self.damage -= 1
+            files = {n: None if t is None else t.replace("1", "2") for n, t in files.items()}
+        super()._write(files)
+
+
+def test_a_controller_that_does_not_answer(cell):
+    store = Broken(cell.folder, 0.2, hang=True)
+    with pytest.raises(ControllerError, match=r"does not answer: no read within 0\.2 s"):
+        applied(cell.feed(store), table_of())
+    assert cell.files() == {}
+    store.hang.set()
+
+
+def test_what_is_read_back_differently_is_put_back(cell):
+    good = cell.feed()
+    applied(good, table_of())
+    good.close()
+    held = cell.files()
+    feed = cell.feed(Broken(cell.folder, 20.0, damage=1))
+    with pytest.raises(ControllerError, match=r"differ from what was written; the old table"):
+        applied(feed, table_of(1.5))
+    assert cell.files() == held
+    feed.restore()  # takes back the application before, not the one that failed
+    assert cell.files() == {}
+
+
+def test_when_putting_back_fails_too_the_old_table_is_named(cell):
+    good = cell.feed()
+    applied(good, table_of())
+    good.close()
+    held = cell.files()
+    feed = cell.feed(Broken(cell.folder, 20.0, damage=2))
+    with pytest.raises(ControllerError, match=r"not known what .* holds\. The old table is in"):
+        applied(feed, table_of(1.5))
+    feed.restore()
+    assert cell.files() == held
+
+
+def test_a_crash_while_writing_can_be_undone(cell, monkeypatch):
+    feed = cell.feed()
+    applied(feed, table_of())
+    held = cell.files()
+
+    def crash(files):
+        (cell.folder / COMP).write_text("half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(feed._store, "write", crash)
+    with pytest.raises(KeyboardInterrupt):
+        applied(feed, table_of(1.5))
+    feed.close()
+    cell.feed().restore()
+    assert cell.files() == held
+
+
+def test_a_table_made_by_hand_that_cannot_be_read_is_left_alone(cell):
+    (cell.folder / COMP).write_text("# my table\n0 0 0\n")
+    with pytest.raises(ControllerError, match="the change is not known"):
+        applied(cell.feed(), table_of())
+    assert (cell.folder / COMP).read_text() == "# my table\n0 0 0\n"
+
+
+def test_a_journal_cut_off_by_a_crash_is_continued(cell):
+    feed = cell.feed()
+    applied(feed, table_of())
+    journal = cell.folder / STATE_FOLDER / "journal.jsonl"
+    with journal.open("a") as stream:
+        stream.write('{"action": "appl')
+    applied(feed, table_of(1.2))
+    feed.restore()
+    np.testing.assert_allclose(
+        trims(cell)[:-1], -np.rad2deg(wavy(even(24)) - wavy(0.0)), atol=2e-9
+    )
+
+
+def test_a_damaged_journal_is_told(cell):
+    feed = cell.feed()
+    applied(feed, table_of())
+    (cell.folder / STATE_FOLDER / "journal.jsonl").write_text("nonsense\n")
+    with pytest.raises(ControllerError, match="is damaged"):
+        feed.restore()

@@ -1,0 +1,58 @@
+"""Solver and trials side by side, for every method: they confirm, and they contradict."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotcal_ros.evaluation.monte_carlo import propagate
+from rotcal_ros.evaluation.propagated import Propagated
+from rotcal_ros.methods import ball_plate, plane_mirror, tracer
+from rotcal_ros.simulation import one_table
+
+
+def prepared(method):
+    rng = np.random.default_rng(2)
+    if method == "tracer":
+        problem = one_table.by_tracer(one_table.table_deviations(8, rng), rng)
+        return tracer.solve(problem), tracer.tracer_trials(problem)
+    if method == "plate":
+        table = one_table.table_deviations(12, rng)
+        problem = one_table.by_ball_plate(table, rng, (0, 1, 3, 7))
+        return ball_plate.solve(problem), ball_plate.plate_trials(problem)
+    problem = one_table.by_mirror(one_table.table_deviations(12, rng), rng, stations=4)
+    return plane_mirror.solve(problem), plane_mirror.mirror_trials(problem)
+
+
+@pytest.fixture(scope="module", params=["tracer", "plate", "mirror"])
+def both(request):
+    result, trials = prepared(request.param)
+    return Propagated(result, propagate(trials, seed=4, max_trials=4000, block=1000), 4)
+
+
+def test_trials_confirm_the_solver(both):
+    assert both.warnings == ()
+    assert list(both.components) == list(both.result.deviations)
+    for name, part in both.components.items():
+        np.testing.assert_array_equal(part.value, both.result.deviations[name])
+        measured = part.linear_std > 0.0
+        np.testing.assert_allclose(part.std[measured], part.linear_std[measured], rtol=0.08)
+    assert "confirm the solver's uncertainty" in both.in_words()
+
+
+def test_an_uncertainty_that_is_too_small_is_contradicted_and_named(both):
+    halved = {name: values / 2.0 for name, values in both.result.std.items()}
+    told = Propagated(replace(both.result, std=halved), both.spread, both.seed)
+    assert len(told.warnings) >= len(both.result.angles) - 2
+    assert any(text.startswith("ECC at 30 deg (arcsec): ") or "ECC at 45 deg" in text
+               for text in told.warnings)  # fmt: skip
+    assert "CONTRADICT" in told.in_words()
+
+
+def test_plain_form_holds_everything(both):
+    data = both.to_dict()
+    assert data["trials"] == both.spread.trials
+    for name, part in data["components"].items():
+        assert len(part["low"]) == len(data["angles_rad"])
+        inside = np.array(part["low"]) <= both.result.deviations[name]
+        assert inside.all()

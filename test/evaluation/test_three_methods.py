@@ -1,0 +1,86 @@
+"""One simulated table by three methods and a reference: they agree as often as they should."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotcal_ros.compensation.measured import MeasuredCurve, measured_curve
+from rotcal_ros.evaluation.compare import compare, compare_all
+from rotcal_ros.evaluation.reference import without_polygon
+from rotcal_ros.methods import ball_plate, plane_mirror, tracer
+from rotcal_ros.simulation import one_table
+from rotcal_ros.units import ARCSEC
+
+BALLS = (0, 3, 4, 9, 14, 20)
+RUNS = 40
+
+
+@pytest.fixture(scope="module")
+def comparisons():
+    """All pairs of three methods in many runs; everything is drawn anew in each."""
+    found = []
+    for seed in range(RUNS):
+        rng = np.random.default_rng(seed)
+        table = one_table.table_deviations(24, rng)
+        results = {
+            "tracer": tracer.solve(one_table.by_tracer(table, rng, every=2)),
+            "plate": ball_plate.solve(one_table.by_ball_plate(table, rng, BALLS)),
+            "mirror": plane_mirror.solve(one_table.by_mirror(table, rng)),
+        }
+        assert [r.verdict for r in results.values()].count("failed") == 0
+        found.append(compare_all({n: measured_curve(r) for n, r in results.items()}))
+    return found
+
+
+PAIRS = [("tracer", "plate"), ("tracer", "mirror"), ("plate", "mirror")]
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids="-".join)
+def test_normalised_errors_are_within_one_at_the_expected_rate(comparisons, pair):
+    errors = np.concatenate([run[pair].normalised_error for run in comparisons])
+    assert np.mean(np.abs(errors) <= 1.0) == pytest.approx(0.9545, abs=0.03)
+    ratios = [run[pair].chi2 / run[pair].dof for run in comparisons]
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
+    assert np.mean([run[pair].agree for run in comparisons]) > 0.9
+
+
+def test_all_angles_were_measured_by_both(comparisons):
+    for pair, angles in zip(PAIRS, (12, 12, 24), strict=True):
+        comparison = comparisons[0][pair]
+        assert len(comparison.angles) == angles
+        assert not comparison.interpolated.any()
+
+
+def paper_check(seed):
+    """Twelve balls at 30 degrees, and a 24-sided polygon every 15 degrees."""
+    rng = np.random.default_rng(seed)
+    table = one_table.table_deviations(24, rng)
+    faces = rng.normal(0.0, 3.0 * ARCSEC, 24)
+    reading = one_table.by_autocollimator(table, rng, faces)
+    known = faces + rng.normal(0.0, 0.1 * ARCSEC, 24)
+    calibrated = MeasuredCurve(
+        reading.angles, known, (0.1 * ARCSEC) ** 2 * np.eye(24), reading.period
+    )
+    balls = ball_plate.solve(one_table.by_ball_plate(table[::2], rng, tuple(range(12))))
+    return measured_curve(balls), reading, calibrated
+
+
+def test_thirty_degree_points_of_a_fifteen_degree_reference():
+    """The paper's check of its ball plate: at the common angles, nothing interpolated."""
+    errors = []
+    for seed in range(25):
+        plate, reading, polygon = paper_check(seed)
+        comparison = compare(plate, without_polygon(reading, polygon))
+        np.testing.assert_allclose(np.rad2deg(comparison.angles), np.arange(12) * 30.0, atol=1e-9)
+        assert not comparison.interpolated.any()
+        errors.append(comparison.normalised_error)
+    assert np.mean(np.abs(errors) <= 1.0) == pytest.approx(0.9545, abs=0.035)
+
+
+def test_face_errors_of_the_polygon_matter():
+    plate, reading, polygon = paper_check(1)
+    assert compare(plate, without_polygon(reading, polygon)).agree
+    assert not compare(plate, reading).agree
+    wrong = replace(polygon, deviation=-polygon.deviation)
+    assert not compare(plate, without_polygon(reading, wrong)).agree

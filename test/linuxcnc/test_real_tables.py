@@ -1,0 +1,140 @@
+"""Tables of ours in the real LinuxCNC: it takes them all, and moves as our model says."""
+
+import subprocess
+from datetime import datetime, timezone
+
+import numpy as np
+import pytest
+from real_linuxcnc import Running
+
+from rotcal_ros.compensation import linuxcnc
+from rotcal_ros.compensation.export import prepare_export
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.observations import Approach
+from rotcal_ros.units import ARCSEC, DEGREE
+
+pytestmark = pytest.mark.linuxcnc
+
+TOLERANCE_DEG = 1e-6
+FROM_BELOW = (-340.0, -181.3, -60.0, 3.7, 10.0, 17.5, 45.0, 88.8, 90.0, 135.2, 180.0, 201.1, 240.0,
+              277.77, 300.0, 354.9, 359.5, 360.0, 361.0, 370.0, 402.5, 450.0, 555.5, 719.0, 720.0,
+              733.3)  # fmt: skip
+FROM_ABOVE = FROM_BELOW[-2::-1]
+
+
+def table():
+    """Two different directions, ten arcseconds and more, rows from a closed curve."""
+    angles = np.arange(24) * np.pi / 12
+
+    def curve(t, phase):
+        return 40 * ARCSEC * (np.sin(t + phase) - np.sin(phase) + 0.4 * np.sin(3 * t))
+
+    return CompensationTable(
+        axis="A",
+        method="example",
+        angles=angles,
+        correction_forward=curve(angles, 0.3),
+        correction_reverse=curve(angles, 0.8) + 6 * ARCSEC,
+        std=np.full(24, 0.1 * ARCSEC),
+        period=2 * np.pi,
+        reference_angle=0.0,
+        verdict="ok",
+    )
+
+
+def exported(**settings):
+    made = prepare_export(
+        table(),
+        "linuxcnc",
+        now=datetime(2024, 1, 1, tzinfo=timezone.utc),
+        spacing=10 * DEGREE,
+        settings=settings,
+    )
+    return {n: t for n, t in made.files.items() if not n.endswith(".json")}
+
+
+@pytest.mark.parametrize("file_type", [0, 1])
+def test_the_real_motion_follows_our_model(axis, file_type):
+    settings = {"first_turn": -1, "turns": 3, "file_type": file_type}
+    files = exported(**settings)
+    axis.load(files)
+    said = linuxcnc.read(files, linuxcnc.LinuxCncSettings(**settings))
+    worst = 0.0
+    with Running(axis) as running:
+        running.go(-350.0, 1)
+        both = ((FROM_BELOW, 1, Approach.POSITIVE), (FROM_ABOVE, -1, Approach.NEGATIVE))
+        for angles, side, approach in both:
+            for angle in angles:
+                state = running.go(angle, side)
+                moved = state["motor_deg"] - angle
+                at = np.array([angle * DEGREE])
+                model = linuxcnc.correction(said, at, approach)[0] / DEGREE
+                assert moved == pytest.approx(model, abs=TOLERANCE_DEG), (angle, side)
+                worst = max(worst, abs(moved - model))
+        assert running.errors == []
+    assert worst > 0.0  # it did move on its own account
+    assert len(FROM_BELOW) + len(FROM_ABOVE) >= 30
+
+
+def test_a_full_table_of_256_rows_is_taken_without_a_message(axis):
+    made = prepare_export(
+        table(),
+        "linuxcnc",
+        now=datetime(2024, 1, 1, tzinfo=timezone.utc),
+        spacing=360 / 85 * DEGREE,
+        settings={"turns": 3},
+    )
+    axis.load(made.files)
+    (rows,) = (t for n, t in made.files.items() if n.endswith(".comp"))
+    assert rows.count("\n") == 256
+    with Running(axis) as running:
+        state = running.go(1080.0, 1)
+        assert state["motor_deg"] == pytest.approx(1080.0, abs=TOLERANCE_DEG)
+        state = running.go(1000.0, -1)
+        assert abs(state["motor_deg"] - 1000.0) > 1e-3
+        assert running.errors == []
+
+
+@pytest.mark.parametrize(
+    ("damage", "complaint"),
+    [
+        (lambda text: "# a comment\n" + text, ""),
+        (lambda text: text.replace("\n", "\n\n", 1), ""),
+        (lambda text: text.replace(" ", ","), ""),
+        (lambda text: text + "5 0 0\n", "must increase"),
+    ],
+    ids=["comment", "blank line", "commas", "not ascending"],
+)
+def test_our_reader_refuses_what_the_real_one_swallows(axis, damage, complaint):
+    """What LinuxCNC does in silence with a damaged table is what our model of its reader says."""
+    files = exported()
+    files = {n: damage(t) if n.endswith(".comp") else t for n, t in files.items()}
+    (text,) = (t for n, t in files.items() if n.endswith(".comp"))
+    with pytest.raises(linuxcnc.BagError):
+        linuxcnc.read(files, linuxcnc.LinuxCncSettings())
+    loaded = linuxcnc.load(text, 1)
+    axis.load(files)
+    with Running(axis) as running:
+        for angle in (33.0, 145.0):
+            state = running.go(angle, 1)
+            at = np.array([angle * DEGREE])
+            model = linuxcnc.correction(loaded, at, Approach.POSITIVE)[0] / DEGREE
+            assert state["motor_deg"] - angle == pytest.approx(model, abs=TOLERANCE_DEG)
+        assert (
+            any(complaint in error for error in running.errors)
+            if complaint
+            else (running.errors == [])
+        )
+
+
+def test_a_machine_that_is_off_is_not_switched_on_by_the_driver(axis):
+    run = subprocess.run(
+        axis.command(start=False),
+        input="",
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert run.returncode == 1
+    assert "switch it on and home it first" in run.stderr

@@ -1,0 +1,56 @@
+"""Trials of the ball plate: each equals the solver's own answer, and together its covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plate_data import simulated
+
+from rotcal_ros.methods.ball_plate import plate_trials, solve
+from rotcal_ros.methods.ball_plate.trials import SolvedTrials
+from rotcal_ros.results import COMPONENTS
+
+BALLS = [0, 3, 4, 9, 14, 20]
+
+
+def stacked(values):
+    return np.concatenate([values[name] for name in COMPONENTS])
+
+
+def plates():
+    complete, _ = simulated(24, BALLS, sigma=5e-8)
+    n = len(complete.centres)
+    uneven = replace(complete, sigma=None, std=np.linspace(4e-8, 7e-8, 3 * n).reshape(n, 3))
+    return {
+        "complete": complete,
+        "noise from residuals": replace(complete, sigma=None),
+        "gaps": complete.take(np.arange(n) % 11 != 0),
+        "weighted": uneven,
+    }
+
+
+@pytest.mark.parametrize("name", plates())
+def test_linear_map_gives_what_the_solver_finds_for_the_same_numbers(name):
+    problem = plates()[name]
+    trials = plate_trials(problem)
+    noise = np.random.default_rng(4).standard_normal((1, problem.centres.size))
+    moved = problem.centres + (trials.std * noise[0]).reshape(-1, 3)
+    answer = stacked(solve(replace(problem, centres=moved)).deviations)
+    found = trials(np.random.default_rng(4), 1)[0]
+    np.testing.assert_allclose(found, answer, rtol=0, atol=1e-16)
+
+
+@pytest.mark.parametrize("name", plates())
+def test_trials_scatter_as_the_solver_states(name):
+    problem = plates()[name]
+    values = plate_trials(problem)(np.random.default_rng(1), 4000)
+    np.testing.assert_allclose(values.std(axis=0), stacked(solve(problem).std), rtol=0.06)
+
+
+def test_separate_groups_are_solved_one_by_one():
+    problem, _ = simulated(24, [0, 2, 4, 8, 14, 20], sigma=5e-8, separate_groups=True)
+    trials = plate_trials(problem)
+    assert isinstance(trials, SolvedTrials)
+    values = trials(np.random.default_rng(3), 3)
+    assert values.shape == (3, 6 * 24)
+    assert 0.0 < np.std(values[:, 0]) < 1e-6

@@ -1,0 +1,75 @@
+"""Vectorised trials: each equals the solver's own answer, and together its covariance."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tracer_scene import low_ring, simulate
+
+from rotcal_ros.methods.tracer import solve, tracer_trials
+from rotcal_ros.methods.tracer.angles import table_motion
+from rotcal_ros.methods.tracer.trials import cumulative_deviations
+
+VARIANTS = (
+    {"variant": "station"},
+    {"variant": "joint", "datum": "prior"},
+    {"variant": "joint", "datum": "free"},
+)
+
+
+def problem(options, noisy=False, **more):
+    """Without noise of its own, a trial about it carries that of one measurement."""
+    noise = {"target_std": 2e-6} if noisy else {"length_std": 0.0}
+    scene = simulate(3, n=24, layout=low_ring, **noise)
+    return scene.problem(target_std=2e-6, **options, **more)
+
+
+@pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
+def test_every_trial_is_what_the_solver_finds_for_the_same_numbers(options):
+    task = problem(options)
+    trials = tracer_trials(task)
+    lengths, places, _ = trials.draw(np.random.default_rng(5), 4)
+    found = trials(np.random.default_rng(5), 4)
+    for length, targets, deviation in zip(lengths, places, found, strict=True):
+        answer = solve(replace(task, length=length.ravel(), targets=targets))
+        # The size of a free network is open; the angle feels where it is fixed to second order.
+        exact = 1e-9 if options.get("datum") == "free" else 5e-12
+        np.testing.assert_allclose(deviation, answer.deviations["ECC"], atol=exact)
+
+
+@pytest.mark.parametrize("options", VARIANTS, ids=lambda o: "-".join(o.values()))
+def test_trials_scatter_as_the_solver_states(options):
+    task = problem(options, noisy=True, error_motion_std=1e-7)
+    result = solve(task)
+    count = 300 if options.get("datum") == "free" else 3000
+    values = tracer_trials(task)(np.random.default_rng(7), count)
+    within = 4.5 / np.sqrt(2 * count)
+    np.testing.assert_allclose(values.std(axis=0)[1:], result.std["ECC"][1:], rtol=within)
+    shift = values.mean(axis=0) - result.deviations["ECC"]
+    assert np.all(np.abs(shift) <= 4.5 * result.std["ECC"] / np.sqrt(count) + 1e-15)
+
+
+def test_missing_lengths_and_pickling():
+    task = problem({"variant": "joint"})
+    keep = np.arange(len(task.length)) % 17 != 0
+    rows = {name: getattr(task, name)[keep] for name in
+            ("station", "target", "length", "length_std")}  # fmt: skip
+    part = replace(task, **rows)
+    trials = pickle.loads(pickle.dumps(tracer_trials(part)))
+    lengths, places, _ = trials.draw(np.random.default_rng(1), 1)
+    grid = trials.grid
+    answer = solve(replace(part, length=lengths[0][part.station, part.target], targets=places[0]))
+    assert not grid.used.all()
+    np.testing.assert_allclose(
+        trials(np.random.default_rng(1), 1)[0], answer.deviations["ECC"], atol=2e-12
+    )
+
+
+def test_many_sets_of_stations_at_once_turn_like_one():
+    rng = np.random.default_rng(2)
+    angles = np.arange(9) * 0.6
+    stations = np.column_stack([np.cos(angles), np.sin(angles), 0.1 * np.cos(angles)]) * 0.07
+    sets = stations + rng.normal(0.0, 1e-5, (5, 9, 3))
+    for one, found in zip(sets, cumulative_deviations(sets, angles), strict=True):
+        np.testing.assert_allclose(found, table_motion(one, angles).cumulative, atol=1e-14)

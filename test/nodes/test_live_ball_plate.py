@@ -1,0 +1,95 @@
+"""A whole ball plate calibration over DDS, and set-up mistakes that show live."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SUITE, LiveCell
+
+from rotcal_ros.bags.replay import read_recording
+from rotcal_ros.catalogue import prepare
+from rotcal_ros.cli.session import changed
+from rotcal_ros.configuration import read_configuration
+from rotcal_ros.results import COMPONENTS, Result
+from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"
+SHORT = (
+    "plan.plate.grid=12",
+    "plan.plate.ball_steps=[0, 1, 3, 5, 8, 9]",
+    "plan.rounds=1",
+    "simulation.plate.grid=12",
+    "simulation.plate.ball_steps=[0, 1, 3, 5, 8, 9]",
+    "planner.preflight_timeout_s=20.0",
+)
+
+
+@pytest.fixture
+def plate_cell(tmp_path, monkeypatch):
+    """Return a function that makes a live cell with a small plate."""
+    import os
+    import sys
+
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    cells = []
+
+    def make(*changes):
+        cells.append(LiveCell(tmp_path, changed(read_configuration(DEMO), (*SHORT, *changes))))
+        return cells[-1]
+
+    yield make
+    for made in cells:
+        made.processes.end()
+
+
+def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
+    live = plate_cell()
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert outcome["n_used"] == 72
+    assert outcome["skipped_steps"] == []
+
+    recording = read_recording(live.session / "bag")
+    text = (live.session / "result.json").read_text()
+    assert recording.same_as_recorded
+    assert recording.solve().to_json() == text
+    result = Result.from_dict(json.loads(text))
+    calibration = prepare(read_configuration(live.file))
+    settings = calibration.configuration.group("simulation", SimulationSettings)
+    truth = calibration.method.gauge(result.angles, SimulatedCell(settings).truth(result.angles))
+    for name in COMPONENTS:
+        error = (result.deviations[name] - truth[name]) / result.std[name]
+        assert np.abs(error).max() < 5.0, name
+    topics = recording.verdicts[0].topics
+    assert topics["/cell/probe_point"].messages >= 72 * 15
+    assert "/cell/tracer_length" not in topics
+
+
+def test_a_shifted_plate_is_told_at_every_ball_and_ends_without_a_result(plate_cell):
+    live = plate_cell(
+        "simulation.plate.azimuth_deg=10.0",
+        "planner.max_attempts=1",
+        "plan.cmm_positions=[0, 3]",
+    )
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == 605  # too few observations
+    assert outcome["n_used"] == 0
+    recorded = read_recording(live.session / "bag").recorded
+    assert len(recorded) == 12
+    assert all("plate mounted shifted" in o.reason for o in recorded)
+
+
+def test_the_parameters_of_the_nodes_are_enough(plate_cell):
+    live = plate_cell("plan.cmm_positions=[0, 3, 6]")
+    live.start(*SUITE, "simulated_cell")
+    client = live.client(with_configuration=False)
+    assert client.wait_for_step(2)["total"] == 18
+    client.cancel()
+    assert client.result()["error_code"] == 607

@@ -1,0 +1,132 @@
+"""Plane-mirror calibrations over DDS: a person moves the tracker, the nests are checked."""
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SUITE, LiveCell
+
+from rotcal_ros.bags.replay import read_recording
+from rotcal_ros.cli.session import changed
+from rotcal_ros.configuration import parse_configuration, read_configuration
+from rotcal_ros.results import Result
+from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+DEMO = Path(__file__).parents[2] / "config" / "plane_mirror_demo.yaml"
+SHORT = (
+    "plan.table_positions=5",
+    "plan.positions_per_station=3",
+    "plan.reflectors=1",
+    "planner.preflight_timeout_s=30.0",
+    "simulation.tracker.station_azimuths_deg=[22.5, 67.5]",
+)
+CANCELED = 607
+
+
+@pytest.fixture
+def cell(tmp_path, monkeypatch):
+    """Return a function that makes a live cell with two tracker stations."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    cells = []
+
+    def make(*changes, **client):
+        made = LiveCell(tmp_path, changed(read_configuration(DEMO), (*SHORT, *changes)))
+        cells.append(made)
+        made.start(*SUITE, "simulated_cell")
+        return made, made.client(**client)
+
+    yield make
+    for made in cells:
+        made.processes.end()
+
+
+def paused(client):
+    """Return the next instruction, or the result when there is none any more."""
+    event = client.wait_for("paused", "result")
+    return event.get("instruction") or f"error: {event['error_msg']}"
+
+
+def resume(live):
+    live.processes.tell("client", "resume")
+
+
+def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(cell):
+    live, client = cell(
+        "simulation.tracker.displaced_nest=4",
+        "simulation.tracker.displaced_at_stations=[1]",
+        "simulation.tracker.displaced_attempts=1",
+    )
+    assert paused(client).startswith("put the tracker at station 0 (of 0 to 1)")
+    resume(live)
+    assert client.wait_for("resumed")["success"]
+
+    assert paused(client).startswith("put the tracker at station 1 (of 0 to 1)")
+    resume(live)
+    again = paused(client)
+    assert again.startswith("not as it should be: nest 4 moved between tracker stations 0 and 1")
+    assert "put it right" in again
+    resume(live)
+    outcome = client.result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert outcome["verdict"] == "ok"
+    assert outcome["n_used"] == 6 + 6 + 6 + 6
+    assert outcome["skipped_steps"] == []
+
+    recording = read_recording(live.session / "bag")
+    text = (live.session / "result.json").read_text()
+    assert recording.same_as_recorded
+    assert recording.solve().to_json() == text
+    # The nests of the second station were measured twice; what counts is the second time.
+    nests = [o for o in recording.recorded if o.station == 1 and o.kind.name == "NEST"]
+    assert [o.target for o in nests] == [1, 2, 3, 4, 5, 6] * 2
+    assert "/cell/tracer_length" not in recording.verdicts[0].topics
+
+    result = Result.from_dict(json.loads(text))
+    settings = parse_configuration(live.file.read_text()).group("simulation", SimulationSettings)
+    truth = SimulatedCell(settings).truth(result.angles)["ECC"]
+    error = (result.deviations["ECC"] - truth)[1:]
+    assert error @ np.linalg.solve(result.covariance["ECC"][1:, 1:], error) < 23.5  # 99.99 %
+    assert [way["way"] for way in result.details["ways"]] == ["stitching", "registration"]
+
+
+def test_a_nest_that_stays_displaced_is_named_in_the_result(cell):
+    """Asked as often as there are attempts, then the calibration goes on and says what it saw."""
+    live, client = cell(
+        "planner.max_attempts=2",
+        "simulation.tracker.displaced_nest=2",
+        "simulation.tracker.displaced_at_stations=[1]",
+        "simulation.tracker.displaced_attempts=100",
+    )
+    for start in ("put the tracker at station 0", "put the tracker at station 1", "not as it"):
+        assert paused(client).startswith(start)
+        resume(live)
+    outcome = client.result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert outcome["verdict"] == "suspect"
+    result = json.loads((live.session / "result.json").read_text())
+    assert any("nest 2 moved between tracker stations 0 and 1" in w for w in result["warnings"])
+
+
+def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
+    # Without a configuration in the goal: the planner's own parameters are enough.
+    live, client = cell("simulation.time_scale=2.0", with_configuration=False)
+    assert paused(client).startswith("put the tracker at station 0 (of 0 to 1)")
+    resume(live)
+    assert client.wait_for("resumed")["success"]
+    resume(live)  # while the first station is measured
+    answer = client.wait_for("resumed")
+    assert not answer["success"]
+    assert "nothing waits for resume: the planner is calibrating" in answer["reason"]
+    assert paused(client).startswith("put the tracker at station 1")
+    client.cancel()
+    outcome = client.result()
+    assert outcome["error_code"] == CANCELED
+    assert "continue with start_index 12" in outcome["error_msg"]  # where it paused
+    assert [v.state for v in read_recording(live.session / "bag").verdicts] == ["complete"]

@@ -1,0 +1,59 @@
+"""Figures from the details of a plane-mirror result, fresh or read back from JSON."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rotcal_ros.methods.plane_mirror import solve
+from rotcal_ros.report import mirror_figures
+from rotcal_ros.report.page import ReportInput, render_report
+from rotcal_ros.results import Result
+from rotcal_ros.simulation.tracker_mirror import measure, paper_cell
+
+TITLES = ["The ways side by side", "Tracker stations and nests", "Angles of incidence",
+          "Nest residuals"]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def result() -> Result:
+    problem = measure(paper_cell(), np.zeros((17, 6)), rng=np.random.default_rng(1))
+    solved = solve(problem)
+    way = {"way": "stitching", "angles_rad": solved.angles, "ecc_rad": solved.deviations["ECC"],
+           "ecc_std_rad": solved.std["ECC"]}  # fmt: skip
+    solved.details["ways"] = [way, {"way": "registration", "why_not": "no nests"}]
+    return solved
+
+
+def test_every_section_is_drawn_from_the_result_and_from_its_json(result: Result) -> None:
+    again = Result.from_dict(json.loads(result.to_json()))
+    for source in (result, again):
+        drawn = mirror_figures.sections(source)
+        assert [title for title, _, svg in drawn if svg.startswith("<svg")] == TITLES
+    assert mirror_figures.sections(result) == mirror_figures.sections(again)
+
+
+def test_details_without_mirror_draw_nothing() -> None:
+    empty = Result("other", np.arange(3.0), {}, {}, {}, 1.0, 0, 0, details={"stations": []})
+    assert all(svg == "" for _, _, svg in mirror_figures.sections(empty))
+    tracer = {"stations": np.zeros((4, 3)), "axis": [0, 0, 1]}
+    assert mirror_figures.station_map(tracer) == ""
+
+
+def test_the_page_chooses_the_sections_by_what_the_details_hold(result: Result) -> None:
+    page = render_report(ReportInput(result=result, title="Table", method_title="Mirror"))
+    for title in TITLES:
+        assert f"<h2>{title}</h2>" in page
+    assert "Stations in plan view" not in page
+    assert "Normalised residuals" not in page  # several residuals per position and nest
+
+
+def test_the_map_shows_where_the_stations_stood(result: Result) -> None:
+    """Stations of the paper's cell are 2 m from the axis: so are they from each other's chords."""
+    places = np.array([stand["position_m"] for stand in result.details["stations"]])
+    chord = np.linalg.norm(places[1] - places[0])
+    assert chord == pytest.approx(2 * 2.0 * np.sin(np.radians(67.5 / 2)), abs=1e-4)
+    nests = {n["nest"]: np.array(n["position_m"]) for n in result.details["nests"]}
+    cell = paper_cell()
+    expected = np.linalg.norm(cell.nests[0] - cell.nests[3])
+    assert np.linalg.norm(nests[1] - nests[4]) == pytest.approx(expected, abs=1e-4)
