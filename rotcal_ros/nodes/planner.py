@@ -199,7 +199,8 @@ class Planner(LifecycleNode):
         """Publish feedback, not more often than a person can follow."""
         now = time.monotonic()
         waiting = self._run is not None and self._run.paused
-        if now - self._shown_s < FEEDBACK_PERIOD_S and progress.step and not waiting:
+        measuring = 0 < progress.step < progress.total
+        if now - self._shown_s < FEEDBACK_PERIOD_S and measuring and not waiting:
             return
         self._shown_s = now
         handle.publish_feedback(

@@ -89,7 +89,7 @@ def test_a_shifted_plate_is_told_at_every_ball_and_ends_without_a_result(plate_c
 def test_the_parameters_of_the_nodes_are_enough(plate_cell):
     live = plate_cell("plan.cmm_positions=[0, 3, 6]")
     live.start(*SUITE, "simulated_cell")
-    client = live.client(with_configuration=False)
+    client = live.client(configuration=None)
     assert client.wait_for_step(2)["total"] == 18
     client.cancel()
     assert client.result()["error_code"] == 607

@@ -116,7 +116,7 @@ def test_a_nest_that_stays_displaced_is_named_in_the_result(cell):
 
 def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     # Without a configuration in the goal: the planner's own parameters are enough.
-    live, client = cell("simulation.time_scale=2.0", with_configuration=False)
+    live, client = cell("simulation.time_scale=2.0", configuration=None)
     assert paused(client).startswith("put the tracker at station 0 (of 0 to 1)")
     resume(live)
     assert client.wait_for("resumed")["success"]

@@ -1,4 +1,4 @@
-"""Draw the figures of the documentation again: ``python docs/make_figures.py FOLDER ...``.
+"""Draw the deviations of runs: ``python docs/figures/make_run_figures.py FOLDER ...``.
 
 Every folder is the output of a ``rotcal run``; the figure's name follows the method.
 """
@@ -12,7 +12,7 @@ from pathlib import Path
 from rotcal_ros.report import figures
 from rotcal_ros.results import Result
 
-IMAGES = Path(__file__).parent / "images"
+FIGURES = Path(__file__).parent
 NAMES = {"tracer_multistation": "demo_deviations"}
 """Method -> name of the figure of its demonstration."""
 
@@ -22,12 +22,11 @@ def draw_run(folder: Path) -> Path:
     result = Result.from_dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
     truth_file = folder / "truth.json"
     truth = json.loads(truth_file.read_text(encoding="utf-8")) if truth_file.exists() else None
-    target = IMAGES / f"{NAMES.get(result.method, result.method)}.svg"
+    target = FIGURES / f"{NAMES.get(result.method, result.method)}.svg"
     target.write_text(figures.deviations(result, truth), encoding="utf-8")
     return target
 
 
 if __name__ == "__main__":
-    IMAGES.mkdir(exist_ok=True)
     for argument in sys.argv[1:]:
         print(draw_run(Path(argument)))  # noqa: T201
