@@ -13,6 +13,7 @@ from functools import wraps
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
@@ -24,6 +25,7 @@ DIAGNOSTICS_PERIOD_S: Final = 1.0
 NODE_TIMEOUT_S: Final = 1.4
 """Silence after which a node is lost: noticed within 2 s together with the beat itself."""
 LEAVING: Final = "leaving"
+LEAVE_TIMEOUT_S: Final = 0.5
 
 Values = Mapping[str, object]
 
@@ -99,8 +101,9 @@ class Health:
         return "" if status is None else str(status.message)
 
     def leave(self) -> None:
-        """Tell the others that this node ends on purpose."""
+        """Tell the others that this node ends on purpose, and let the word reach them."""
         self._beats.publish(self._status(LEAVING, {}))
+        self._beats.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
 
     def _hear(self, batch: Batch) -> None:
         for status, _ in batch:
