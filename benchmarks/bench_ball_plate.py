@@ -10,7 +10,8 @@ from __future__ import annotations
 import time
 import tracemalloc
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,7 +27,8 @@ PLATE = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)
 RADIUS = 0.185
 
 
-class Row(NamedTuple):
+@dataclass(frozen=True)
+class Row:
     """One line of the table; ``difference`` is relative, NaN where there is nothing to compare."""
 
     name: str

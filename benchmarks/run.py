@@ -25,7 +25,8 @@ def measured(names: list[str]) -> Iterator[dict[str, Any]]:
     """Yield the rows of the named benchmarks as they are measured."""
     for name in names:
         for row in importlib.import_module(f"bench_{name}").rows():
-            yield {"benchmark": name, **asdict(row)}
+            values = {k: None if v != v else v for k, v in asdict(row).items()}
+            yield {"benchmark": name, **values}  # JSON has no NaN
 
 
 def printed(value: Any) -> str:
