@@ -274,28 +274,7 @@ _READERS: Final[Mapping[tuple[str, ...], Reader]] = {
 def _observation(find: _Finder, row: Row, read: Reader) -> Observation:
     """Return an accepted observation; a table tells no scatter, so there is none."""
     step, kind, mean = read(find, row)
-    zeros = (0.0,) * len(mean)
-    return Observation(
-        step=step.index,
-        attempt=0,
-        table_index=step.table_index,
-        table_angle=step.table_angle,
-        target=step.target,
-        station=step.station,
-        kind=kind,
-        mean=mean,
-        std=zeros,
-        scatter=zeros,
-        probe_position=step.position,
-        n_samples=1,
-        n_used=1,
-        accepted=True,
-        reason="",
-        table_angle_measured=step.table_angle,
-        temperature_c=None,
-        window_start_ns=0,
-        window_end_ns=0,
-    )
+    return step.observed(mean, kind)
 
 
 def _check_lengths(plan: Plan, rows: list[Row], observations: tuple[Observation, ...]) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.errors import PlanError
-from rotcal_ros.observations import Approach, Command, PointKind
+from rotcal_ros.observations import Approach, Command, Observation, PointKind
 
 Point = tuple[float, float, float]
 
@@ -46,6 +46,31 @@ class Step:
             target=self.target,
             position=self.position,
             station=self.station,
+        )
+
+    def observed(self, mean: tuple[float, ...], kind: PointKind | None = None) -> Observation:
+        """Return the accepted observation of one value ``mean`` (m) that tells no scatter."""
+        zeros = (0.0,) * len(mean)
+        return Observation(
+            step=self.index,
+            attempt=0,
+            table_index=self.table_index,
+            table_angle=self.table_angle,
+            target=self.target,
+            station=self.station,
+            kind=self.kind if kind is None else kind,
+            mean=mean,
+            std=zeros,
+            scatter=zeros,
+            probe_position=self.position,
+            n_samples=1,
+            n_used=1,
+            accepted=True,
+            reason="",
+            table_angle_measured=self.table_angle,
+            temperature_c=None,
+            window_start_ns=0,
+            window_end_ns=0,
         )
 
 

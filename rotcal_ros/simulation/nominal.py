@@ -27,7 +27,7 @@ def nominal_observations(calibration: Calibration) -> tuple[Observation, ...]:
     tracker stations, mirror, nests and reflectors are where the plan expects them.
     """
     see = _instrument(calibration.configuration, calibration.plan)
-    return tuple(_exact(step, see(step)) for step in calibration.plan.steps)
+    return tuple(step.observed(see(step)) for step in calibration.plan.steps)
 
 
 def _instrument(configuration: Configuration, plan: Plan) -> See:
@@ -71,28 +71,3 @@ def _tracker(configuration: Configuration, plan: Plan) -> See:
         return tuple(stand.seen(place).tolist())
 
     return see
-
-
-def _exact(step: Step, mean: tuple[float, ...]) -> Observation:
-    zeros = (0.0,) * len(mean)
-    return Observation(
-        step=step.index,
-        attempt=0,
-        table_index=step.table_index,
-        table_angle=step.table_angle,
-        target=step.target,
-        station=step.station,
-        kind=step.kind,
-        mean=mean,
-        std=zeros,
-        scatter=zeros,
-        probe_position=step.position,
-        n_samples=1,
-        n_used=1,
-        accepted=True,
-        reason="",
-        table_angle_measured=step.table_angle,
-        temperature_c=None,
-        window_start_ns=0,
-        window_end_ns=0,
-    )
