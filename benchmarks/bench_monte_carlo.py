@@ -6,26 +6,16 @@ numbers; the best time of each counts.
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from racing import Row
 
 from rotcal_ros.methods import ball_plate, tracer
 from rotcal_ros.simulation import one_table
 
 TRIALS, LOOPS = 1000, 20
 BALLS = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)
-
-
-@dataclass(frozen=True)
-class Row:
-    """Times in seconds; ``difference`` is the largest one between the answers, rad or m."""
-
-    name: str
-    ours_s: float
-    opponent_s: float | None
-    ratio: float | None
-    difference: float | None
 
 
 Model = Callable[[np.random.Generator, int], np.ndarray]

@@ -11,9 +11,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import json
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 
 import numpy as np
+from racing import Row, race
 from scipy.optimize import least_squares
 from scipy.sparse import csr_array
 from scipy_plane_mirror import deviations_of, joint_residual
@@ -22,17 +23,6 @@ from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem, mirror_trials, s
 from rotcal_ros.simulation.tracker_mirror import measure, ring_cell
 
 TRIALS, LOOPS = 1000, 20
-
-
-@dataclass(frozen=True)
-class Row:
-    """Times in seconds; ``difference`` is the largest one between the answers, in rad."""
-
-    name: str
-    ours_s: float
-    opponent_s: float | None
-    ratio: float | None
-    difference: float | None
 
 
 def problem(way: str = "joint", seed: int | None = 1) -> PlaneMirrorProblem:
@@ -44,20 +34,6 @@ def problem(way: str = "joint", seed: int | None = 1) -> PlaneMirrorProblem:
     rng = np.random.default_rng(seed)
     deviations[:, 3:] = rng.normal(0.0, 5e-6, (73, 3))
     return measure(cell, deviations, rng=rng if seed else None, way=way)
-
-
-def race(
-    ours: Callable[[], np.ndarray], opponent: Callable[[], np.ndarray], repeats: tuple[int, int]
-) -> tuple[float, float, float]:
-    """Return both best times and the largest difference between the answers."""
-    best, answers = [np.inf, np.inf], [ours(), opponent()]
-    for turn in range(max(repeats)):
-        for side, function in enumerate((ours, opponent)):
-            if turn < repeats[side]:
-                start = time.perf_counter()
-                answers[side] = function()
-                best[side] = min(best[side], time.perf_counter() - start)
-    return best[0], best[1], float(np.abs(answers[0] - answers[1]).max())
 
 
 def joint() -> Row:

@@ -9,10 +9,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import json
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict
 
 import numpy as np
+from racing import Row, race
 from scipy_tracer import DenseNetwork, locate_station
 
 from rotcal_ros.methods.tracer import TracerProblem, solve
@@ -22,17 +23,6 @@ from rotcal_ros.methods.tracer.start import find_start
 from rotcal_ros.methods.tracer.station import adjust_stations, locate_stations
 
 LENGTH_STD, TARGET_STD = 2e-7, 1e-6
-
-
-@dataclass(frozen=True)
-class Row:
-    """Times in seconds; ``difference`` is the largest one between the answers, in metres."""
-
-    name: str
-    ours_s: float
-    opponent_s: float | None
-    ratio: float | None
-    difference: float | None
 
 
 def problem(m: int, n: int, step_deg: float, **options: object) -> TracerProblem:
@@ -48,20 +38,6 @@ def problem(m: int, n: int, step_deg: float, **options: object) -> TracerProblem
     return TracerProblem(
         station, target, length.ravel(), LENGTH_STD, targets, TARGET_STD, angles, **options
     )
-
-
-def race(
-    ours: Callable[[], np.ndarray], opponent: Callable[[], np.ndarray], repeats: tuple[int, int]
-) -> tuple[float, float, float]:
-    """Return both best times and the largest difference; ``repeats`` are (ours, opponent)."""
-    best, answers = [np.inf, np.inf], [ours(), opponent()]
-    for round_ in range(max(repeats)):
-        for side, function in enumerate((ours, opponent)):
-            if round_ < repeats[side]:
-                start = time.perf_counter()
-                answers[side] = function()
-                best[side] = min(best[side], time.perf_counter() - start)
-    return best[0], best[1], float(np.abs(answers[0] - answers[1]).max())
 
 
 def station_by_station(same_start: bool, m: int = 11, n: int = 64) -> Row:

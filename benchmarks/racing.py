@@ -1,0 +1,32 @@
+"""Two ways to the same answer, run alternately on one machine; the best time of each counts."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Row:
+    """Times in seconds; ``difference`` is the largest one between the answers, rad or m."""
+
+    name: str
+    ours_s: float
+    opponent_s: float | None
+    ratio: float | None
+    difference: float | None
+
+
+def race(
+    ours: Callable[[], np.ndarray], opponent: Callable[[], np.ndarray], repeats: tuple[int, int]
+) -> tuple[float, float, float]:
+    """Return both best times and the largest difference; ``repeats`` are (ours, opponent)."""
+    best, answers = [np.inf, np.inf], [ours(), opponent()]
+    for turn in range(max(repeats)):
+        for side, function in enumerate((ours, opponent)):
+            if turn < repeats[side]:
+                start = time.perf_counter()
+                answers[side] = function()
+                best[side] = min(best[side], time.perf_counter() - start)
+    return best[0], best[1], float(np.abs(answers[0] - answers[1]).max())
