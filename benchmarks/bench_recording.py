@@ -52,7 +52,10 @@ SOLVABLE = dump_configuration(
 
 @dataclass(frozen=True)
 class Row:
-    """One measurement: ``rate`` in ``unit``, ``ratio`` against the way named first."""
+    """One measurement: ``rate`` in ``unit``, ``ratio`` against the way named first.
+
+    ``growth_mb`` is how much memory grew once the process was warm.
+    """
 
     name: str
     rate: float
@@ -61,6 +64,7 @@ class Row:
     lost: int | None = None
     cpu_percent: float | None = None
     memory_mb: float | None = None
+    growth_mb: float | None = None
     load: float = 0.0
 
 

@@ -72,24 +72,28 @@ class Calibration:
 
     def solve(self, observations: Iterable[Observation]) -> Result:
         """Solve with the observations that count; see :func:`final_observations`."""
-        accepted = last_accepted(observations)
-        if self.method.join is not None and len({run for run, _ in accepted}) > 1:
-            return self.method.join(self.configuration, self.plan, tuple(accepted.values()))
-        final = final_observations(accepted.values())
-        return self.method.solve(self.configuration, self.plan, final)
+        used, several = self._that_count(observations)
+        solve = self.method.join if several and self.method.join is not None else self.method.solve
+        return solve(self.configuration, self.plan, used)
 
     def trials(self, observations: Iterable[Observation]) -> Trials:
         """Prepare Monte Carlo trials about the observations that count."""
         if self.method.trials is None:
             raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
+        used, _ = self._that_count(observations)
+        return self.method.trials(self.configuration, self.plan, used)
+
+    def _that_count(
+        self, observations: Iterable[Observation]
+    ) -> tuple[tuple[Observation, ...], bool]:
+        """Return the observations that count, and whether several runs must be joined.
+
+        A method with a join gets those of all runs, else the last one of each step counts.
+        """
         accepted = last_accepted(observations)
         if self.method.join is not None and len({run for run, _ in accepted}) > 1:
-            raise ConfigurationError(
-                "a plan that was interrupted and resumed has no Monte Carlo trials yet: its runs "
-                "have different zeros; the covariance of its result holds the share of the joins"
-            )
-        used = final_observations(accepted.values())
-        return self.method.trials(self.configuration, self.plan, used)
+            return tuple(accepted.values()), True
+        return final_observations(accepted.values()), False
 
     def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
         """Return in words what a person has to put right, as far as the method can tell."""

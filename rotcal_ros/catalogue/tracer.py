@@ -14,7 +14,7 @@ from rotcal_ros.configuration import Configuration
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
 from rotcal_ros.methods.runs import Arrivals, mean_from_first, mean_of_runs, repeatability_std
-from rotcal_ros.methods.tracer.joins import Pairs, solve_joined
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, joined_trials, solve_joined
 from rotcal_ros.methods.tracer.problem import TracerProblem, TracerSettings
 from rotcal_ros.observations import Approach, Observation
 from rotcal_ros.planning.plan import Plan
@@ -100,13 +100,20 @@ def _over_distinct_angles(configuration: Configuration, result: Result) -> Resul
 def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
-    """Prepare Monte Carlo trials about the accepted observations of a laser-tracer plan."""
-    prepared = tracer.tracer_trials(_configured_problem(configuration, plan, observations))
+    """Prepare Monte Carlo trials about the accepted observations of a laser-tracer plan.
+
+    They may come from several runs of an interrupted plan, as for :func:`join`.
+    """
+    if len({run_of(o) for o in observations}) > 1:
+        runs = _runs(configuration, plan, observations)
+        prepared, result = joined_trials(runs), solve_joined(runs)
+    else:
+        posed = _configured_problem(configuration, plan, observations)
+        prepared, result = tracer.tracer_trials(posed), tracer.solve(posed)
     arrivals = _arrivals(configuration)
     if arrivals is None:
         return prepared
     arrivals = arrivals.take(prepared.grid.station_ids)
-    result = tracer.solve(_configured_problem(configuration, plan, observations))
     ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
     scatter = repeatability_std(ecc, covariance, arrivals)
     return RepeatedTrials(prepared, mean_from_first(arrivals), scatter)
@@ -152,6 +159,12 @@ def _arrivals(configuration: Configuration) -> Arrivals | None:
 
 def join(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve the accepted observations of several runs; what was measured twice joins them."""
+    result = solve_joined(_runs(configuration, plan, observations))
+    return _over_distinct_angles(configuration, result)
+
+
+def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Runs:
+    """Return the first length of every step as one problem, the others as pairs with them."""
     row_of: dict[int, int] = {}
     kept: list[Observation] = []
     repeated: dict[int, list[Observation]] = {}
@@ -178,8 +191,7 @@ def join(configuration: Configuration, plan: Plan, observations: Sequence[Observ
                 shift=_positions(again) - place[row],
             )
         )
-    joined = solve_joined(posed, run, _positions(kept) - place, pairs)
-    return _over_distinct_angles(configuration, joined)
+    return Runs(posed, run, _positions(kept) - place, pairs)
 
 
 def problem(

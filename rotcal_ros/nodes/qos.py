@@ -19,8 +19,8 @@ EVENT: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 STREAM: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Readings at kilohertz rates, published reliably by our own nodes."""
 
-LISTENING_DEPTH: Final = 10_000
-"""Messages that the middleware keeps for a busy listener."""
+LISTENING_DEPTH: Final = 50_000
+"""Messages that the middleware keeps for a busy listener: a second of the fastest load."""
 
 
 def adapted_qos(profiles: Sequence[QoSProfile]) -> QoSProfile:

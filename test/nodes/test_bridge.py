@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from conftest import DEADLINE_S
+from live_cell import DEADLINE_S
 
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.results import Result

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SUITE, wait_until
+from live_cell import SUITE, wait_until
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, read_blocks
@@ -29,14 +29,14 @@ def under_way(live, seed):
     client = live.client()
     accepted = client.wait_for_step(generator.randrange(1, 25))["accepted"]
     time.sleep(generator.uniform(0.0, 0.3))  # the moment itself is the test's subject
-    (file,) = bag_files(live.session / "bag")
+    (file,) = bag_files(live.bag)
     return client, accepted, file, file.read_bytes()
 
 
 def check(live, accepted, file, before, died_ns=None):
     """What the planner had told as accepted is in the bag, which only ever grew."""
     assert file.read_bytes().startswith(before)
-    recording = read_recording(live.session / "bag")
+    recording = read_recording(live.bag)
     assert all(v.state in ("complete", "truncated") for v in recording.verdicts)
     for source in (recording.recorded, recording.observations):
         steps = {o.step for o in source if o.accepted}
@@ -82,7 +82,7 @@ def test_kill_9_of_the_planner(cell):
     _, accepted, file, before = under_way(live, 20)
     live.kill("planner")
     wait_until(
-        lambda: read_recording(live.session / "bag").verdicts[0].state == "complete",
+        lambda: read_recording(live.bag).verdicts[0].state == "complete",
         "the recorder closes the bag",
     )
     check(live, accepted, file, before)
@@ -95,7 +95,7 @@ def test_sigterm_to_everything(cell):
         live.processes.signal(name, signal.SIGTERM)
     wait_until(lambda: len(live.processes.ended()) == 6, "all have ended")
     check(live, accepted, file, before)
-    assert read_recording(live.session / "bag").verdicts[0].state == "complete"
+    assert read_recording(live.bag).verdicts[0].state == "complete"
 
 
 def test_a_full_disk_ends_the_calibration_with_the_reason(cell):

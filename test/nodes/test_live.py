@@ -5,7 +5,7 @@ import signal
 
 import numpy as np
 import pytest
-from conftest import SUITE, wait_until
+from live_cell import SUITE, wait_until
 
 from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.bags.verdict import FileVerdict
@@ -21,7 +21,7 @@ BAD_CONFIGURATION, TOPIC_MISSING, NODE_LOST, RECORDER_FAILED, CANCELED = 601, 60
 
 
 def verdicts(live) -> tuple[FileVerdict, ...]:
-    return read_recording(live.session / "bag").verdicts
+    return read_recording(live.bag).verdicts
 
 
 def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(cell):
@@ -30,13 +30,13 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
     outcome = live.client().result()
 
     assert outcome["error_code"] == 0, outcome["error_msg"]
-    assert outcome["bag_folder"] == str(live.session / "bag")
+    assert outcome["bag_folder"] == str(live.bag)
     # The beam to target 1 is blocked at one table angle: given up after all attempts.
     assert outcome["skipped_steps"] == [9]
     assert outcome["n_used"] == 59
     assert outcome["n_rejected"] >= 3
 
-    recording = read_recording(live.session / "bag")
+    recording = read_recording(live.bag)
     text = (live.session / "result.json").read_text()
     assert recording.same_as_recorded
     assert recording.solve().to_json() == text
@@ -65,7 +65,7 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
     assert parameters["simulated_cell"]["simulation.time_scale"] == 20.0
     assert parameters["planner"]["plan.box_points"] == [3, 2, 2]
     assert parameters.keys() >= {*SUITE, "simulated_cell"}
-    metadata = (live.session / "bag" / "metadata.yaml").read_text()
+    metadata = (live.bag / "metadata.yaml").read_text()
     assert "durability: transient_local" in metadata
     assert "RIHS01_" in metadata
 
@@ -94,12 +94,12 @@ def test_cancel_leaves_a_valid_bag_and_the_plan_can_be_continued(cell):
     assert outcome["error_code"] == CANCELED
     assert "continue with start_index" in outcome["error_msg"]
     assert [v.state for v in verdicts(live)] == ["complete"]
-    recording = read_recording(live.session / "bag")
+    recording = read_recording(live.bag)
     assert sum(o.accepted for o in recording.recorded) >= outcome["n_used"] >= 3
 
     # The same nodes go on with the rest and solve all steps together.
     start = int(outcome["error_msg"].rsplit("start_index ", 1)[1])
-    (live.session).rename(live.folder / "first")
+    live.session.rename(live.folder / "first")
     rest = live.client("rest", start_index=start).result()
     assert rest["error_code"] == 0, rest["error_msg"]
     result = json.loads((live.session / "result.json").read_text())
@@ -162,7 +162,7 @@ def test_a_killed_node_ends_the_calibration_and_is_named_by_all_others(cell, vic
         live.wait_for_log(name, f"node {victim} fell silent")
     if victim != "recorder":
         assert [v.state for v in verdicts(live)] == ["complete"]
-    recording = read_recording(live.session / "bag")
+    recording = read_recording(live.bag)
     accepted = {o.step for o in recording.recorded if o.accepted}
     assert set(range(outcome["n_used"])) - {9} <= accepted
 

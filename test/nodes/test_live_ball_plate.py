@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SUITE, LiveCell
+from live_cell import SUITE, LiveCell
 
 from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.catalogue import prepare
@@ -55,7 +55,7 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     assert outcome["n_used"] == 72
     assert outcome["skipped_steps"] == []
 
-    recording = read_recording(live.session / "bag")
+    recording = read_recording(live.bag)
     text = (live.session / "result.json").read_text()
     assert recording.same_as_recorded
     assert recording.solve().to_json() == text
@@ -81,7 +81,7 @@ def test_a_shifted_plate_is_told_at_every_ball_and_ends_without_a_result(plate_c
     outcome = live.client().result()
     assert outcome["error_code"] == 605  # too few observations
     assert outcome["n_used"] == 0
-    recorded = read_recording(live.session / "bag").recorded
+    recorded = read_recording(live.bag).recorded
     assert len(recorded) == 12
     assert all("plate mounted shifted" in o.reason for o in recorded)
 

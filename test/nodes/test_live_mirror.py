@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SUITE, LiveCell
+from live_cell import SUITE, LiveCell
 
 from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.cli.session import changed
@@ -79,7 +79,7 @@ def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(c
     assert outcome["n_used"] == 6 + 6 + 6 + 6
     assert outcome["skipped_steps"] == []
 
-    recording = read_recording(live.session / "bag")
+    recording = read_recording(live.bag)
     text = (live.session / "result.json").read_text()
     assert recording.same_as_recorded
     assert recording.solve().to_json() == text
@@ -129,4 +129,4 @@ def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     outcome = client.result()
     assert outcome["error_code"] == CANCELED
     assert "continue with start_index 12" in outcome["error_msg"]  # where it paused
-    assert [v.state for v in read_recording(live.session / "bag").verdicts] == ["complete"]
+    assert [v.state for v in read_recording(live.bag).verdicts] == ["complete"]

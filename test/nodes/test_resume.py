@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import DEMO, SHORT, wait_until
+from live_cell import DEMO, SHORT, wait_until
 
 from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.catalogue import run_of
@@ -75,6 +75,9 @@ def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):
     assert recording.same_as_recorded
     assert {run_of(o) for o in recording.observations} == {0, 1}
     assert recording.solve().to_json() == (folder / "result.json").read_text()
+
+    scatter = recording.calibration.trials(recording.observations)(np.random.default_rng(1), 500)
+    np.testing.assert_allclose(scatter.std(axis=0)[1:], result["std"]["ECC"][1:], rtol=0.2)
 
     third = rotcal("--resume", folder, log=tmp_path / "third.log")
     assert third.wait(60) == 2

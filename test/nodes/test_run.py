@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import DEADLINE_S, DEMO, SHORT, wait_until
+from live_cell import DEADLINE_S, DEMO, SHORT, wait_until
 
 from rotcal_ros.bags.replay import read_recording
 

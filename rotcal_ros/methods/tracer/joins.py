@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +17,14 @@ from scipy.stats import chi2 as chi_squared
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.solve import solve
+from rotcal_ros.methods.tracer.trials import TracerTrials, tracer_trials
 from rotcal_ros.results import Result, Verdict
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+_SMALL_MOVE: Final = 0.03
+"""Standard deviations of a length by which a zero is moved to see what hangs on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,23 +79,50 @@ def join_of(run: int, difference: Floats, std: Floats) -> Join:
     )
 
 
-def solve_joined(
-    problem: TracerProblem, run: Ints, shift: Floats, pairs: Sequence[Pairs]
-) -> Result:
-    """Solve lengths of several runs as those of one.
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Lengths of several runs.
 
     ``run`` (k,): run of each row of ``problem``. ``shift`` (k, 3): where the machine says the
     target stood at this row less where ``problem.targets`` has it (m); a probe that came twice
     does not stand at the same place. ``pairs``: one per later run, in order.
+    """
+
+    problem: TracerProblem
+    run: Ints
+    shift: Floats
+    pairs: Sequence[Pairs]
+
+
+def solve_joined(runs: Runs) -> Result:
+    """Solve lengths of several runs as those of one.
 
     Each later run is reduced to the zero of the first: offsets from the pairs, with the lengths
     first reduced to equal places of the targets along the beams of a first solution. What the
-    result owes to an offset is found by moving it by its standard deviation, and joins the
-    covariance. The joins are in ``details["joins"]`` and in the warnings; one that fails its
-    test (``test_significance``) makes the verdict suspect.
+    result owes to an offset is found by moving it a little, and joins the covariance. The joins
+    are in ``details["joins"]`` and in the warnings; one that fails its test
+    (``test_significance``) makes the verdict suspect.
 
     Raises DataError when a later run has no pair.
     """
+    one, joins = _joined(runs)
+    result = solve(one)
+    sensitivity = [_sensitivity(one, runs.run, join, result) for join in joins]
+    return _concluded(result, joins, sensitivity, one.settings.test_significance)
+
+
+def joined_trials(runs: Runs) -> TracerTrials:
+    """Prepare Monte Carlo trials about several runs: the zeros of later ones are drawn too."""
+    one, joins = _joined(runs)
+    trials = tracer_trials(one)
+    run = np.where(trials.grid.used, runs.run[trials.grid.row], -1)
+    zeros = [join.std * (run == join.run) for join in joins]
+    return replace(trials, zeros=np.array(zeros).reshape(-1, *run.shape))
+
+
+def _joined(runs: Runs) -> tuple[TracerProblem, list[Join]]:
+    """Return the problem with all lengths on the zero of the first run, and the joins."""
+    problem, run, shift, pairs = runs.problem, runs.run, runs.shift, runs.pairs
     for later in pairs:
         if not len(later.row):
             raise DataError(
@@ -104,9 +135,7 @@ def solve_joined(
     beams = _beams(problem, first)
     along = np.einsum("ka,ka->k", beams, shift)
     joins = _joins(problem, run, shift, pairs, beams)
-    result = solve(_reduced(problem, run, joins, along))
-    sensitivity = [_sensitivity(problem, run, joins, along, n, result) for n in range(len(joins))]
-    return _concluded(result, joins, sensitivity, problem.settings.test_significance)
+    return _reduced(problem, run, joins, along), joins
 
 
 def _joins(
@@ -148,21 +177,15 @@ def _solved(result: Result) -> tuple[Ints, Floats]:
     return result.details["station_ids"], result.details["stations"]
 
 
-def _sensitivity(
-    problem: TracerProblem,
-    run: Ints,
-    joins: Sequence[Join],
-    along: Floats,
-    number: int,
-    result: Result,
-) -> dict[str, Floats]:
-    """Return by how much the deviations move when join ``number`` moves by its std."""
-    moved = list(joins)
-    moved[number] = replace(joins[number], offset=joins[number].offset + joins[number].std)
-    other = solve(_reduced(problem, run, moved, along))
-    if len(other.angles) != len(result.angles):
-        return {}
-    return {name: other.deviations[name] - result.deviations[name] for name in result.deviations}
+def _sensitivity(one: TracerProblem, run: Ints, join: Join, result: Result) -> dict[str, Floats]:
+    """Return by how much the deviations move when the zero of ``join`` moves by its std.
+
+    The slope times the std; a move of more than the noise would change which lengths are used.
+    """
+    moved = replace(join, offset=_SMALL_MOVE * float(one.length_std.min()))
+    other = solve(_reduced(one, run, [moved], np.zeros(len(run))))
+    scale = join.std / moved.offset
+    return {n: scale * (other.deviations[n] - d) for n, d in result.deviations.items()}
 
 
 def _concluded(

@@ -58,7 +58,8 @@ class TracerTrials:
     ``state`` (m, 4) and ``targets`` (n, 3) are the solution, ``weights`` (m, n) those of the
     solver. ``inverse`` (m, 4, 4) are the inverse normal matrices of the variant "station",
     ``network`` the gain of the variant "joint". ``scale`` enlarges the stated noise as the
-    solver does, ``wobble`` (2, 3) are standard error motions in the plane of the stations.
+    solver does, ``wobble`` (2, 3) are standard error motions in the plane of the stations,
+    ``zeros`` (r, m, n) standard errors that all lengths of a run have in common (m).
     """
 
     grid: Grid
@@ -68,6 +69,7 @@ class TracerTrials:
     weights: Floats
     scale: float
     wobble: Floats
+    zeros: Floats
     inverse: Floats | None
     network: NetworkGain | None
 
@@ -85,6 +87,8 @@ class TracerTrials:
         grid = self.grid
         m, n = grid.used.shape
         length = grid.length + self.scale * grid.length_std * rng.standard_normal((count, m, n))
+        if len(self.zeros):
+            length += np.tensordot(rng.standard_normal((count, len(self.zeros))), self.zeros, 1)
         places = rng.standard_normal((count, n, 3))
         targets = grid.targets + self.scale * grid.target_std * places
         return length, targets, rng.standard_normal((count, m, 2)) @ self.wobble
@@ -152,6 +156,7 @@ def tracer_trials(problem: TracerProblem) -> TracerTrials:
         weights=weights,
         scale=solution.scale,
         wobble=problem.error_motion_std * solution.motion.plane.basis(),
+        zeros=np.zeros((0, *grid.used.shape)),
         inverse=inverse,
         network=gain,
     )

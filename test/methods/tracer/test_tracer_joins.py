@@ -7,7 +7,7 @@ import pytest
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.tracer.joins import Pairs, join_of, solve_joined
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, join_of, joined_trials, solve_joined
 from rotcal_ros.methods.tracer.solve import solve
 
 STD = 2e-7
@@ -29,6 +29,10 @@ def interrupted(seed=0, again=8, moved=0.0, variant="station"):
     return scene, problem, changed, run, pairs
 
 
+def runs(problem, run, pairs):
+    return Runs(problem, run, np.zeros((len(run), 3)), [pairs])
+
+
 def test_the_weighted_mean_and_its_test():
     join = join_of(3, np.array([1.0, 2.0, 4.0]), np.array([1.0, 1.0, 0.5]))
     assert join.offset == pytest.approx((1 + 2 + 16) / 6)
@@ -41,7 +45,7 @@ def test_the_weighted_mean_and_its_test():
 @pytest.mark.parametrize("variant", ["station", "joint"])
 def test_another_zero_is_found_and_leaves_no_trace(variant):
     _, whole, changed, run, pairs = interrupted(variant=variant)
-    result = solve_joined(changed, run, np.zeros((len(run), 3)), [pairs])
+    result = solve_joined(runs(changed, run, pairs))
     undisturbed = solve(whole)
     join = result.details["joins"][0]
     assert abs(join["offset_m"] - OFFSET) < 4 * join["offset_std_m"]
@@ -59,16 +63,28 @@ def test_the_stated_uncertainty_holds_over_many_interruptions():
     scores = []
     for seed in range(40):
         scene, _, changed, run, pairs = interrupted(seed)
-        result = solve_joined(changed, run, np.zeros((len(run), 3)), [pairs])
+        result = solve_joined(runs(changed, run, pairs))
         error = result.deviations["ECC"] - scene.deviation
         scores.append(error[1:] / result.std["ECC"][1:])
     # std also holds the targets' prior of 1e-7, which the simulation does not use: at most 1.
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.1
 
 
+def test_trials_of_joined_runs_scatter_as_the_solver_states():
+    _, _, changed, run, pairs = interrupted(again=2, variant="joint")
+    # Lengths so uncertain that the zero matters: without it the trials are too quiet.
+    together = runs(changed, run, replace(pairs, length_std=300 * pairs.length_std))
+    result, trials = solve_joined(together), joined_trials(together)
+    values = trials(np.random.default_rng(7), 3000)
+    within = 4.5 / np.sqrt(2 * 3000)
+    np.testing.assert_allclose(values.std(axis=0)[1:], result.std["ECC"][1:], rtol=within)
+    quiet = replace(trials, zeros=trials.zeros[:0])(np.random.default_rng(7), 3000)
+    assert quiet.std(axis=0)[1:].mean() < (1 - within) * result.std["ECC"][1:].mean()
+
+
 def test_something_that_moved_makes_the_result_suspect():
     _, _, changed, run, pairs = interrupted(moved=20 * STD)
-    result = solve_joined(changed, run, np.zeros((len(run), 3)), [pairs])
+    result = solve_joined(runs(changed, run, pairs))
     assert result.verdict == "suspect"
     assert "something moved during the interruption" in " ".join(result.warnings)
 
@@ -80,9 +96,8 @@ def test_a_probe_that_came_back_elsewhere_is_reduced_along_the_beam():
     beam /= np.linalg.norm(beam, axis=1)[:, None]
     shift = np.random.default_rng(5).normal(scale=1e-5, size=beam.shape)
     there = replace(pairs, length=pairs.length + np.einsum("ka,ka->k", beam, shift), shift=shift)
-    still = np.zeros((len(run), 3))
-    plain = solve_joined(changed, run, still, [pairs]).details["joins"][0]
-    reduced = solve_joined(changed, run, still, [there]).details["joins"][0]
+    plain = solve_joined(runs(changed, run, pairs)).details["joins"][0]
+    reduced = solve_joined(runs(changed, run, there)).details["joins"][0]
     assert reduced["offset_m"] == pytest.approx(plain["offset_m"], abs=2e-9)
 
 
@@ -90,4 +105,4 @@ def test_without_anything_measured_again_there_is_no_result():
     _, _, changed, run, pairs = interrupted()
     none = Pairs(1, pairs.row[:0], pairs.length[:0], pairs.length_std[:0], pairs.shift[:0])
     with pytest.raises(DataError, match="was measured again in run 1"):
-        solve_joined(changed, run, np.zeros((len(run), 3)), [none])
+        solve_joined(runs(changed, run, none))

@@ -1,0 +1,83 @@
+"""A node that feeds recorders like a cell does and tells the receipts they give.
+
+usage: feeder.py WINDOW
+
+A tracer at 1 kHz and an observation after every WINDOW readings, all numbered. A line NAME on
+standard input: open a bag at the recorder whose service is ``start_NAME``. Standard output gets
+a line of JSON per receipt of ``receipts_NAME``: {"recorder": NAME, "step": ...}.
+"""
+
+import json
+import sys
+import time
+from functools import partial
+from queue import Empty, SimpleQueue
+from threading import Thread
+
+import rclpy
+from rclpy.node import Node
+from rotcal_msgs.msg import Observation, RecordedObservation, TracerLength
+from rotcal_msgs.srv import StartRecording
+
+from rotcal_ros.nodes.conversions import time_message
+from rotcal_ros.nodes.qos import EVENT, STREAM
+
+PERIOD_S = 0.005
+READINGS = 5
+"""Readings per period."""
+
+
+class Feeder(Node):
+    def __init__(self, window, names):
+        super().__init__("feeder", namespace="/cell")
+        self._window = window
+        self._names = names
+        self._number = 0
+        self._clients_to_be = {}
+        self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+        self._observation = self.create_publisher(Observation, "observation", EVENT)
+        self.create_timer(PERIOD_S, self._feed)
+        self.create_timer(0.1, self._open)
+
+    def _feed(self):
+        for _ in range(READINGS):
+            stamp = time_message(time.time_ns())
+            reading = TracerLength(sequence=self._number, length=0.5, status=1)
+            reading.header.stamp = stamp
+            self._tracer.publish(reading)
+            self._number += 1
+            if self._number % self._window == 0:
+                observation = Observation(step=self._number // self._window, window_end=stamp)
+                self._observation.publish(observation)
+
+    def _open(self):
+        """Call the recorders that were named, once they are there."""
+        try:
+            while True:
+                name = self._names.get_nowait()
+                client = self.create_client(StartRecording, f"start_{name}")
+                self._clients_to_be[name] = client
+                tell = partial(self._tell, name)
+                self.create_subscription(RecordedObservation, f"receipts_{name}", tell, EVENT)
+        except Empty:
+            pass
+        for name, client in list(self._clients_to_be.items()):
+            if client.service_is_ready():
+                client.call_async(StartRecording.Request(plan_id="kill"))
+                del self._clients_to_be[name]
+
+    def _tell(self, name, receipt):
+        sys.stdout.write(json.dumps({"recorder": name, "step": receipt.step}) + "\n")
+        sys.stdout.flush()
+
+
+def read(names):
+    for line in sys.stdin:
+        names.put(line.strip())
+
+
+if __name__ == "__main__":
+    rclpy.init()
+    named = SimpleQueue()
+    Thread(target=read, args=(named,), daemon=True).start()
+    rclpy.spin(Feeder(int(sys.argv[1]), named))

@@ -1,0 +1,121 @@
+"""Live cells: real nodes as processes, talking over DDS in a domain of their own."""
+
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Thread
+
+import pytest
+
+from rotcal_ros.cli.processes import Processes
+from rotcal_ros.cli.session import node_environment
+
+DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
+SUITE = ("planner", "capture", "solver", "recorder")
+SHORT = (
+    "plan.table_positions=5",
+    "plan.box_points=[3, 2, 2]",
+    "planner.preflight_timeout_s=20.0",
+    "simulation.faults.blocked_targets=[1]",
+    "simulation.faults.blocked_from_deg=-30.0",
+    "simulation.faults.blocked_to_deg=-20.0",
+)
+DEADLINE_S = 60.0
+
+
+class LiveCell:
+    """Nodes of one cell and the clients that send it goals; ``recordings`` takes the session."""
+
+    def __init__(self, folder, configuration):
+        self.folder = folder
+        self.recordings = folder
+        self.file = folder / "cell.yaml"
+        self.file.write_text(configuration.text, encoding="utf-8")
+        (folder / "log").mkdir()
+        self.processes = Processes(folder / "log", node_environment())
+
+    @property
+    def session(self):
+        return self.recordings / "session"
+
+    @property
+    def bag(self):
+        return self.session / "bag"
+
+    def start(self, *nodes, name=None):
+        for node in nodes:
+            own = ["--params-file", str(self.file)]
+            if node == "recorder":
+                own += ["-p", f"recorder.folder:={json.dumps(str(self.recordings))}"]
+                own += ["-p", "recorder.session:=session"]
+            if name:
+                own += ["-r", f"__node:={name}"]
+            self.processes.start(name or node, [*self._python(node), *own])
+
+    def client(self, name="client", *, configuration="", start_index=0):
+        """Start a client; configuration None: the planner shall take its own parameters."""
+        own = ["-p", f"start_index:={start_index}"]
+        if configuration is not None:
+            own += ["-p", f"configuration_file:={json.dumps(str(configuration or self.file))}"]
+        self.processes.start(name, [*self._python("client"), *own], piped=True)
+        return Client(self.processes, name)
+
+    def kill(self, name):
+        self.processes.signal(name, signal.SIGKILL)
+
+    def log(self, name):
+        return (self.folder / "log" / f"{name}.log").read_text()
+
+    def wait_for_log(self, name, text):
+        wait_until(lambda: text in self.log(name), f"{name} logs {text!r}")
+
+    def _python(self, node):
+        module = f"rotcal_ros.nodes.{node}"
+        return [sys.executable, "-m", module, "--ros-args", "-r", "__ns:=/cell"]
+
+
+class Client:
+    """The lines of one client."""
+
+    def __init__(self, processes, name):
+        self._processes, self._name = processes, name
+        self._events = SimpleQueue()
+        Thread(target=self._read, daemon=True).start()
+
+    def wait_for(self, *kinds, where=lambda event: True):
+        """Return the next event of one of the kinds; fail after the deadline."""
+        deadline = time.monotonic() + DEADLINE_S
+        while time.monotonic() < deadline:
+            try:
+                event = self._events.get(timeout=1.0)
+            except Empty:
+                continue
+            if event["event"] in kinds and where(event):
+                return event
+            assert event["event"] != "end", f"the client ended without {kinds}"
+        pytest.fail(f"no {kinds} within {DEADLINE_S} s")
+
+    def wait_for_step(self, step):
+        return self.wait_for("feedback", where=lambda event: event["accepted"] >= step)
+
+    def result(self):
+        return self.wait_for("result")
+
+    def cancel(self):
+        self._processes.signal(self._name, signal.SIGINT)
+
+    def _read(self):
+        for line in self._processes.children[self._name].stdout:
+            self._events.put(json.loads(line))
+        self._events.put({"event": "end"})
+
+
+def wait_until(condition, what):
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        if time.monotonic() > deadline:
+            pytest.fail(f"not within {DEADLINE_S} s: {what}")
+        time.sleep(0.05)

@@ -1,0 +1,114 @@
+"""The recorder in the whole graph: splitting, disks that are small or read-only, losses."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from live_cell import SUITE
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.reader import bag_files, check_files
+from rotcal_ros.bags.replay import read_recording
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+RECORDER_FAILED = 604
+
+
+@pytest.fixture
+def mounted(tmp_path):
+    """Return a function that mounts a file system in memory; it is unmounted with the test."""
+    folder = tmp_path / "mounted"
+    folder.mkdir()
+
+    def mount(options):
+        command = ["mount", "-t", "tmpfs", "-o", options, "tmpfs", str(folder)]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if done.returncode:
+            pytest.skip(f"file systems cannot be mounted here: {done.stderr.strip()}")
+        return folder
+
+    yield mount
+    subprocess.run(["umount", "--lazy", str(folder)], capture_output=True)
+
+
+@pytest.mark.parametrize(
+    "change", ["recorder.writer.split_bytes=50000", "recorder.writer.split_duration_s=0.7"]
+)
+def test_a_split_session_is_one_to_the_solver(cell, change):
+    live = cell(change)
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    files = bag_files(live.bag)
+    assert len(files) >= 3
+    assert [file.name for file in files] == [f"bag_{number}.mcap" for number in range(len(files))]
+    assert all(v.state == "complete" and not v.losses_recorded for v in check_files(files))
+    recording = read_recording(live.bag)
+    assert recording.same_as_recorded
+    assert recording.solve().to_json() == (live.session / "result.json").read_text()
+
+
+def accepted_before_the_end(live, outcome):
+    """Check that every step that the planner had as accepted is in the bag; return the verdict."""
+    recording = read_recording(live.bag)
+    recorded = {(o.step, o.attempt) for o in recording.recorded if o.accepted}
+    replayed = {(o.step, o.attempt) for o in recording.observations if o.accepted}
+    assert outcome["n_used"] >= 3
+    assert len({step for step, _ in recorded & replayed}) >= outcome["n_used"]
+    (verdict,) = recording.verdicts
+    return verdict
+
+
+def test_a_disk_that_fills_up_costs_nothing_that_was_accepted(cell, mounted):
+    live = cell("recorder.writer.min_free_bytes=0")
+    live.recordings = mounted("size=160k")
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == RECORDER_FAILED
+    assert "the disk is full" in outcome["error_msg"]
+    verdict = accepted_before_the_end(live, outcome)
+    assert verdict.state == "truncated"
+    assert not verdict.lost
+
+
+def test_recording_stops_in_good_order_before_the_disk_is_full(cell, mounted):
+    live = cell("recorder.writer.min_free_bytes=100000")
+    live.recordings = mounted("size=260k")
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == RECORDER_FAILED
+    assert "MB that recording keeps free; recording stopped" in outcome["error_msg"]
+    assert accepted_before_the_end(live, outcome).state == "complete"
+
+
+def test_a_read_only_folder_is_refused_before_the_first_step(cell, mounted):
+    live = cell()
+    live.recordings = mounted("ro")
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == RECORDER_FAILED
+    assert "the file system is read-only" in outcome["error_msg"]
+    assert outcome["n_used"] == 0
+
+
+def test_a_step_that_a_loss_touches_is_measured_again(cell):
+    live = cell()
+    live.start(*SUITE, "simulated_cell")
+    client = live.client()
+    client.wait_for_step(3)
+    late = str(Path(__file__).with_name("late_publisher.py"))
+    live.processes.start("late_publisher", [sys.executable, late])
+    outcome = client.result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    recording = read_recording(live.bag)
+    accepted = [(o.step, o.attempt) for o in recording.recorded if o.accepted]
+    again = {step for step, attempt in accepted if (step, attempt + 1) in accepted}
+    assert len(again) == 1
+    (verdict,) = recording.verdicts
+    assert verdict.losses_recorded == {f"incompatible publisher /cell/{names.TRACER_LENGTH}": 1}
+    assert outcome["n_used"] == 59
+    assert recording.same_as_recorded
