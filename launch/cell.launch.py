@@ -1,7 +1,6 @@
 """The nodes of one cell; with simulated:=true the simulated machine and instruments as well."""
 
 import os
-from importlib.resources import files
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
@@ -10,6 +9,8 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+from rotcal_ros.cli.middleware import middleware
+
 SUITE = ("planner", "capture", "solver", "recorder")
 CLOSING_S = "25"
 
@@ -17,9 +18,6 @@ CLOSING_S = "25"
 def generate_launch_description():
     configuration = LaunchConfiguration("configuration")
     demo = PathJoinSubstitution([FindPackageShare("rotcal_ros"), "config", "tracer_demo.yaml"])
-    profiles = os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE") or str(
-        files("rotcal_ros") / "nodes" / "fastdds.xml"
-    )
 
     def node(name, **more):
         return Node(
@@ -53,7 +51,10 @@ def generate_launch_description():
                 description="Simulate the machine and the instruments.",
                 choices=["true", "false"],
             ),
-            SetEnvironmentVariable("FASTDDS_DEFAULT_PROFILES_FILE", profiles),
+            *(
+                SetEnvironmentVariable(*variable)
+                for variable in middleware(os.environ, "SUBNET").items()
+            ),
             *(node(name) for name in SUITE),
             node("simulated_cell", condition=simulated),
         ]

@@ -18,6 +18,7 @@ import click
 
 from rotcal_ros.cli.console import json_option, print_json
 from rotcal_ros.cli.domains import free_domain
+from rotcal_ros.cli.middleware import middleware
 
 CORE: Final = (
     "click",
@@ -146,10 +147,7 @@ def messages() -> Check:
 
 def loopback() -> Check:
     """Send a message there and back over DDS, in a domain of its own on this machine."""
-    private = {
-        "ROS_DOMAIN_ID": str(free_domain()),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    }
+    private = {"ROS_DOMAIN_ID": str(free_domain()), **middleware(os.environ)}
     try:
         run = subprocess.run(
             [sys.executable, "-m", "rotcal_ros.nodes.selftest"],
@@ -166,7 +164,7 @@ def loopback() -> Check:
         "DDS on this machine",
         ok,
         lines[-1] if lines else "no answer",
-        "let UDP through on the loopback interface and check the space in /dev/shm",
+        "let UDP through on the loopback interface",
     )
 
 

@@ -8,7 +8,6 @@ import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from queue import SimpleQueue
@@ -23,6 +22,7 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, Continuation, prepare
 from rotcal_ros.cli.domains import free_domain
+from rotcal_ros.cli.middleware import middleware
 from rotcal_ros.cli.processes import Processes
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.configuration import (
@@ -43,7 +43,6 @@ FURTHER_NODES: Final = {"bridge": "bridge", SIMULATION: "simulated_cell"}
 CLIENT: Final = "client"
 BAG: Final = "bag"
 """Folder of the bag inside the session folder."""
-_PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
 
 
 @dataclass(frozen=True)
@@ -255,12 +254,11 @@ def node_environment() -> dict[str, str]:
     """
     environment = {
         "ROS_DOMAIN_ID": str(free_domain()),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        _PROFILES: str(files("rotcal_ros") / "nodes" / "fastdds.xml"),
         "PYTHONUNBUFFERED": "1",
         "OMP_NUM_THREADS": "1",
     }
     environment = {name: os.environ.get(name) or value for name, value in environment.items()}
+    environment |= middleware(os.environ)
     return environment | {"ROTCAL_SUPERVISOR": str(os.getpid())}
 
 

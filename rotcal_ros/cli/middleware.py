@@ -1,0 +1,36 @@
+"""How the nodes that we start talk to each other: over UDP, so that a killed one hangs nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Final
+
+RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+LOCALHOST: Final = "LOCALHOST"
+_PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
+_TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
+_FAST_DDS: Final = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
+
+
+def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -> dict[str, str]:
+    """Return the variables that settle discovery and transport.
+
+    ``environment`` holds what the user has set, ``default_range`` the range of discovery
+    otherwise. Profiles of the user's own, and other middlewares than Fast DDS, are left alone.
+
+    ROS's own LOCALHOST makes Fast DDS use shared memory, whatever its profile says; therefore
+    our profile confines it to the loopback interface instead.
+    """
+    wanted = environment.get(RANGE) or default_range
+    if environment.get(_PROFILES) or environment.get("RMW_IMPLEMENTATION", "") not in _FAST_DDS:
+        return {RANGE: wanted}
+    folder = files("rotcal_ros") / "nodes"
+    if wanted == LOCALHOST:
+        return {RANGE: "SYSTEM_DEFAULT", _PROFILES: str(folder / "fastdds_loopback.xml")}
+    transports = environment.get(_TRANSPORTS) or "UDPv4"
+    return {
+        RANGE: wanted,
+        _TRANSPORTS: transports,
+        _PROFILES: str(folder / "fastdds_network.xml"),
+    }

@@ -1,0 +1,29 @@
+"""Which transports the nodes get, and that the user has the last word."""
+
+import pytest
+
+from rotcal_ros.cli.middleware import middleware
+
+
+def test_one_machine_is_the_loopback_interface_without_shared_memory():
+    for environment in ({}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}):
+        found = middleware(environment)
+        assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+        assert found["FASTDDS_DEFAULT_PROFILES_FILE"].endswith("nodes/fastdds_loopback.xml")
+
+
+@pytest.mark.parametrize("environment", [{"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, {}])
+def test_several_machines_get_udp_everywhere(environment):
+    found = middleware(environment, "SUBNET")
+    assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
+    assert found["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
+    assert found["FASTDDS_DEFAULT_PROFILES_FILE"].endswith("nodes/fastdds_network.xml")
+
+
+@pytest.mark.parametrize(
+    "own", [{"FASTDDS_DEFAULT_PROFILES_FILE": "own.xml"}, {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}]
+)
+def test_what_the_user_has_set_stays(own):
+    assert middleware(own) == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    own["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
+    assert middleware(own) == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
