@@ -87,7 +87,8 @@ class Listener:
             self._hand_over(topic, batch)
 
         def message_lost(event: Any) -> None:
-            self.losses[f"middleware {found.name}"] += event.total_count_change
+            if not topic.sequences:  # else its publishers' numbers tell, and it counts once
+                self.losses[f"middleware {found.name}"] += event.total_count_change
 
         def incompatible(event: Any) -> None:
             self.losses[f"incompatible publisher {found.name}"] += event.total_count_change

@@ -96,7 +96,7 @@ def test_a_read_only_folder_is_refused_before_the_first_step(cell, mounted):
 
 
 def test_a_step_that_a_loss_touches_is_measured_again(cell):
-    live = cell()
+    live = cell("simulation.time_scale=4.0")
     live.start(*SUITE, "simulated_cell")
     client = live.client()
     client.wait_for_step(3)
