@@ -1,8 +1,14 @@
 """Fixtures for all tests."""
 
+import signal
+
 import pytest
 
 from rotcal_ros.cli.domains import free_domain
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # Started in the background by a shell: the processes under test would never hear Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)
