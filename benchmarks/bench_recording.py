@@ -37,21 +37,24 @@ GIGABYTES = float(os.environ.get("ROTCAL_BENCH_GB", "0.2"))
 READINGS = 100_000
 READINGS_PER_IMAGE = 10_000
 BAGS = 20
-BAG_BYTES = 2e7
 TOPIC = "/cell/tracer_length"
-SOLVABLE = dump_configuration(
-    "tracer_multistation",
-    {
-        **parse_configuration(CONFIGURATION).groups,
-        "plan": {
-            "table_step_deg": 60.0,
-            "table_positions": 5,
-            "box_points": [3, 2, 2],
-            "box_centre_m": [0.0, 0.0, 0.6],
-        },
-        "solver": {"variant": "station"},
-    },
-)
+
+
+def solvable(table_positions: int, box_points: list[int]) -> str:
+    """Return a configuration of the sample's cell with so many steps that it can be solved."""
+    plan = {
+        "table_step_deg": 45.0,
+        "table_positions": table_positions,
+        "box_points": box_points,
+        "box_centre_m": [0.0, 0.0, 0.6],
+    }
+    groups = parse_configuration(CONFIGURATION).groups
+    return dump_configuration(
+        "tracer_multistation", {**groups, "plan": plan, "solver": {"variant": "station"}}
+    )
+
+
+SOLVABLE, LONGER = solvable(5, [3, 2, 2]), solvable(8, [4, 3, 2])
 
 
 @dataclass(frozen=True)
@@ -201,8 +204,9 @@ def large(folder: Path) -> Iterator[Row]:
 
 def many(folder: Path) -> Iterator[Row]:
     """The same twenty bags with one worker and with two."""
-    configuration = parse_configuration(SOLVABLE)
-    original = cell_bag(folder / "original", simulate(SOLVABLE), BAG_BYTES)
+    configuration = parse_configuration(LONGER)
+    run = simulate(LONGER)
+    original = cell_bag(folder / "original", run, 0.0)
     for number in range(BAGS):
         shutil.copytree(original, folder / str(number) / "bag")
     seconds = {}
@@ -217,7 +221,7 @@ def many(folder: Path) -> Iterator[Row]:
         seconds[workers] = time.perf_counter() - begin
         assert not any(outcome.error or outcome.cached for outcome in outcomes), outcomes[0].error
         yield row(
-            f"reprocessing {BAGS} bags of {BAG_BYTES / 1e6:g} MB, workers: {workers}",
+            f"reprocessing {BAGS} bags of {len(run.observations)} steps, workers: {workers}",
             BAGS / seconds[workers],
             "bags/s",
             ratio=seconds[1] / seconds[workers],

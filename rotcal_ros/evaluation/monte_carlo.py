@@ -13,13 +13,14 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from math import exp, pi, sqrt
 from typing import Final, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.methods.distributions import normal_isf
 
 Floats = NDArray[np.float64]
 Model = Callable[[np.random.Generator, int], Floats]
@@ -126,10 +127,10 @@ def compare_with_linear(
     agree within the numerical tolerance of std, here at least 5 % of std, because an interval that
     is wrong by less misleads nobody.
     """
-    cover = float(norm.ppf(0.5 + 0.5 * result.probability))
+    cover = normal_isf(0.5 - 0.5 * result.probability)
     tolerance = np.maximum(numerical_tolerance(std, result.digits), 0.05 * std)
     # A finite number of trials knows the ends of an interval only so well.
-    density = float(norm.pdf(cover))
+    density = exp(-0.5 * cover**2) / sqrt(2.0 * pi)
     share = 0.5 * (1.0 - result.probability)
     tolerance = tolerance + 4.0 * std * np.sqrt(share * (1.0 - share) / result.trials) / density
     low = np.abs(value - cover * std - result.low)

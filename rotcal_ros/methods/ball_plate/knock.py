@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f
 
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.estimate import residual_operator
 from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.distributions import f_isf
 from rotcal_ros.units import ARCSEC, MICROMETRE
 
 FALSE_ALARM = 1e-6
@@ -69,7 +69,7 @@ def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
         return None
     gain, start, amount = best
     rest = max(solution.weighted_square_sum - gain, np.finfo(float).tiny)
-    if (gain / 6.0) / (rest / (solution.dof - 6)) < f.isf(
+    if (gain / 6.0) / (rest / (solution.dof - 6)) < f_isf(
         FALSE_ALARM / len(order), 6, solution.dof - 6
     ):
         return None

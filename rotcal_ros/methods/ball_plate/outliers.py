@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f
 
 from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.distributions import f_isf
 
 FALSE_ALARM = 0.01
 """Probability that good data lose any centre at all."""
@@ -60,7 +60,7 @@ def judge_centres(
     variance = np.maximum(solution.weighted_square_sum - gain, 0.0) / others
     if sigma is not None:
         variance = np.maximum(variance, sigma**2)
-    critical = np.sqrt(f.isf(FALSE_ALARM / len(gain), rank, others))
+    critical = np.sqrt(f_isf(FALSE_ALARM / len(gain), rank, others))
     floor = np.finfo(np.float64).eps ** 2 * problem.radius**2 / own.max(axis=1)
     return CentreTest(
         gain=gain,

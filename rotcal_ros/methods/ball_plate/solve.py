@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
@@ -20,6 +19,7 @@ from rotcal_ros.methods.ball_plate.two_groups import (
     turned_back,
     turned_covariance,
 )
+from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.results import COMPONENTS, Residuals, Result, Verdict
 from rotcal_ros.units import MICROMETRE, MICRORADIAN
 
@@ -102,7 +102,7 @@ def _noise(problem: BallPlateProblem, fits: tuple[Fitted, ...]) -> Noise:
     stated = 1.0 if problem.std is not None else problem.sigma
     if stated is None:
         return Noise(estimated, estimated, 1.0, None, dof)
-    tail = float(chi2.sf(total / stated**2, dof))
+    tail = chi2_sf(total / stated**2, dof)
     p_value = 2.0 * min(tail, 1.0 - tail)
     used = estimated if p_value < SIGNIFICANCE and estimated > stated else stated
     return Noise(used, estimated, estimated / stated, p_value, dof)

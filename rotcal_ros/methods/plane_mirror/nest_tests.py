@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.stats import chi2
 
 from rotcal_ros.errors import DataError
+from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror.layout import Nests, find_nests
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import (
@@ -115,14 +115,14 @@ def _moved_nest(
     problem: PlaneMirrorProblem, nests: Nests, fit: NestFit
 ) -> tuple[NDArray[np.bool_], str] | None:
     """Return the most likely move, if one explains what noise cannot; else None."""
-    if fit.dof == 0 or fit.chi_square <= chi2.isf(problem.significance, fit.dof):
+    if fit.dof == 0 or fit.chi_square <= chi2_isf(problem.significance, fit.dof):
         return None
     hypotheses = _hypotheses(nests)
     best: tuple[float, NDArray[np.bool_], str] | None = None
     for members, when in hypotheses:
         drop, shift = _gain(fit, members)
         rest = max(1.0, (fit.chi_square - drop) / max(fit.dof - 3, 1))
-        if drop / rest > chi2.isf(problem.significance / len(hypotheses), 3) and (
+        if drop / rest > chi2_isf(problem.significance / len(hypotheses), 3) and (
             best is None or drop > best[0]
         ):
             name = nests.name[nests.point[members][0]]

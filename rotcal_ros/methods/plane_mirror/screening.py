@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import wrap_angle
+from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror.layout import Pairs
 from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals, incidence
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
@@ -93,7 +93,7 @@ def drop_inconsistent(
         squares = np.einsum("pi,pij,pj->p", normals.misclosure, weight, normals.misclosure)
         total = np.add.reduceat(squares, pairs.start)
         count = np.bincount(pairs.group)
-        limit = chi2.isf(problem.significance / pairs.n_groups, np.maximum(3 * count - 3, 1))
+        limit = chi2_isf(problem.significance / pairs.n_groups, np.maximum(3 * count - 3, 1))
         places = list(zip(pairs.position.tolist(), pairs.station.tolist(), strict=True))
         known = np.array([place in undecided for place in places])
         bad = np.flatnonzero((count > 1) & (total > limit) & ~known)
@@ -172,7 +172,7 @@ def repeats(
                     "std_rad": variance**0.5,
                 }
             )
-            if difference**2 / variance > chi2.isf(significance, 1):
+            if difference**2 / variance > chi2_isf(significance, 1):
                 warnings.append(
                     f"positions commanded to {angles[earlier] / DEGREE:g} and "
                     f"{angles[later] / DEGREE:g} deg differ by {difference / DEGREE * 3600:.2f} "
@@ -192,7 +192,7 @@ def _culprit(problem: PlaneMirrorProblem, pairs: Pairs, weight: Floats, group: i
         e = fit_normals(problem.xyz, rest, weight[wanted]).misclosure
         left.append(float(np.einsum("pi,pij,pj->", e, weight[wanted], e)))
     dof = 3 * len(members) - 6
-    if dof == 0 or min(left) > chi2.isf(problem.significance / pairs.n_groups, dof):
+    if dof == 0 or min(left) > chi2_isf(problem.significance / pairs.n_groups, dof):
         return None
     return int(members[int(np.argmin(left))])
 

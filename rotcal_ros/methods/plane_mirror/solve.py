@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
+from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror import outcomes, screening
 from rotcal_ros.methods.plane_mirror.estimate import Prepared
 from rotcal_ros.methods.plane_mirror.normals import fit_normals, incidence
@@ -83,7 +83,7 @@ def _judge(
     """Covariance, scaled when the residuals are larger than the stated noise allows."""
     if outcome.dof == 0:
         return outcome.covariance, ["nothing is measured twice: the noise could not be checked"]
-    if outcome.chi_square <= chi2.isf(problem.significance, outcome.dof):
+    if outcome.chi_square <= chi2_isf(problem.significance, outcome.dof):
         return outcome.covariance, []
     text = (
         f"the residuals are {sigma0:.2f} times what the stated noise explains; the standard "

@@ -12,9 +12,9 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_squared
 
 from rotcal_ros.errors import DataError
+from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.solve import solve
 from rotcal_ros.methods.tracer.trials import TracerTrials, tracer_trials
@@ -75,7 +75,7 @@ def join_of(run: int, difference: Floats, std: Floats) -> Join:
         std=float(weights.sum() ** -0.5),
         disagreement=left,
         sigma0=float(np.sqrt(chi2 / dof)) if dof else 0.0,
-        probability=float(chi_squared.sf(chi2, dof)) if dof else 1.0,
+        probability=chi2_sf(chi2, dof) if dof else 1.0,
     )
 
 

@@ -22,8 +22,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
+from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.adjustment import Adjustment
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM, STATION_MINIMUM, Grid
 
@@ -41,7 +41,7 @@ def critical_value(significance: float, n_tests: int) -> float:
 
     Two-sided normal quantile, ``significance`` shared equally among ``n_tests`` (Bonferroni).
     """
-    return float(norm.isf(0.5 * significance / n_tests))
+    return normal_isf(0.5 * significance / n_tests)
 
 
 def rejection_limit(grid: Grid, significance: float) -> float:

@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2 as chi_squared
 
+from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion, bearing_jacobian
 
@@ -83,7 +83,7 @@ def error_motion_covariance(motion: TableMotion, std: float) -> Floats:
 
 def length_test(fit: Adjustment, dof_effective: float) -> GlobalTest:
     """Compare the residuals of the lengths with their stated standard deviations."""
-    probability = float(chi_squared.sf(fit.chi2 * dof_effective / fit.dof, dof_effective))
+    probability = chi2_sf(fit.chi2 * dof_effective / fit.dof, dof_effective)
     return GlobalTest(float(np.sqrt(fit.chi2 / fit.dof)), probability)
 
 
@@ -102,7 +102,7 @@ def circle_test(motion: TableMotion, total: Floats) -> GlobalTest:
     radial = np.einsum("ja,jakb,kb->jk", outward, total.reshape(m, 3, m, 3), outward)
     seen = open_part.T @ motion.radial
     chi2 = float(seen @ np.linalg.solve(open_part.T @ radial @ open_part, seen))
-    return GlobalTest(float(np.sqrt(chi2 / (m - 3))), float(chi_squared.sf(chi2, m - 3)))
+    return GlobalTest(float(np.sqrt(chi2 / (m - 3))), chi2_sf(chi2, m - 3))
 
 
 def _root_of_diagonal(jacobian: Floats, covariance: Floats) -> Floats:

@@ -17,8 +17,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
 
+from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.problem import TracerSettings
 from rotcal_ros.methods.tracer.uncertainty import GlobalTest
 from rotcal_ros.results import Verdict
@@ -115,7 +115,7 @@ def _doubt_lengths(evidence: Evidence, settings: TracerSettings) -> list[str]:
 
 def _doubt_stations(evidence: Evidence, settings: TracerSettings) -> list[str]:
     doubts: list[str] = []
-    limit = float(norm.isf(0.5 * settings.test_significance))
+    limit = normal_isf(0.5 * settings.test_significance)
     doubts += [
         f"stations {c.first} and {c.last} stand at the same table angle but differ by "
         f"{c.error:.3g} rad, expected 0 with a standard deviation of {c.std:.3g} rad: something "
