@@ -104,6 +104,7 @@ class McapScan:
             end_ns=self._end_ns,
             lost_exactly=self._statistics is not None or not self._loss_unknown,
             losses_recorded=_integers(self.metadata.get(names.LOSSES, {})),
+            run=_integers(self.metadata.get(names.RUN, {})).get("number", 0),
         )
 
     def _blocks(self, framing: Framing) -> Iterator[Block]:

@@ -13,6 +13,8 @@ DEFINITIONS: Final = "definitions.json"
 
 LOSSES: Final = "rotcal_losses"
 """Metadata record: loss counters by name, the last one counts."""
+SILENT: Final = "silent"
+"""How the counters begin that count silences of a stream instead of messages."""
 RUN: Final = "rotcal_run"
 """Metadata record: ``number`` of the run of an interrupted plan that the file belongs to."""
 REPAIR: Final = "rotcal_repair"

@@ -30,4 +30,10 @@ class RecorderSettings:
         doc="bytes waiting for the disk at most; beyond that messages are lost and counted",
         minimum=65_536,
     )
+    silence_s: float = setting(
+        10.0,
+        doc="s without a message after which a stream of samples counts as silent",
+        minimum=0.1,
+        maximum=3600.0,
+    )
     writer: WriterSettings = group(WriterSettings)

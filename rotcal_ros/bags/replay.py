@@ -22,7 +22,7 @@ from rotcal_ros.bags.reader import (
 )
 from rotcal_ros.bags.streams import StreamFeeder
 from rotcal_ros.bags.topics import Topics
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
 from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import BagError
@@ -66,8 +66,7 @@ class Recording:
     def warnings(self) -> tuple[str, ...]:
         """Return what the reader of a result must know about the bag."""
         texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
-        texts += [f"{v.path.name}: {n} lost live ({name})" for v in self.verdicts
-                  for name, n in v.losses_recorded.items() if n]  # fmt: skip
+        texts += losses_in_words(session_losses(self.verdicts))
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")

@@ -8,7 +8,7 @@ from typing import Any
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError
 
@@ -35,7 +35,6 @@ class Summary:
         """Return the machine-readable form."""
         start, end = self.start_ns, self.end_ns
         topics: dict[str, dict[str, Any]] = {}
-        losses: dict[str, int] = {}
         for file in self.files:
             for name, topic in file.topics.items():
                 entry = topics.setdefault(
@@ -43,8 +42,6 @@ class Summary:
                 )
                 entry["messages"] += topic.messages
                 entry["lost"] += topic.lost
-            for name, count in file.losses_recorded.items():
-                losses[name] = losses.get(name, 0) + count
         return {
             "files": [file.to_dict() for file in self.files],
             "start_ns": start,
@@ -54,7 +51,7 @@ class Summary:
             "attachments": list(self.attachments),
             "method": self.configuration.method if self.configuration else None,
             "plan_id": self.configuration.plan_id if self.configuration else None,
-            "losses_recorded": losses,
+            "losses_recorded": session_losses(self.files),
         }
 
 

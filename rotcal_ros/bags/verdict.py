@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
+
+from rotcal_ros.bags import names
 
 State = Literal["complete", "truncated", "damaged"]
 
@@ -33,7 +36,8 @@ class FileVerdict:
 
     ``lost_exactly`` is False when messages may be missing beyond those counted in ``topics``:
     what stood behind the end of a truncated file is unknown, and so is the content of a
-    damaged chunk whose index is damaged too.
+    damaged chunk whose index is damaged too. ``losses_recorded`` counts from the beginning of
+    the ``run`` of an interrupted plan, over all files of it.
     """
 
     path: Path
@@ -45,6 +49,7 @@ class FileVerdict:
     end_ns: int | None
     lost_exactly: bool = True
     losses_recorded: Mapping[str, int] = field(default_factory=dict)
+    run: int = 0
 
     @property
     def messages(self) -> int:
@@ -85,3 +90,22 @@ class FileVerdict:
             },
             "losses_recorded": dict(self.losses_recorded),
         }
+
+
+def session_losses(verdicts: Iterable[FileVerdict]) -> dict[str, int]:
+    """Return what was lost live in all runs together: the last file of each knows its counts."""
+    of_run = {verdict.run: verdict.losses_recorded for verdict in verdicts}
+    total = Counter[str]()
+    for losses in of_run.values():
+        total.update(losses)
+    return {name: count for name, count in total.items() if count}
+
+
+def losses_in_words(losses: Mapping[str, int]) -> tuple[str, ...]:
+    """Return one sentence per counter."""
+    return tuple(
+        f"{name.partition(' ')[2]} fell silent ({count} times)"
+        if name.startswith(names.SILENT)
+        else f"{count} lost live ({name})"
+        for name, count in losses.items()
+    )

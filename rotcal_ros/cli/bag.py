@@ -114,8 +114,10 @@ def _print_files(summary: dict[str, Any]) -> None:
             click.echo(f"{name:9} {summary[name]}")
     if summary["attachments"]:
         click.echo(f"attached  {', '.join(summary['attachments'])}")
-    for name, count in summary["losses_recorded"].items():
-        say(f"lost live: {name}: {count}")
+    from rotcal_ros.bags.verdict import losses_in_words
+
+    for sentence in losses_in_words(summary["losses_recorded"]):
+        say(sentence)
 
 
 def _print_topics(summary: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -23,9 +24,13 @@ _STAMP: Final = struct.Struct("<4xiI")
 
 @dataclass
 class HeardTopic:
-    """A topic that is listened to: its channel and how far it has come."""
+    """A topic that is listened to: its channel and how far it has come.
+
+    ``heard_s`` is the monotonic time of the latest batch, or of the subscription.
+    """
 
     channel: Channel
+    heard_s: float = field(default_factory=time.monotonic)
     latest: bytes = b""
     sequences: dict[bytes, int] = field(default_factory=dict)
 
@@ -82,7 +87,7 @@ class Listener:
         topic = self.topics[found.name] = HeardTopic(channel)
 
         def handle(batch: Batch) -> None:
-            topic.latest = batch[-1][0]
+            topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
             self._count_gaps(topic, batch)
             self._hand_over(topic, batch)
 

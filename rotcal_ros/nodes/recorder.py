@@ -34,6 +34,7 @@ from rotcal_ros.nodes.parameters import declare_settings
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.recording import Attachment, Messages, Note, Receipt, Recording
 from rotcal_ros.nodes.running import run_node
+from rotcal_ros.nodes.silence import Silences
 from rotcal_ros.nodes.versions import versions_json
 from rotcal_ros.nodes.waiting import until
 
@@ -49,6 +50,7 @@ class RecorderNode(Node):
         self._earlier = self._earlier_files()
         self._recording: Recording | None = None
         self._lost_told = 0
+        self._silences = Silences(self._settings.silence_s)
         self._pending: list[tuple[int, Receipt]] = []
         self._health = Health(self, self._report, self._lost_node)
         self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
@@ -72,9 +74,12 @@ class RecorderNode(Node):
 
     def _note_losses(self) -> None:
         """Keep the loss counters in the bag, so that they outlive this node."""
-        losses = self._all_losses()
-        if losses and self._recording is not None and not self._recording.finished:
-            self._recording.put(Note(names.LOSSES, losses))
+        if self._recording is None or self._recording.finished:
+            return
+        heard = {name: topic.heard_s for name, topic in self._listener.topics.items()}
+        self._silences.look(heard, time.monotonic())
+        if counters := self._all_losses() + self._silences.counts:
+            self._recording.put(Note(names.LOSSES, counters))
 
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
         if self._recording is not None:
@@ -165,6 +170,7 @@ class RecorderNode(Node):
         self._pending.clear()
         self._listener.losses.clear()
         self._lost_told = 0
+        self._silences.begin(time.monotonic())
         self._recording = Recording(writer, settings.queue_bytes, self._confirm)
         for name, media_type, text in (
             (names.CONFIGURATION, "application/yaml", request.configuration),
@@ -200,7 +206,7 @@ class RecorderNode(Node):
         if self._recording is None or self._recording.finished:
             return
         self._listener.drain()
-        self._recording.close(self._listener.losses)
+        self._recording.close(self._listener.losses + self._silences.counts)
 
     def _lost_node(self, name: str) -> None:
         """Without its planner a calibration is over: close the bag."""
@@ -212,6 +218,7 @@ class RecorderNode(Node):
         listener = self._listener
         values: dict[str, Any] = {"topics": len(listener.topics), **listener.refused}
         values |= {f"lost {where}": count for where, count in self._all_losses().items()}
+        values |= self._silences.counts
         recording = self._recording
         if recording is not None and recording.error:
             return f"{FAILED}: {recording.error}", values

@@ -13,12 +13,14 @@ import pytest
 from bag_samples import CONFIGURATION, START_NS, Run, encode, open_writer, serialised, write_run
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.bags.topics import Topics
-from rotcal_ros.bags.writer import WriterSettings
+from rotcal_ros.bags.verdict import losses_in_words, session_losses
+from rotcal_ros.bags.writer import BagWriter, WriterSettings
 from rotcal_ros.configuration import parse_configuration
 from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.observations import Observation, TracerSample
+from rotcal_ros.observations import LengthStatus, Observation, TracerSample
 
 
 def test_streams_give_the_live_observations_to_the_last_bit(
@@ -147,8 +149,27 @@ def test_losses_counted_live_are_told(simulated_run: Run, tmp_path: Path) -> Non
         writer.write(channels[names.TRACER_LENGTH], encode(simulated_run.records[1])[0][1], 1, 1)
         writer.note(names.LOSSES, {"tracer_length: queue full": 4, "probe_point: gap": 0})
     assert read_recording(tmp_path / "bag").warnings() == (
-        "bag_0.mcap: 4 lost live (tracer_length: queue full)",
+        "4 lost live (tracer_length: queue full)",
     )
+
+
+def test_counters_of_a_split_session_count_once_and_those_of_a_later_run_besides(tmp_path):
+    data, counter = encode(TracerSample(1, 0, 0.5, 1e-7, LengthStatus.OK))[0][1], "gap /a"
+    for run, lost in ((0, 3), (1, 2)):
+        earlier = session_files(tmp_path / "bag") if run else None
+        settings = WriterSettings(min_free_bytes=0, split_bytes=1)
+        with BagWriter(tmp_path / "bag", settings, earlier=earlier) as writer:
+            writer.note(names.RUN, {"number": run})
+            channel = writer.channel("/a", "demo_msgs/msg/Blob", "uint8[] data\n")
+            for number in range(3):
+                writer.note(names.LOSSES, {counter: lost, f"{names.SILENT} /b": run})
+                writer.write(channel, data, number, number)
+                writer.sync()
+    verdicts = check_files(bag_files(tmp_path / "bag"))
+    assert len(verdicts) > 4
+    losses = session_losses(verdicts)
+    assert losses == {counter: 5, f"{names.SILENT} /b": 1}
+    assert losses_in_words(losses) == ("5 lost live (gap /a)", "/b fell silent (1 times)")
 
 
 def test_bag_without_messages(tmp_path: Path) -> None:

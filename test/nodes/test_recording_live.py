@@ -95,6 +95,20 @@ def test_a_read_only_folder_is_refused_before_the_first_step(cell, mounted):
     assert outcome["n_used"] == 0
 
 
+def test_a_stream_that_falls_silent_is_counted(cell):
+    live = cell(
+        "simulation.temperature.rate_hz=0.01",
+        "capture.temperature_expected=false",
+        "recorder.silence_s=0.5",
+    )
+    live.start(*SUITE, "simulated_cell")
+    outcome = live.client().result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    recording = read_recording(live.bag)
+    assert recording.verdicts[0].losses_recorded == {"silent /cell/temperature": 1}
+    assert recording.warnings() == ("/cell/temperature fell silent (1 times)",)
+
+
 def test_a_step_that_a_loss_touches_is_measured_again(cell):
     live = cell("simulation.time_scale=4.0")
     live.start(*SUITE, "simulated_cell")
