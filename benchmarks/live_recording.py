@@ -180,11 +180,15 @@ def rows(seconds: float) -> Iterator[dict[str, Any]]:
     with tempfile.TemporaryDirectory(prefix="rotcal_bench_") as folder:
         recorder = Recorder(Path(folder))
         try:
-            for rate, length in ((10_500, seconds), (4.1 * best, short), (200_000, short)):
+            for name, rate, length in (
+                ("recorder", 10_500, seconds),
+                ("recorder, more than four times the plain one", 4.1 * best, short),
+                ("recorder, all that the loads can send", 200_000, short),
+            ):
                 values = recorder.measure(rate, length)
                 ratio = values["rate"] / best if best else None
                 yield {
-                    "name": f"recorder, {length:g} s", "unit": "messages/s", "ratio": ratio,
+                    "name": f"{name}, {length:g} s", "unit": "messages/s", "ratio": ratio,
                     **values,
                 }  # fmt: skip
         finally:
