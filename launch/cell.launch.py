@@ -1,15 +1,11 @@
 """The nodes of one cell; with simulated:=true the simulated machine and instruments as well."""
 
-import os
-
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
-
-from rotcal_ros.cli.middleware import middleware
 
 SUITE = ("planner", "capture", "solver", "recorder")
 CLOSING_S = "25"
@@ -50,10 +46,6 @@ def generate_launch_description():
                 default_value="false",
                 description="Simulate the machine and the instruments.",
                 choices=["true", "false"],
-            ),
-            *(
-                SetEnvironmentVariable(*variable)
-                for variable in middleware(os.environ, "SUBNET").items()
             ),
             *(node(name) for name in SUITE),
             node("simulated_cell", condition=simulated),

@@ -18,7 +18,7 @@ import click
 
 from rotcal_ros.cli.console import json_option, print_json
 from rotcal_ros.cli.domains import free_domain
-from rotcal_ros.cli.middleware import middleware
+from rotcal_ros.middleware import middleware
 
 CORE: Final = (
     "click",

@@ -22,7 +22,6 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, Continuation, prepare
 from rotcal_ros.cli.domains import free_domain
-from rotcal_ros.cli.middleware import middleware
 from rotcal_ros.cli.processes import Processes
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.configuration import (
@@ -33,6 +32,7 @@ from rotcal_ros.configuration import (
     read_configuration,
 )
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.middleware import middleware
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.simulation import SimulationSettings

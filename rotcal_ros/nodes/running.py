@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from rotcal_ros.errors import RotcalError
+from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 """Environment variable: process id of a supervisor that the node must not outlive."""
@@ -41,6 +42,7 @@ def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int
     meanwhile, which the handlers of rclpy itself would not allow.
     """
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+    os.environ |= middleware(os.environ, ROS_DEFAULT_RANGE)
     told = _Told()
     try:
         with rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO):

@@ -63,6 +63,11 @@ class LiveCell:
         self.processes.start(name, [*self._python("client"), *own], piped=True)
         return Client(self.processes, name)
 
+    def calibrate(self):
+        """Run a whole calibration and return its outcome."""
+        self.start(*SUITE, "simulated_cell")
+        return self.client().result()
+
     def kill(self, name):
         self.processes.signal(name, signal.SIGKILL)
 

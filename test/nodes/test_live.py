@@ -26,8 +26,7 @@ def verdicts(live) -> tuple[FileVerdict, ...]:
 
 def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(cell):
     live = cell()
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
 
     assert outcome["error_code"] == 0, outcome["error_msg"]
     assert outcome["bag_folder"] == str(live.bag)
@@ -195,8 +194,7 @@ def test_a_recorder_ended_by_sigterm_closes_the_bag(cell):
 def test_a_full_disk_ends_the_calibration_with_the_reason(cell):
     # A limit of free space that no disk has stands for a full one.
     live = cell("recorder.writer.min_free_bytes=4000000000000000000")
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
     assert outcome["error_code"] == RECORDER_FAILED
     assert "are free below" in outcome["error_msg"]
 

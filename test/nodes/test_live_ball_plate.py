@@ -49,8 +49,7 @@ def plate_cell(tmp_path, monkeypatch):
 
 def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     live = plate_cell()
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     assert outcome["n_used"] == 72
     assert outcome["skipped_steps"] == []
@@ -77,8 +76,7 @@ def test_a_shifted_plate_is_told_at_every_ball_and_ends_without_a_result(plate_c
         "planner.max_attempts=1",
         "plan.cmm_positions=[0, 3]",
     )
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
     assert outcome["error_code"] == 605  # too few observations
     assert outcome["n_used"] == 0
     recorded = read_recording(live.bag).recorded

@@ -40,8 +40,7 @@ def mounted(tmp_path):
 )
 def test_a_split_session_is_one_to_the_solver(cell, change):
     live = cell(change)
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     files = bag_files(live.bag)
     assert len(files) >= 3
@@ -66,8 +65,7 @@ def accepted_before_the_end(live, outcome):
 def test_a_disk_that_fills_up_costs_nothing_that_was_accepted(cell, mounted):
     live = cell("recorder.writer.min_free_bytes=0")
     live.recordings = mounted("size=160k")
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
     assert outcome["error_code"] == RECORDER_FAILED
     assert "the disk is full" in outcome["error_msg"]
     verdict = accepted_before_the_end(live, outcome)
@@ -78,8 +76,7 @@ def test_a_disk_that_fills_up_costs_nothing_that_was_accepted(cell, mounted):
 def test_recording_stops_in_good_order_before_the_disk_is_full(cell, mounted):
     live = cell("recorder.writer.min_free_bytes=100000")
     live.recordings = mounted("size=260k")
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
     assert outcome["error_code"] == RECORDER_FAILED
     assert "MB that recording keeps free; recording stopped" in outcome["error_msg"]
     assert accepted_before_the_end(live, outcome).state == "complete"
@@ -88,8 +85,7 @@ def test_recording_stops_in_good_order_before_the_disk_is_full(cell, mounted):
 def test_a_read_only_folder_is_refused_before_the_first_step(cell, mounted):
     live = cell()
     live.recordings = mounted("ro")
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
     assert outcome["error_code"] == RECORDER_FAILED
     assert "the file system is read-only" in outcome["error_msg"]
     assert outcome["n_used"] == 0
@@ -101,8 +97,7 @@ def test_a_stream_that_falls_silent_is_counted(cell):
         "capture.temperature_expected=false",
         "recorder.silence_s=0.5",
     )
-    live.start(*SUITE, "simulated_cell")
-    outcome = live.client().result()
+    outcome = live.calibrate()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     recording = read_recording(live.bag)
     assert recording.verdicts[0].losses_recorded == {"silent /cell/temperature": 1}

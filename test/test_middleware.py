@@ -2,7 +2,7 @@
 
 import pytest
 
-from rotcal_ros.cli.middleware import middleware
+from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
 
 
 def test_one_machine_is_the_loopback_interface_without_shared_memory():
@@ -14,7 +14,7 @@ def test_one_machine_is_the_loopback_interface_without_shared_memory():
 
 @pytest.mark.parametrize("environment", [{"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, {}])
 def test_several_machines_get_udp_everywhere(environment):
-    found = middleware(environment, "SUBNET")
+    found = middleware(environment, ROS_DEFAULT_RANGE)
     assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
     assert found["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
     assert found["FASTDDS_DEFAULT_PROFILES_FILE"].endswith("nodes/fastdds_network.xml")

@@ -1,4 +1,4 @@
-"""How the nodes that we start talk to each other: over UDP, so that a killed one hangs nobody."""
+"""How our nodes talk to each other: over UDP, so that a killed one hangs nobody."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Final
 
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST: Final = "LOCALHOST"
+ROS_DEFAULT_RANGE: Final = "SUBNET"
 _PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
 _TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
 _FAST_DDS: Final = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
