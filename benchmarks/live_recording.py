@@ -25,7 +25,7 @@ from rotcal_msgs.srv import StartRecording, StopRecording
 
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.cli.session import node_environment
-from rotcal_ros.nodes.qos import STREAM
+from rotcal_ros.nodes.qos import STREAM, adapted_qos
 
 TRACER, TABLE = TOPICS = ("tracer_length", "table_stream")
 """A cell's load: readings of a fast tracer, and every tenth message of a slower stream."""
@@ -59,17 +59,16 @@ def publish(rate: float, seconds: float) -> None:
 
 
 def listen(seconds: float) -> None:
-    """Count messages with plain subscriptions and the usual executor."""
+    """Count messages with the usual executor; the subscriptions are as deep as the recorder's."""
     node, counts = rclpy.create_node("plain"), [0]
 
     def count(_: TracerLength) -> None:
         counts[0] += 1
 
     for topic in TOPICS:
-        node.create_subscription(TracerLength, topic, count, STREAM)
+        node.create_subscription(TracerLength, topic, count, adapted_qos([STREAM]))
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    print("ready", flush=True)
     last, end = -1, time.monotonic() + seconds + 20.0
     while time.monotonic() < end and not (counts[0] and counts[0] == last):
         last, until = counts[0], time.monotonic() + 1.5
@@ -126,13 +125,12 @@ class Recorder:
         opened = self.call(
             StartRecording, "start_recording", StartRecording.Request(plan_id="bench")
         )
-        before, begin = self._usage(), time.monotonic()
+        before, _ = self._usage()
         with ThreadPoolExecutor(1) as pool:
             running = pool.submit(loaded, rate, seconds)
             memory = self._memory(running)
         real, sent = running.result()
         used, _ = self._usage()
-        passed = time.monotonic() - begin
         answer = self.call(StopRecording, "stop_recording", StopRecording.Request())
         (verdict,) = check_files(bag_files(Path(opened.folder) / "bag"))
         recorded = sum(verdict.topics[f"/{topic}"].messages for topic in TOPICS)
@@ -140,7 +138,8 @@ class Recorder:
         return {
             "rate": real,
             "lost": sent - recorded,
-            "cpu_percent": 100 * (used - before[0]) / passed,
+            "told": answer.lost,
+            "cpu_percent": 100 * (used - before) / seconds,
             "memory_mb": max(memory),
             "growth_mb": max(memory) - memory[0],
         }

@@ -11,6 +11,7 @@ LOCALHOST: Final = "LOCALHOST"
 ROS_DEFAULT_RANGE: Final = "SUBNET"
 _PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
 _TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
+_OWN: Final = (_PROFILES, "ROS_STATIC_PEERS")
 _FAST_DDS: Final = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
@@ -18,13 +19,15 @@ def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -
     """Return the variables that settle discovery and transport.
 
     ``environment`` holds what the user has set, ``default_range`` the range of discovery
-    otherwise. Profiles of the user's own, and other middlewares than Fast DDS, are left alone.
+    otherwise. Profiles and peers of the user's own, and other middlewares than Fast DDS, are left
+    alone.
 
     ROS's own LOCALHOST makes Fast DDS use shared memory, whatever its profile says; therefore
     our profile confines it to the loopback interface instead.
     """
     wanted = environment.get(RANGE) or default_range
-    if environment.get(_PROFILES) or environment.get("RMW_IMPLEMENTATION", "") not in _FAST_DDS:
+    fast_dds = environment.get("RMW_IMPLEMENTATION", "") in _FAST_DDS
+    if not fast_dds or any(map(environment.get, _OWN)):
         return {RANGE: wanted}
     folder = files("rotcal_ros") / "nodes"
     if wanted == LOCALHOST:

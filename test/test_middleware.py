@@ -21,7 +21,12 @@ def test_several_machines_get_udp_everywhere(environment):
 
 
 @pytest.mark.parametrize(
-    "own", [{"FASTDDS_DEFAULT_PROFILES_FILE": "own.xml"}, {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}]
+    "own",
+    [
+        {"ROS_STATIC_PEERS": "10.0.0.7"},
+        {"FASTDDS_DEFAULT_PROFILES_FILE": "own.xml"},
+        {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"},
+    ],
 )
 def test_what_the_user_has_set_stays(own):
     assert middleware(own) == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

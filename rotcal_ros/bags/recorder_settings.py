@@ -31,8 +31,9 @@ class RecorderSettings:
         minimum=65_536,
     )
     silence_s: float = setting(
-        10.0,
-        doc="s without a message after which a stream of samples counts as silent",
+        30.0,
+        doc="s without a message after which tracer_length, joint_states or temperature counts "
+        "as silent",
         minimum=0.1,
         maximum=3600.0,
     )

@@ -10,7 +10,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, Scan, bag_files, check_files, read_blocks
-from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
 from rotcal_ros.errors import BagError
 
@@ -34,11 +34,14 @@ def repair(path: Path, folder: Path, progress: Progress | None = None) -> Repair
         copier = _Copier(writer)
         for scan, block in read_blocks(bag_files(path), progress):
             copier.attachments(scan)
+            copier.run(scan)
             if block is not None:
                 copier.copy(scan, block)
             else:
                 copier.notes(scan)
                 before.append(scan.verdict())
+        if losses := session_losses(before):
+            writer.note(names.LOSSES, losses)
         writer.note(names.REPAIR, {v.path.name: v.sentence() for v in before})
     after = check_files(bag_files(folder))
     _compare(before, after, folder)
@@ -52,6 +55,7 @@ class _Copier:
         self._writer = writer
         self._channels: dict[tuple[str, str, str], int] = {}
         self._attached: set[bytes] = set()
+        self._run: dict[str, str] = {}
 
     def copy(self, scan: Scan, block: Block) -> None:
         numbers = {
@@ -70,10 +74,17 @@ class _Copier:
                 self._attached.add(attachment.data)
                 self._writer.attach(attachment.name, attachment.media_type, attachment.data)
 
+    def run(self, scan: Scan) -> None:
+        """Say which run of an interrupted plan the messages belong to that come now."""
+        if names.RUN in scan.metadata and scan.metadata[names.RUN] != self._run:
+            self._run = dict(scan.metadata[names.RUN])
+            self._writer.sync()  # closes the chunk: the record must not overtake its messages
+            self._writer.note(names.RUN, self._run)
+
     def notes(self, scan: Scan) -> None:
-        """Copy the metadata records."""
+        """Copy the other metadata records."""
         for name, entries in scan.metadata.items():
-            if name != names.ROSBAG2:
+            if name not in (names.ROSBAG2, names.RUN, names.LOSSES):
                 self._writer.note(name, entries)
 
     def _channel(self, channel: ChannelDefinition) -> int:

@@ -59,9 +59,18 @@ class Recording:
 
     @property
     def same_as_recorded(self) -> bool:
-        """Tell whether the final observations equal those of the live capture."""
-        last = catalogue.last_accepted
-        return last(self.observations) == last(self.recorded)
+        """Tell whether the final observations equal those of the live capture.
+
+        Behind the last recorded one of a run there may be more: nodes that were killed had the
+        readings on disk before they could tell what they are.
+        """
+        again, live = map(catalogue.last_accepted, (self.observations, self.recorded))
+        newest = {run: 0 for run, _ in again}
+        for (run, _), observation in live.items():
+            newest[run] = max(newest[run], observation.window_end_ns)
+        further = {key: o for key, o in again.items() if key not in live}
+        behind = all(o.window_end_ns > newest[run] for (run, _), o in further.items())
+        return behind and again == {**live, **further}
 
     def warnings(self) -> tuple[str, ...]:
         """Return what the reader of a result must know about the bag."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -93,8 +93,10 @@ class FileVerdict:
 
 
 def session_losses(verdicts: Iterable[FileVerdict]) -> dict[str, int]:
-    """Return what was lost live in all runs together: the last file of each knows its counts."""
-    of_run = {verdict.run: verdict.losses_recorded for verdict in verdicts}
+    """Return what was lost live in all runs together; within a run the counts never fall."""
+    of_run: defaultdict[int, Counter[str]] = defaultdict(Counter)
+    for verdict in verdicts:
+        of_run[verdict.run] |= Counter(verdict.losses_recorded)
     total = Counter[str]()
     for losses in of_run.values():
         total.update(losses)

@@ -39,8 +39,8 @@ class Method:
     have delivered before the first motion; ``gauge`` takes from the true deviations (n,) at
     angles (n,) what the method cannot see, so that they can be compared with a result.
 
-    A method whose values are relative to a zero that an interruption changes brings ``join``,
-    which solves accepted observations of several runs.
+    A method whose values are relative to a zero that an interruption changes ``joins_runs``: it
+    gets the accepted observations of all runs of a plan, not only the last one of each step.
 
     ``trials``, where there is one, prepares Monte Carlo trials about accepted observations:
     their outputs are the deviations of the result, component by component in the order of
@@ -55,7 +55,7 @@ class Method:
     settings: Mapping[str, type]
     plan: Callable[[Configuration], Plan]
     solve: Callable[[Configuration, Plan, Sequence[Observation]], Result]
-    join: Callable[[Configuration, Plan, Sequence[Observation]], Result] | None = None
+    joins_runs: bool = False
     trials: Callable[[Configuration, Plan, Sequence[Observation]], Trials] | None = None
     check: Callable[[Configuration, Plan, Sequence[Observation]], tuple[str, ...]] | None = None
     solve_table: Callable[[Configuration, str, str], Result] | None = None
@@ -72,28 +72,22 @@ class Calibration:
 
     def solve(self, observations: Iterable[Observation]) -> Result:
         """Solve with the observations that count; see :func:`final_observations`."""
-        used, several = self._that_count(observations)
-        solve = self.method.join if several and self.method.join is not None else self.method.solve
-        return solve(self.configuration, self.plan, used)
+        used = self._that_count(observations)
+        return self.method.solve(self.configuration, self.plan, used)
 
     def trials(self, observations: Iterable[Observation]) -> Trials:
         """Prepare Monte Carlo trials about the observations that count."""
         if self.method.trials is None:
             raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
-        used, _ = self._that_count(observations)
+        used = self._that_count(observations)
         return self.method.trials(self.configuration, self.plan, used)
 
-    def _that_count(
-        self, observations: Iterable[Observation]
-    ) -> tuple[tuple[Observation, ...], bool]:
-        """Return the observations that count, and whether several runs must be joined.
-
-        A method with a join gets those of all runs, else the last one of each step counts.
-        """
+    def _that_count(self, observations: Iterable[Observation]) -> tuple[Observation, ...]:
+        """Return the last accepted one of each step, for a method that joins runs in each run."""
         accepted = last_accepted(observations)
-        if self.method.join is not None and len({run for run, _ in accepted}) > 1:
-            return tuple(accepted.values()), True
-        return final_observations(accepted.values()), False
+        if self.method.joins_runs:
+            return tuple(accepted[key] for key in sorted(accepted))
+        return final_observations(accepted.values())
 
     def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
         """Return in words what a person has to put right, as far as the method can tell."""

@@ -84,13 +84,11 @@ def plan(configuration: Configuration) -> Plan:
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve the accepted observations of a laser-tracer plan.
 
-    Repeated runs become one curve over the distinct angles: :mod:`rotcal_ros.methods.runs`.
+    Those of several runs of an interrupted plan are joined by what was measured twice:
+    :mod:`rotcal_ros.methods.tracer.joins`. Repeated runs of the plan become one curve over the
+    distinct angles: :mod:`rotcal_ros.methods.runs`.
     """
-    result = tracer.solve(_configured_problem(configuration, plan, observations))
-    return _over_distinct_angles(configuration, result)
-
-
-def _over_distinct_angles(configuration: Configuration, result: Result) -> Result:
+    result = _adjusted(configuration, plan, observations)
     arrivals = _arrivals(configuration)
     if arrivals is None:
         return result
@@ -100,23 +98,32 @@ def _over_distinct_angles(configuration: Configuration, result: Result) -> Resul
 def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
-    """Prepare Monte Carlo trials about the accepted observations of a laser-tracer plan.
-
-    They may come from several runs of an interrupted plan, as for :func:`join`.
-    """
-    if len({run_of(o) for o in observations}) > 1:
-        runs = _runs(configuration, plan, observations)
-        prepared, result = joined_trials(runs), solve_joined(runs)
+    """Prepare Monte Carlo trials about what :func:`solve` solves."""
+    if _interrupted(observations):
+        prepared = joined_trials(_runs(configuration, plan, observations))
     else:
-        posed = _configured_problem(configuration, plan, observations)
-        prepared, result = tracer.tracer_trials(posed), tracer.solve(posed)
+        prepared = tracer.tracer_trials(_configured_problem(configuration, plan, observations))
     arrivals = _arrivals(configuration)
     if arrivals is None:
         return prepared
     arrivals = arrivals.take(prepared.grid.station_ids)
+    result = _adjusted(configuration, plan, observations)
     ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
     scatter = repeatability_std(ecc, covariance, arrivals)
     return RepeatedTrials(prepared, mean_from_first(arrivals), scatter)
+
+
+def _interrupted(observations: Sequence[Observation]) -> bool:
+    return len({run_of(o) for o in observations}) > 1
+
+
+def _adjusted(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Result:
+    """Return the deviations at every arrival."""
+    if _interrupted(observations):
+        return solve_joined(_runs(configuration, plan, observations))
+    return tracer.solve(_configured_problem(configuration, plan, observations))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,12 +162,6 @@ def _arrivals(configuration: Configuration) -> Arrivals | None:
         run=np.array([visit.run for visit in every]),
         upward=np.array([visit.approach is Approach.POSITIVE for visit in every]),
     )
-
-
-def join(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
-    """Solve the accepted observations of several runs; what was measured twice joins them."""
-    result = solve_joined(_runs(configuration, plan, observations))
-    return _over_distinct_angles(configuration, result)
 
 
 def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Runs:
@@ -261,6 +262,6 @@ TRACER_MULTISTATION = Method(
     settings={"plan": TracerPlanSettings, "solver": TracerSolverSettings},
     plan=plan,
     solve=solve,
-    join=join,
+    joins_runs=True,
     trials=trials,
 )

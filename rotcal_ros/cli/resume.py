@@ -44,7 +44,7 @@ def resume_session(source: Path, folder: Path, changes: Sequence[str]) -> Sessio
         max(1, len(files)),  # no earlier run can have this number: each wrote a file at least
         recording.observations if recording is not None else (),
         max_attempts=settings.max_attempts,
-        join_steps=settings.join_steps if calibration.method.join is not None else 0,
+        join_steps=settings.join_steps if calibration.method.joins_runs else 0,
     )
     session = _opened(Session(calibration, folder, continuation))
     write_atomically(session.continuation_file, continuation.to_json())

@@ -190,7 +190,10 @@ def _ending(running: Any, event: Mapping[str, Any], begun: bool) -> dict[str, An
         raise ConfigurationError(f"the goal was refused: {event['reason']}")
     if event["event"] == "end":
         _check(running, begun, 0.0, SILENCE_TIMEOUT_S)
-        raise DataError(f"the client ended without a result\n{running.log_tail('client')}")
+        tail = running.log_tail("client")
+        if not begun:  # the nodes fail for the same reason, but may take longer to say so
+            raise ConfigurationError(f"node client ended at its start:\n{tail}")
+        raise DataError(f"the client ended without a result\n{tail}")
     return dict(event)
 
 

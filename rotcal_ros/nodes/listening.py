@@ -17,6 +17,7 @@ from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.recording import Channel
 from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_topics
+from rotcal_ros.nodes.topic_losses import TopicLosses
 
 _STAMP: Final = struct.Struct("<4xiI")
 """CDR encapsulation, then the stamp that begins every message with a header."""
@@ -32,7 +33,7 @@ class HeardTopic:
     channel: Channel
     heard_s: float = field(default_factory=time.monotonic)
     latest: bytes = b""
-    sequences: dict[bytes, int] = field(default_factory=dict)
+    losses: TopicLosses = field(default_factory=TopicLosses)
 
     def latest_stamp_ns(self) -> int:
         """Return the stamp of the newest message, which must have a header; 0: none came."""
@@ -46,7 +47,7 @@ class Listener:
     """Subscribes to topics as they appear and hands their messages to ``take``.
 
     ``topics`` maps absolute names to what was heard, ``refused`` names topics whose type is not
-    installed, ``losses`` counts what the middleware lost.
+    installed.
     """
 
     def __init__(
@@ -58,8 +59,20 @@ class Listener:
         self._drained: list[DrainedSubscription] = []
         self.topics: dict[str, HeardTopic] = {}
         self.refused: dict[str, str] = {}
-        self.losses: Counter[str] = Counter()
+        self._incompatible: Counter[str] = Counter()
         node.create_timer(GRAPH_PERIOD_S, health.guarded(self._look))
+
+    @property
+    def losses(self) -> Counter[str]:
+        """What the middleware lost, and how many publishers nobody can hear, by name."""
+        lost = {f"lost {name}": topic.losses.count for name, topic in self.topics.items()}
+        return Counter({name: count for name, count in lost.items() if count}) + self._incompatible
+
+    def forget_losses(self) -> None:
+        """Count from zero."""
+        self._incompatible.clear()
+        for topic in self.topics.values():
+            topic.losses.forget()
 
     def drain(self) -> None:
         """Take what has arrived and is still waiting."""
@@ -88,15 +101,19 @@ class Listener:
 
         def handle(batch: Batch) -> None:
             topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
-            self._count_gaps(topic, batch)
+            for _, info in batch:
+                publisher = info.get("publisher_gid")
+                if publisher is not None:
+                    topic.losses.number(
+                        info.get("publication_sequence_number"), bytes(publisher["data"])
+                    )
             self._hand_over(topic, batch)
 
         def message_lost(event: Any) -> None:
-            if not topic.sequences:  # else its publishers' numbers tell, and it counts once
-                self.losses[f"middleware {found.name}"] += event.total_count_change
+            topic.losses.report(event.total_count_change)
 
         def incompatible(event: Any) -> None:
-            self.losses[f"incompatible publisher {found.name}"] += event.total_count_change
+            self._incompatible[f"incompatible publisher {found.name}"] += event.total_count_change
 
         self._drained.append(
             DrainedSubscription(
@@ -111,15 +128,3 @@ class Listener:
                 ),
             )
         )
-
-    def _count_gaps(self, topic: HeardTopic, batch: Batch) -> None:
-        """Count messages that the middleware numbered but never delivered, per publisher."""
-        for _, info in batch:
-            number, publisher = info.get("publication_sequence_number"), info.get("publisher_gid")
-            if not number or publisher is None:
-                return
-            gid = bytes(publisher["data"])
-            last = topic.sequences.get(gid, number - 1)
-            if number > last + 1:
-                self.losses[f"gap {topic.channel.topic}"] += number - last - 1
-            topic.sequences[gid] = number

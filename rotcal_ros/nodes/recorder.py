@@ -168,7 +168,7 @@ class RecorderNode(Node):
         self._earlier = None
         writer.note(names.RUN, {"number": settings.run})
         self._pending.clear()
-        self._listener.losses.clear()
+        self._listener.forget_losses()
         self._lost_told = 0
         self._silences.begin(time.monotonic())
         self._recording = Recording(writer, settings.queue_bytes, self._confirm)
@@ -217,8 +217,7 @@ class RecorderNode(Node):
     def _report(self) -> tuple[str, dict[str, Any]]:
         listener = self._listener
         values: dict[str, Any] = {"topics": len(listener.topics), **listener.refused}
-        values |= {f"lost {where}": count for where, count in self._all_losses().items()}
-        values |= self._silences.counts
+        values |= self._all_losses() + self._silences.counts
         recording = self._recording
         if recording is not None and recording.error:
             return f"{FAILED}: {recording.error}", values

@@ -11,9 +11,10 @@ from rosbags.highlevel import AnyReader
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.mcap_records import CHUNK, MAGIC
-from rotcal_ros.bags.reader import check_files
+from rotcal_ros.bags.reader import bag_files, check_files, read_blocks, session_files
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.replay import read_recording
+from rotcal_ros.bags.writer import BagWriter, WriterSettings
 from rotcal_ros.errors import BagError
 
 
@@ -70,6 +71,25 @@ def test_schema_chunk_damaged_and_no_index(run_bag: Path, tmp_path: Path) -> Non
     assert after.state == "complete"
     assert after.topics["/cell/tracer_length"].messages > 1000
     assert "configuration.yaml" in read_recording(tmp_path / "good").attachments
+
+
+def test_runs_stay_apart_and_losses_add_up(tmp_path: Path) -> None:
+    for run, lost in ((0, 3), (1, 2)):
+        earlier = session_files(tmp_path / "bag") if run else None
+        with BagWriter(tmp_path / "bag", WriterSettings(min_free_bytes=0), earlier=earlier) as bag:
+            bag.note(names.RUN, {"number": run})
+            channel = bag.channel("/a", "demo_msgs/msg/Blob", "uint8[] data\n")
+            bag.write(channel, bytes([0, 1, 0, 0, run]), run, run)
+            bag.note(names.LOSSES, {"lost /a": lost})
+    (after,) = repair(tmp_path / "bag", tmp_path / "good").after
+    assert after.losses_recorded == {"lost /a": 5}
+    found = [
+        (scan.metadata[names.RUN]["number"], block.payload(row)[-1])
+        for scan, block in read_blocks(bag_files(tmp_path / "good"))
+        if block is not None
+        for row in range(len(block))
+    ]
+    assert found == [("0", 0), ("1", 1)]
 
 
 def test_nothing_is_overwritten(run_bag: Path, tmp_path: Path) -> None:

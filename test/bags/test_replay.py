@@ -172,6 +172,22 @@ def test_counters_of_a_split_session_count_once_and_those_of_a_later_run_besides
     assert losses_in_words(losses) == ("5 lost live (gap /a)", "/b fell silent (1 times)")
 
 
+def test_an_observation_that_nobody_lived_to_record_is_no_difference(
+    simulated_run: Run, tmp_path: Path
+) -> None:
+    whole, last = simulated_run.records, simulated_run.observations[-1]
+    write_run(tmp_path / "killed", Run([r for r in whole if r is not last]))
+    recording = read_recording(tmp_path / "killed")
+    assert len(recording.observations) == len(recording.recorded) + 1
+    assert recording.same_as_recorded
+    middle = simulated_run.observations[5]
+    write_run(tmp_path / "gap", Run([r for r in whole if r is not middle]))
+    assert not read_recording(tmp_path / "gap").same_as_recorded
+    other = replace(last, mean=(last.mean[0] + 1e-9,))
+    write_run(tmp_path / "other", Run([other if r is last else r for r in whole]))
+    assert not read_recording(tmp_path / "other").same_as_recorded
+
+
 def test_bag_without_messages(tmp_path: Path) -> None:
     writer, _ = open_writer(tmp_path / "bag")
     writer.close()

@@ -4,7 +4,8 @@ usage: feeder.py WINDOW
 
 A tracer at 1 kHz and an observation after every WINDOW readings, all numbered. A line NAME on
 standard input: open a bag at the recorder whose service is ``start_NAME``. Standard output gets
-a line of JSON per receipt of ``receipts_NAME``: {"recorder": NAME, "step": ...}.
+a line of JSON per receipt of ``receipts_NAME``: {"recorder": NAME, "step": ...}. An empty line is
+answered by {"recorder": "", "step": 0}, behind all receipts that have arrived.
 """
 
 import json
@@ -55,6 +56,9 @@ class Feeder(Node):
         try:
             while True:
                 name = self._names.get_nowait()
+                if not name:
+                    self._say(name, 0)
+                    continue
                 client = self.create_client(StartRecording, f"start_{name}")
                 self._clients_to_be[name] = client
                 tell = partial(self._tell, name)
@@ -67,7 +71,10 @@ class Feeder(Node):
                 del self._clients_to_be[name]
 
     def _tell(self, name, receipt):
-        sys.stdout.write(json.dumps({"recorder": name, "step": receipt.step}) + "\n")
+        self._say(name, receipt.step)
+
+    def _say(self, name, step):
+        sys.stdout.write(json.dumps({"recorder": name, "step": step}) + "\n")
         sys.stdout.flush()
 
 

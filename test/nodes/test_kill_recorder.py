@@ -56,17 +56,28 @@ class Recorders:
         self.processes.tell("feeder", name)
 
     def die(self, names, seed, how):
-        """End each recorder at its own moment after its first receipt; return the times (ns)."""
+        """End each recorder at its own moment after its first receipt.
+
+        Return the time (ns) of each death and what was on disk just before it.
+        """
         generator = random.Random(seed)
         wait_until(lambda: all(self.receipts[name] for name in names), "all have confirmed")
         moments = sorted((generator.uniform(0.0, 1.0), name) for name in names)
-        begin, died_ns = time.monotonic(), {}
+        begin, deaths = time.monotonic(), {}
         for delay_s, name in moments:
             time.sleep(max(0.0, begin + delay_s - time.monotonic()))
-            died_ns[name] = time.time_ns()
+            before = self.file(name).read_bytes()
+            deaths[name] = time.time_ns(), before
             self.processes.signal(name, how)
         wait_until(lambda: self.processes.ended().keys() >= set(names), "all have ended")
-        return died_ns
+        for _ in range(2):  # the second answer comes a turn of the executor after the first
+            answers = len(self.receipts[""])
+            self.processes.tell("feeder", "")
+            wait_until(lambda n=answers: len(self.receipts[""]) > n, "the receipts are here")
+        return deaths
+
+    def file(self, name):
+        return self.folder / name / "bag" / "bag_0.mcap"
 
     def _listen(self):
         for line in self.processes.children["feeder"].stdout:
@@ -105,9 +116,11 @@ def numbers(bag):
     pytest.fail(f"{bag} has no end")
 
 
-def check(recorders, name, died_ns, state):
-    """All that was confirmed is there with the readings before it; the last second may miss."""
-    found, verdict = numbers(recorders.folder / name / "bag")
+def check(recorders, name, died_ns, before, state):
+    """All that was confirmed is there, and the readings up to it; the last second may miss."""
+    file = recorders.file(name)
+    assert file.read_bytes().startswith(before)
+    found, verdict = numbers(file)
     assert verdict.state == state
     assert not verdict.lost
     (readings, times), (steps, _) = found[TRACER], found[OBSERVATION]
@@ -128,6 +141,6 @@ def test_a_dead_recorder_has_kept_all_that_it_confirmed(recorders, batch, how, s
     names = [f"recorder_{batch}_{number}" for number in range(AT_ONCE)]
     for name in names:
         recorders.start(name)
-    died_ns = recorders.die(names, batch, how)
+    deaths = recorders.die(names, batch, how)
     for name in names:
-        check(recorders, name, died_ns[name], state)
+        check(recorders, name, *deaths[name], state)

@@ -100,8 +100,8 @@ def test_a_stream_that_falls_silent_is_counted(cell):
     outcome = live.calibrate()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     recording = read_recording(live.bag)
-    assert recording.verdicts[0].losses_recorded == {"silent /cell/temperature": 1}
-    assert recording.warnings() == ("/cell/temperature fell silent (1 times)",)
+    assert recording.verdicts[0].losses_recorded["silent /cell/temperature"] == 1
+    assert "/cell/temperature fell silent (1 times)" in recording.warnings()
 
 
 def test_a_step_that_a_loss_touches_is_measured_again(cell):

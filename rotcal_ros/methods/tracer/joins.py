@@ -6,14 +6,15 @@ tell the difference of the zeros; their scatter tests whether anything else move
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.errors import DataError
+from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.solve import solve
@@ -22,9 +23,6 @@ from rotcal_ros.results import Result, Verdict
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-_SMALL_MOVE: Final = 0.03
-"""Standard deviations of a length by which a zero is moved to see what hangs on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,31 +46,39 @@ class Join:
     """The zero of a run against the runs before it.
 
     ``offset``: length of the later run less that of the earlier ones at the same place (m), with
-    its standard deviation ``std``; ``disagreement`` (k,): what each pair leaves of its difference
-    (m). ``sigma0`` and ``probability``: chi-squared test that nothing but the zero has changed.
+    the standard deviation ``std`` that its pairs give it; ``shares``: the part of the weight of
+    the pairs by the earlier run that they lean on. ``disagreement`` (k,): what each pair leaves of
+    its difference (m). ``sigma0`` and ``probability``: chi-squared test that nothing but the zero
+    has changed.
     """
 
     run: int
     offset: float
     std: float
+    shares: Mapping[int, float]
     disagreement: Floats
     sigma0: float
     probability: float
 
 
-def join_of(run: int, difference: Floats, std: Floats) -> Join:
+def join_of(run: int, difference: Floats, std: Floats, earlier: Ints) -> Join:
     """Return the join that differences (k,) of lengths with standard deviations (k,) tell.
 
-    The weighted mean; with one pair there is nothing left to test, and the probability is 1.
+    ``earlier`` (k,) are the runs of the earlier lengths. The weighted mean; with one pair there
+    is nothing left to test, and the probability is 1.
     """
     weights = std**-2
     offset = float((weights * difference).sum() / weights.sum())
+    shares = {
+        int(r): float(weights[earlier == r].sum() / weights.sum()) for r in np.unique(earlier)
+    }
     left = difference - offset
     chi2, dof = float((weights * left**2).sum()), len(difference) - 1
     return Join(
         run=run,
         offset=offset,
         std=float(weights.sum() ** -0.5),
+        shares=shares,
         disagreement=left,
         sigma0=float(np.sqrt(chi2 / dof)) if dof else 0.0,
         probability=chi2_sf(chi2, dof) if dof else 1.0,
@@ -99,25 +105,50 @@ def solve_joined(runs: Runs) -> Result:
 
     Each later run is reduced to the zero of the first: offsets from the pairs, with the lengths
     first reduced to equal places of the targets along the beams of a first solution. What the
-    result owes to an offset is found by moving it a little, and joins the covariance. The joins
-    are in ``details["joins"]`` and in the warnings; one that fails its test
-    (``test_significance``) makes the verdict suspect.
+    result owes to the errors of the offsets joins the covariance. The joins are in
+    ``details["joins"]`` and in the warnings; one that fails its test (``test_significance``) makes
+    the verdict suspect.
 
     Raises DataError when a later run has no pair.
     """
     one, joins = _joined(runs)
-    result = solve(one)
-    sensitivity = [_sensitivity(one, runs.run, join, result) for join in joins]
-    return _concluded(result, joins, sensitivity, one.settings.test_significance)
+    moves = _moves(_with_zeros(tracer_trials(one), runs.run, joins))
+    return _concluded(solve(one), joins, moves, one.settings.test_significance)
 
 
 def joined_trials(runs: Runs) -> TracerTrials:
     """Prepare Monte Carlo trials about several runs: the zeros of later ones are drawn too."""
     one, joins = _joined(runs)
-    trials = tracer_trials(one)
-    run = np.where(trials.grid.used, runs.run[trials.grid.row], -1)
-    zeros = [join.std * (run == join.run) for join in joins]
-    return replace(trials, zeros=np.array(zeros).reshape(-1, *run.shape))
+    return _with_zeros(tracer_trials(one), runs.run, joins)
+
+
+def _with_zeros(trials: TracerTrials, run: Ints, joins: Sequence[Join]) -> TracerTrials:
+    """Return trials whose lengths move with the errors of the joins; ``run`` (k,): of each row.
+
+    An error of one join reaches the zeros of later runs by the pairs with which they lean on it.
+    """
+    reach = np.zeros((len(joins), len(joins)))
+    number = {join.run: k for k, join in enumerate(joins)}
+    for k, join in enumerate(joins):
+        reach[k, k] = join.std
+        for earlier in join.shares.keys() & number.keys():
+            reach[k] += join.shares[earlier] * reach[number[earlier]]
+    of_place = np.where(trials.grid.used, run[trials.grid.row], -1)
+    masks = np.array([of_place == join.run for join in joins], dtype=np.float64)
+    return replace(trials, zeros=np.tensordot(reach.T, masks, 1))
+
+
+def _moves(trials: TracerTrials) -> Floats:
+    """Return by how much the deviations (r, m) move with each of the trials' zeros, rad.
+
+    The lengths in use stay the same: a move must not change what is rejected.
+    """
+    grid = trials.grid
+    lengths = grid.length + np.concatenate([np.zeros((1, *grid.length.shape)), trials.zeros])
+    places = np.broadcast_to(grid.targets, (len(lengths), *grid.targets.shape))
+    still = np.zeros((len(lengths), len(trials.angles), 3))
+    found = trials.solve(lengths, places, still)
+    return wrap_angle(found[1:] - found[0])
 
 
 def _joined(runs: Runs) -> tuple[TracerProblem, list[Join]]:
@@ -148,7 +179,7 @@ def _joins(
         along = np.einsum("ka,ka->k", beams[later.row], later.shift)
         difference = later.length - along - reduced.length[later.row]
         std = np.hypot(later.length_std, problem.length_std[later.row])
-        joins.append(join_of(later.run, difference, std))
+        joins.append(join_of(later.run, difference, std, run[later.row]))
     return joins
 
 
@@ -177,31 +208,19 @@ def _solved(result: Result) -> tuple[Ints, Floats]:
     return result.details["station_ids"], result.details["stations"]
 
 
-def _sensitivity(one: TracerProblem, run: Ints, join: Join, result: Result) -> dict[str, Floats]:
-    """Return by how much the deviations move when the zero of ``join`` moves by its std.
-
-    The slope times the std; a move of more than the noise would change which lengths are used.
-    """
-    moved = replace(join, offset=_SMALL_MOVE * float(one.length_std.min()))
-    other = solve(_reduced(one, run, [moved], np.zeros(len(run))))
-    scale = join.std / moved.offset
-    return {n: scale * (other.deviations[n] - d) for n, d in result.deviations.items()}
-
-
 def _concluded(
-    result: Result,
-    joins: Sequence[Join],
-    sensitivity: Sequence[dict[str, Floats]],
-    significance: float,
+    result: Result, joins: Sequence[Join], moves: Floats, significance: float
 ) -> Result:
-    """Return the result with the joins in its covariance, verdict, warnings and details."""
-    covariance = dict(result.covariance)
-    for moves in sensitivity:
-        for name, move in moves.items():
-            covariance[name] = covariance[name] + np.outer(move, move)
+    """Return the result with the joins in its covariance, verdict, warnings and details.
+
+    ``moves`` (r, m): standard moves of the deviations ECC that are independent of each other.
+    """
+    covariance = {"ECC": result.covariance["ECC"] + moves.T @ moves}
     failed = [join for join in joins if join.probability < significance]
     verdict: Verdict = "suspect" if failed and result.verdict == "ok" else result.verdict
-    adjacent = _adjacent_std(result, sensitivity)
+    adjacent = result.adjacent_std
+    if adjacent is not None:
+        adjacent = np.sqrt(adjacent**2 + (np.diff(moves, axis=1) ** 2).sum(axis=0))
     return replace(
         result,
         covariance=covariance,
@@ -211,13 +230,6 @@ def _concluded(
         warnings=(*result.warnings, *(_sentence(join, join in failed) for join in joins)),
         details={**result.details, "joins": [_plain(join) for join in joins]},
     )
-
-
-def _adjacent_std(result: Result, sensitivity: Sequence[dict[str, Floats]]) -> Floats | None:
-    if result.adjacent_std is None:
-        return None
-    steps = [np.diff(moves["ECC"]) for moves in sensitivity if "ECC" in moves]
-    return np.asarray(np.sqrt(result.adjacent_std**2 + sum(s**2 for s in steps)))
 
 
 def _sentence(join: Join, failed: bool) -> str:

@@ -76,7 +76,7 @@ class TracerTrials:
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return the cumulative deviations (count, m) in rad of simulated measurements."""
         size = max(1, PLACES // self.weights.size)
-        parts = [self._solve(*self.draw(rng, min(size, count - d))) for d in range(0, count, size)]
+        parts = [self.solve(*self.draw(rng, min(size, count - d))) for d in range(0, count, size)]
         return np.concatenate(parts)
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Floats, Floats, Floats]:
@@ -93,7 +93,8 @@ class TracerTrials:
         targets = grid.targets + self.scale * grid.target_std * places
         return length, targets, rng.standard_normal((count, m, 2)) @ self.wobble
 
-    def _solve(self, length: Floats, places: Floats, wobble: Floats) -> Floats:
+    def solve(self, length: Floats, places: Floats, wobble: Floats) -> Floats:
+        """Return the cumulative deviations (t, m) for t sets of what :meth:`draw` returns."""
         state = np.broadcast_to(self.state, (len(length), *self.state.shape)).copy()
         if self.network is None:
             assert self.inverse is not None

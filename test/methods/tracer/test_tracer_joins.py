@@ -34,12 +34,14 @@ def runs(problem, run, pairs):
 
 
 def test_the_weighted_mean_and_its_test():
-    join = join_of(3, np.array([1.0, 2.0, 4.0]), np.array([1.0, 1.0, 0.5]))
+    std, earlier = np.array([1.0, 1.0, 0.5]), np.array([0, 2, 2])
+    join = join_of(3, np.array([1.0, 2.0, 4.0]), std, earlier)
+    assert join.shares == pytest.approx({0: 1 / 6, 2: 5 / 6})
     assert join.offset == pytest.approx((1 + 2 + 16) / 6)
     assert join.std == pytest.approx(6**-0.5)
     left = np.array([1.0, 2.0, 4.0]) - 19 / 6
     assert join.sigma0**2 == pytest.approx((left[0] ** 2 + left[1] ** 2 + 4 * left[2] ** 2) / 2)
-    assert join_of(1, np.array([5.0]), np.array([1.0])).probability == 1.0
+    assert join_of(1, np.array([5.0]), np.array([1.0]), np.array([0])).probability == 1.0
 
 
 @pytest.mark.parametrize("variant", ["station", "joint"])
@@ -80,6 +82,43 @@ def test_trials_of_joined_runs_scatter_as_the_solver_states():
     np.testing.assert_allclose(values.std(axis=0)[1:], result.std["ECC"][1:], rtol=within)
     quiet = replace(trials, zeros=trials.zeros[:0])(np.random.default_rng(7), 3000)
     assert quiet.std(axis=0)[1:].mean() < (1 - within) * result.std["ECC"][1:].mean()
+
+
+def interrupted_twice(seed, loose):
+    """Three runs, the last of which leans on the second alone; pairs ``loose`` times as noisy."""
+    scene = simulate(seed=seed, angles=arc(11), n=24, layout=low_ring, length_std=STD)
+    problem = scene.problem(length_std=STD, target_std=1e-7, variant="station")
+    rng = np.random.default_rng(2000 + seed)
+    run = problem.target // 8
+    offset = np.array([0.0, OFFSET, -2 * OFFSET])
+    distance = np.linalg.norm(scene.stations[:, None] - scene.targets, axis=2)
+    true = (distance - distance[:, :1]).ravel()
+    pairs = []
+    for later in (1, 2):
+        row = np.flatnonzero(run == later - 1)[::11][:8]
+        length = true[row] + offset[later] + rng.normal(scale=loose * STD, size=8)
+        pairs.append(Pairs(later, row, length, np.full(8, loose * STD), np.zeros((8, 3))))
+    changed = replace(problem, length=problem.length + offset[run])
+    return scene, Runs(changed, run, np.zeros((len(run), 3)), pairs)
+
+
+def test_an_error_of_one_join_reaches_the_runs_that_lean_on_it():
+    _, together = interrupted_twice(0, 1.0)
+    trials, result = joined_trials(together), solve_joined(together)
+    first, second = (join["offset_std_m"] for join in result.details["joins"])
+    run = together.run[trials.grid.row]
+    np.testing.assert_allclose(trials.zeros[0], np.where(run > 0, first, 0.0))
+    np.testing.assert_allclose(trials.zeros[1], np.where(run > 1, second, 0.0))
+
+
+def test_the_stated_uncertainty_holds_after_two_interruptions():
+    scores = []
+    for seed in range(60):
+        scene, together = interrupted_twice(seed, 100.0)
+        result = solve_joined(together)
+        scores.append((result.deviations["ECC"] - scene.deviation)[1:] / result.std["ECC"][1:])
+    # The zeros dominate, two numbers in each of 60 measurements: 13 % are two standard deviations.
+    assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
 
 
 def test_something_that_moved_makes_the_result_suspect():
