@@ -144,8 +144,10 @@ class Result:
                 residuals=_residuals(data.get("residuals")),
                 details=data["details"],
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(f"damaged rotcal result: {error!r}") from error
+        except KeyError as error:
+            raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
+        except (TypeError, ValueError) as error:
+            raise DataError(f"damaged rotcal result: {error}") from error
 
 
 def _require_numbers(name: str, angles: Floats, values: Floats) -> None:

@@ -76,3 +76,9 @@ def test_what_a_detail_does_not_know_is_null_in_json() -> None:
 def test_something_else_is_refused(data: object) -> None:
     with pytest.raises(DataError, match="rotcal result"):
         Result.from_dict(data)  # type: ignore[arg-type]
+
+
+def test_the_missing_entry_of_another_file_is_named() -> None:
+    truth = {"schema": 1, "angles_rad": [0.0], "deviations": {"ECC": [0.0]}}
+    with pytest.raises(DataError, match="no whole rotcal result: the entry 'method' is missing"):
+        Result.from_dict(truth)
