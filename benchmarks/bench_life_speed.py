@@ -8,7 +8,6 @@ for the next feedback of the table (100 Hz), which must show that the table was 
 """
 
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -72,7 +71,7 @@ def measured(output: Path) -> Path:
     with (output.parent / "log").open("w") as log:
         run = subprocess.Popen(command, stdout=log, stderr=log)
         time.sleep(SECONDS)
-        run.send_signal(signal.SIGINT)
+        run.terminate()  # cancels like Ctrl-C, which a shell may have told us to ignore
         run.wait(DEADLINE_S)
     return output / "bag"
 
