@@ -68,10 +68,10 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
     """
     found: dict[str, None] = {}
     for source in sources:
-        before = len(found)
-        found |= dict.fromkeys(_bags_of(source))
-        if len(found) == before and not list(_bags_of(source)):
+        bags = dict.fromkeys(_bags_of(source))
+        if not bags:
             raise BagError(f"{source} names no bag: expected bags, a folder, a glob or a list")
+        found |= bags
     return tuple(found)
 
 

@@ -52,7 +52,7 @@ def candidates(result: Result) -> list[tuple[str, str, str]]:
         (
             "Normalised residuals",
             "Test value of each centre in the order of measurement; a rejected one is a cross.",
-            test_values(result),
+            centre_tests(result),
         ),
     ]
 
@@ -127,7 +127,7 @@ def residual_maps(result: Result) -> str:
 
 
 @style.styled
-def test_values(result: Result) -> str:
+def centre_tests(result: Result) -> str:
     """Draw the test value of every centre in the order of measurement."""
     rows = result.residuals
     if rows is None or not len(rows.target):
