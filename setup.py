@@ -7,6 +7,18 @@ from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
 NODES = ["planner", "capture", "solver", "recorder", "bridge", "linuxcnc_driver", "simulated_cell"]
+METHODS = {
+    "tracer_multistation": "tracer",
+    "ball_plate": "ball_plate",
+    "plane_mirror": "plane_mirror",
+}
+CONTROLLERS = {
+    "csv": "plain_csv",
+    **{
+        name: name
+        for name in ("fagor", "fanuc", "heidenhain", "linuxcnc", "pmac", "sinumerik", "twincat")
+    },
+}
 SHARED = ["config", "config/plates", "foxglove", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
@@ -73,7 +85,15 @@ setup(
         "console_scripts": [
             f"rotcal = {NAME}.cli.main:main",
             *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
-        ]
+        ],
+        "rotcal_ros.methods": [
+            f"{method} = {NAME}.catalogue.{folder}.method:METHOD"
+            for method, folder in METHODS.items()
+        ],
+        "rotcal_ros.controllers": [
+            f"{controller} = {NAME}.compensation.{module}:CONTROLLER"
+            for controller, module in CONTROLLERS.items()
+        ],
     },
     zip_safe=False,
 )

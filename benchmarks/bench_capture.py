@@ -13,9 +13,9 @@ from itertools import groupby
 import numpy as np
 
 from rotcal_ros.capture import Capture, CaptureSettings, Record
+from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.observations import Observation, TracerSample
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.tracer_plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 
 SETTINGS = CaptureSettings()

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 from racing import Row
 
+from rotcal_ros.evaluation import one_table
 from rotcal_ros.methods import ball_plate, tracer
-from rotcal_ros.simulation import one_table
 
 TRIALS, LOOPS = 1000, 20
 BALLS = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)

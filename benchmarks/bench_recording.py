@@ -25,13 +25,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "bags"))
 from bag_samples import CONFIGURATION, START_NS, encode, open_writer, simulate
 
 from rotcal_ros.bags.decode import Decoder
-from rotcal_ros.bags.many import Job
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
-from rotcal_ros.bags.workers import on_all_cores
 from rotcal_ros.bags.writer import WriterSettings
 from rotcal_ros.catalogue import prepare
-from rotcal_ros.configuration import dump_configuration, parse_configuration
+from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.observations import LengthStatus, TracerSample
+from rotcal_ros.recordings.many import Job
+from rotcal_ros.recordings.workers import on_all_cores
 
 SECONDS = float(os.environ.get("ROTCAL_BENCH_SECONDS", "10"))
 GIGABYTES = float(os.environ.get("ROTCAL_BENCH_GB", "0.2"))

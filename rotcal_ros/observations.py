@@ -30,6 +30,7 @@ class PointKind(IntEnum):
     DIRECT = 4  # tracker: reflector measured directly
     MIRRORED = 5  # tracker: the same reflector through the mirror
     NEST = 6  # tracker: fixed nest for registration
+    READING = 7  # up to three values of a method's own instrument, in its own unit
 
 
 class Approach(IntEnum):
@@ -114,7 +115,8 @@ class Observation:
 
     ``mean``, ``std`` (of the mean) and ``scatter`` (standard deviation of one sample) hold one
     value (length) or three (point), in metres. A rejected observation keeps its numbers and
-    says why in ``reason``; an accepted one has an empty reason.
+    says why in ``reason``; an accepted one has an empty reason. ``run`` counts from 0 how often an
+    interrupted plan had been taken up again.
     """
 
     step: int
@@ -136,3 +138,4 @@ class Observation:
     temperature_c: float | None
     window_start_ns: int
     window_end_ns: int
+    run: int = 0

@@ -13,17 +13,14 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
-COMPONENTS: Final = ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")
-"""ISO 230-1 names: translations EXC, EYC, EZC in metres, rotations EAC, EBC, ECC in radians."""
 
 Verdict = Literal["ok", "suspect", "failed"]
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +40,12 @@ class Residuals:
     their residual against the final solution and have ``used`` False.
     """
 
-    table_index: NDArray[np.int64]
-    target: NDArray[np.int64]
+    table_index: Ints
+    target: Ints
     residual: Floats
     redundancy: Floats
     test_value: Floats
-    used: NDArray[np.bool_]
+    used: Bools
 
 
 @dataclass(frozen=True)

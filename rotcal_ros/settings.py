@@ -22,7 +22,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """What a setting means: ``description`` with the unit, and its inclusive range."""
+    """What a setting means: ``description`` with the unit, and its inclusive range.
+
+    ``choices`` of a setting that is a Literal are those of its type.
+    """
 
     description: str
     minimum: float | None = None
@@ -131,7 +134,9 @@ def _checked(value: Any, hint: Any, info: SettingInfo, place: str) -> Any:
     return _scalar(value, hint, info, place)
 
 
-def _scalar(value: Any, kind: type, info: SettingInfo, place: str) -> Any:
+def _scalar(value: Any, kind: Any, info: SettingInfo, place: str) -> Any:
+    if typing.get_origin(kind) is typing.Literal:
+        kind = str
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     fits: bool = isinstance(value, kind) and not (kind is int and isinstance(value, bool))

@@ -4,7 +4,7 @@ import signal
 
 import pytest
 
-from rotcal_ros.cli.domains import free_domain
+from rotcal_ros.sessions.domains import free_domain
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Started in the background by a shell: the processes under test would never hear Ctrl-C.

@@ -4,7 +4,11 @@ from pathlib import Path
 import pytest
 
 from rotcal_ros.catalogue import prepare
-from rotcal_ros.configuration import dump_configuration, parse_configuration, read_configuration
+from rotcal_ros.catalogue.configuration import (
+    dump_configuration,
+    parse_configuration,
+    read_configuration,
+)
 from rotcal_ros.errors import ConfigurationError
 
 TEXT = dump_configuration("tracer_multistation", {"plan": {"table_positions": 5}})

@@ -12,12 +12,16 @@ import numpy as np
 import pytest
 
 from rotcal_ros.catalogue import Calibration
-from rotcal_ros.configuration import Configuration, dump_configuration, parse_configuration
+from rotcal_ros.catalogue.configuration import (
+    Configuration,
+    dump_configuration,
+    parse_configuration,
+)
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.methods.plane_mirror import write_points
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.simulation.tracker_mirror import measure, paper_cell
 from rotcal_ros.tables import read_measurements, read_targets
 from rotcal_ros.units import ARCSEC, DEGREE
 

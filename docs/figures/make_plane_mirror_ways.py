@@ -8,9 +8,9 @@ from pathlib import Path
 
 from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.catalogue import prepare
-from rotcal_ros.configuration import read_configuration
+from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.plane_mirror.figures import ways
 from rotcal_ros.observations import Observation
-from rotcal_ros.report.mirror_figures import ways
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 
 HERE = Path(__file__).parent
@@ -21,8 +21,8 @@ def main() -> None:
     """Measure, solve, draw."""
     configuration = read_configuration(HERE.parents[1] / "config" / "plane_mirror_demo.yaml")
     calibration = prepare(configuration)
-    cell = SimulatedCell(configuration.group("simulation", SimulationSettings))
-    capture = Capture(calibration.plan, configuration.group("capture", CaptureSettings))
+    cell = SimulatedCell(configuration.simulation)
+    capture = Capture(calibration.plan, configuration.capture)
     observations: list[Observation] = []
     for step in calibration.plan.steps:
         cell.order_table(step.command(0))

@@ -9,7 +9,7 @@ import json
 import sys
 from pathlib import Path
 
-from rotcal_ros.report import figures
+from rotcal_ros.figures import curves as figures
 from rotcal_ros.results import Result
 
 FIGURES = Path(__file__).parent

@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Bytes, Ints
 from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord
-
-Indices = NDArray[np.int64]
 
 HEADER_TYPE: Final = np.dtype(
     [
@@ -36,8 +35,8 @@ class Block:
     """
 
     data: bytes
-    start: Indices
-    size: Indices
+    start: Ints
+    size: Ints
     headers: NDArray[np.void]
 
     def __len__(self) -> int:
@@ -48,11 +47,11 @@ class Block:
         start = self.start[index]
         return self.data[start : start + self.size[index]]
 
-    def select(self, rows: NDArray[np.bool_] | Indices) -> Block:
+    def select(self, rows: Bools | Ints) -> Block:
         """Return the block of some of the messages, in the same order."""
         return Block(self.data, self.start[rows], self.size[rows], self.headers[rows])
 
-    def equally_long(self) -> Iterator[tuple[Indices, NDArray[np.uint8]]]:
+    def equally_long(self) -> Iterator[tuple[Ints, Bytes]]:
         """Yield (rows, bytes) for messages of equal size, bytes with shape (rows, size)."""
         raw = np.frombuffer(self.data, np.uint8)
         for size in np.unique(self.size):
@@ -60,7 +59,7 @@ class Block:
             yield rows, gather(raw, self.start[rows], int(size))
 
 
-def gather(raw: NDArray[np.uint8], start: Indices, size: int) -> NDArray[np.uint8]:
+def gather(raw: Bytes, start: Ints, size: int) -> Bytes:
     """Return the bytes start[i]..start[i]+size of every i as rows of a (n, size) array."""
     if not len(start) or not size:
         return np.zeros((len(start), size), np.uint8)
@@ -68,7 +67,7 @@ def gather(raw: NDArray[np.uint8], start: Indices, size: int) -> NDArray[np.uint
     return windows[start]
 
 
-def block_of_records(data: bytes, contents: Indices, sizes: Indices) -> Block:
+def block_of_records(data: bytes, contents: Ints, sizes: Ints) -> Block:
     """Return the block of the message records whose contents begin at ``contents``."""
     header_size = HEADER_TYPE.itemsize
     raw = np.frombuffer(data, np.uint8)
@@ -99,7 +98,7 @@ def split_chunk(data: bytes) -> tuple[Block, list[tuple[int, bytes]]]:
     return block_of_records(data, contents[is_message], sizes[is_message]), others
 
 
-def _walk(data: bytes) -> Indices:
+def _walk(data: bytes) -> Ints:
     """Return where the records of a chunk begin, going from one to the next."""
     positions: list[int] = []
     append, length_at = positions.append, _length.unpack_from
@@ -113,7 +112,7 @@ def _walk(data: bytes) -> Indices:
     return np.array(positions, np.int64)
 
 
-def _only_messages(raw: NDArray[np.uint8]) -> Indices | None:
+def _only_messages(raw: Bytes) -> Ints | None:
     """Return where the records of a chunk begin if all are messages, without a loop; else None.
 
     Every byte that might be the opcode of a message is a candidate; those whose length leads

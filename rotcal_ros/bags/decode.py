@@ -16,9 +16,10 @@ from rosbags.typesys import (
     get_typestore,
 )
 
-from rotcal_ros.bags.blocks import Block, Indices
+from rotcal_ros.arrays import Bytes, Ints
+from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.layout import Layout, Rows, work_out_layout
+from rotcal_ros.bags.layout import Layout, work_out_layout
 from rotcal_ros.bags.mcap_records import DamagedRecord
 from rotcal_ros.errors import BagError
 
@@ -34,14 +35,14 @@ class Columns:
     with the wanted fields by their dotted names, and ``layout`` the texts all have in common.
     """
 
-    rows: Indices
+    rows: Ints
     values: NDArray[np.void]
     layout: Layout
 
-    def stamp_ns(self) -> Indices:
+    def stamp_ns(self) -> Ints:
         """Return the header's stamps in integer nanoseconds."""
         seconds = self.values["header.stamp.sec"].astype(np.int64)
-        stamps: Indices = seconds * 1_000_000_000 + self.values["header.stamp.nanosec"]
+        stamps: Ints = seconds * 1_000_000_000 + self.values["header.stamp.nanosec"]
         return stamps
 
 
@@ -54,7 +55,7 @@ class Decoder:
         self._definitions = _definitions(channel)
         self._store = get_typestore(Stores.EMPTY)
         self._store.register(self._definitions)
-        self._layouts: dict[int, list[tuple[Layout, Rows]]] = {}
+        self._layouts: dict[int, list[tuple[Layout, Bytes]]] = {}
 
     def message(self, data: bytes) -> Any | None:
         """Return one message as an object whose attributes are its fields, as in rclpy.
@@ -95,7 +96,7 @@ class Decoder:
                 yield Columns(rows[chosen], values, layout)
                 rest = rest[~same]
 
-    def _layout(self, message: Rows) -> tuple[Layout, Rows] | None:
+    def _layout(self, message: Bytes) -> tuple[Layout, Bytes] | None:
         """Return a layout that fits ``message``, known or new; None when it is broken."""
         known = self._layouts.setdefault(len(message), [])
         for layout, template in known:

@@ -12,15 +12,14 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
+from rotcal_ros.arrays import Bools, Bytes
 from rotcal_ros.bags.mcap_records import DamagedRecord
 
 Fields = Sequence[tuple[str, Any]]
 Definitions = Mapping[str, tuple[Any, Fields]]
 """Message type -> (constants, fields), as rosbags parses it."""
-Rows = NDArray[np.uint8]
 
 _ENCAPSULATION: Final = 4
 _NUMBERS: Final = {
@@ -58,13 +57,13 @@ class Layout:
             }
         )
 
-    def fits(self, rows: Rows, template: Rows) -> NDArray[np.bool_]:
+    def fits(self, rows: Bytes, template: Bytes) -> Bools:
         """Tell which rows have the shape of ``template``, of which this is the layout."""
         common = np.r_[tuple(slice(begin, end) for begin, end in self.fixed)]
         wrong = rows[:, common] != template[common]
         if not wrong.any():
             return np.ones(len(rows), np.bool_)
-        same: NDArray[np.bool_] = ~wrong.any(axis=1)
+        same: Bools = ~wrong.any(axis=1)
         return same
 
 

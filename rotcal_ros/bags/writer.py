@@ -17,7 +17,6 @@ from mcap.writer import CompressionType, Writer
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions
-from rotcal_ros.bags.durable import DurableFile, FolderLock, sync_folder, write_atomically
 from rotcal_ros.bags.rosbag2_metadata import (
     FileInfo,
     TopicInfo,
@@ -26,6 +25,7 @@ from rotcal_ros.bags.rosbag2_metadata import (
     file_text,
 )
 from rotcal_ros.errors import BagError
+from rotcal_ros.files import DurableFile, FolderLock, sync_folder, write_atomically
 from rotcal_ros.settings import setting
 
 T = TypeVar("T")

@@ -5,6 +5,7 @@ on arrival. The live node and the replay of a bag therefore give equal observati
 """
 
 from rotcal_ros.capture.capture import Capture, Record
+from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.capture.settings import CaptureSettings
 
-__all__ = ["Capture", "CaptureSettings", "Record"]
+__all__ = ["Capture", "CaptureRules", "CaptureSettings", "Record"]

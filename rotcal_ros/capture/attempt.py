@@ -57,6 +57,7 @@ class Attempt:
 
     step: Step
     number: int
+    run: int
     samples: list[ProbeSample]
     search_ns: int
     refusal: str = ""
@@ -106,6 +107,7 @@ class Attempt:
             temperature_c=temperature_c,
             window_start_ns=begin,
             window_end_ns=end,
+            run=self.run,
         )
 
     def rejection(self, reason: str) -> Observation:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Stamps
 from rotcal_ros.capture.attempt import (
     Attempt,
     Streams,
@@ -20,13 +21,10 @@ from rotcal_ros.capture.attempt import (
     nanoseconds,
     seconds,
 )
-from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.plausibility import LengthCheck, TrackerCheck
-from rotcal_ros.capture.points import decide_points
+from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.streams import NEVER, Stamps, Stream, StreamCounts
+from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
 from rotcal_ros.capture.window import TracerStream
-from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import (
     Command,
     Observation,
@@ -54,18 +52,15 @@ class Capture:
     time) behind another, equal streams give equal observations to the last bit. A stream that
     falls further behind rejects the attempt: it is silent, or stamped by another clock.
 
-    Nor does it matter how long before the first attempt the capture began to listen. Commands
+    ``rules`` are those of the method; ``run`` is the number of the run that is captured. Nor does it matter how long before the first attempt the capture began to listen. Commands
     are only compared with the plan: what counts is what the machine did.
     """
 
-    def __init__(self, plan: Plan, settings: CaptureSettings) -> None:
-        if settings.settle_time_s >= settings.step_timeout_s:
-            raise ConfigurationError(
-                f"capture: settle_time_s = {settings.settle_time_s:g} leaves no time for a window;"
-                f" expected less than step_timeout_s = {settings.step_timeout_s:g}"
-            )
+    def __init__(
+        self, plan: Plan, settings: CaptureSettings, rules: CaptureRules, run: int = 0
+    ) -> None:
         tolerance = nanoseconds(settings.clock_tolerance_s)
-        self._plan, self._settings = plan, settings
+        self._plan, self._settings, self._rules, self._run = plan, settings, rules, run
         self._streams = Streams(
             tracer=TracerStream(tolerance, settings.max_length_m),
             table=Stream(2, tolerance),
@@ -77,7 +72,7 @@ class Capture:
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
         self._waiting: Wait | None = None
-        self._checks = (LengthCheck(plan), TrackerCheck())
+        self._checks = rules.checks(plan)
         self._remarks: deque[str] = deque(maxlen=100)
         self._takers: dict[type[Any], Callable[[Any], Observations]] = {
             TracerSample: self._take_tracer,
@@ -199,7 +194,7 @@ class Capture:
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        attempt = Attempt(step, sample.attempt, [sample], search_ns=sample.stamp_ns)
+        attempt = Attempt(step, sample.attempt, self._run, [sample], search_ns=sample.stamp_ns)
         attempt.points_seen.add(sample.point)
         attempt.refusal = self._refusal(attempt, sample)
         self._pending.append(attempt)
@@ -277,7 +272,7 @@ class Capture:
         wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
         if wait is not None and not self._too_far_behind(attempt, wait):
             return wait
-        decide = decide_length if attempt.step.kind == PointKind.REFLECTOR else decide_points
+        decide = self._rules.decide[attempt.step.kind]
         outcome = decide(attempt, self._streams, self._settings)
         if wait is not None and isinstance(outcome, Observation):
             self._remarks.append(f"step {attempt.step.index}: no temperature came in time")

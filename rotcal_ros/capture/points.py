@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from math import sqrt
 
 import numpy as np
@@ -16,21 +17,24 @@ from rotcal_ros.capture.attempt import (
     seconds,
     temperature_at,
 )
-from rotcal_ros.capture.ball import fitted_centre, in_place
+from rotcal_ros.capture.rules import Decide
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.table import departure, farthest, mean_angle
 from rotcal_ros.capture.window import Reduced, mean_and_scatter
-from rotcal_ros.observations import Observation, PointKind, ProbeSample
+from rotcal_ros.observations import Observation, ProbeSample
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.units import ARCSEC
 
 PointReducer = Callable[[Sequence[ProbeSample], Step, CaptureSettings], Reduced]
+"""How the points of a step become one value."""
 
 
 def decide_points(
-    attempt: Attempt, streams: Streams, settings: CaptureSettings
+    attempt: Attempt, streams: Streams, settings: CaptureSettings, reduce: PointReducer
 ) -> Observation | Wait:
     """Return the observation of a step that only the probe measures, or what is needed.
+
+    ``reduce`` makes one value of the points.
 
     All ``n_points`` points must come before the deadline, with the table at rest in position
     from the first point to the last.
@@ -51,9 +55,7 @@ def decide_points(
     if forgotten(table, begin_ns):
         return attempt.rejection("table feedback at the time of the points is not in memory")
     angle = attempt.step.table_angle
-    reduced = REDUCERS[attempt.step.kind](samples, attempt.step, settings)
-    if attempt.step.kind in (PointKind.SURFACE, PointKind.CENTRE):
-        reduced = in_place(reduced, attempt.step, settings)
+    reduced = reduce(samples, attempt.step, settings)
     if departure(table, begin_ns, end_ns, angle, settings) is not None:
         off = farthest(table, begin_ns, end_ns, angle) / ARCSEC
         reduced = Reduced(
@@ -67,6 +69,11 @@ def decide_points(
         table_angle_measured=mean_angle(table, begin_ns, end_ns, angle),
         temperature_c=temperature_at(streams, attempt.begin_ns, settings),
     )
+
+
+def points(reduce: PointReducer) -> Decide:
+    """Return the way to decide a step whose points ``reduce`` makes one value of."""
+    return partial(decide_points, reduce=reduce)
 
 
 def mean_point(samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSettings) -> Reduced:
@@ -83,13 +90,3 @@ def mean_point(samples: Sequence[ProbeSample], _step: Step, _settings: CaptureSe
         scatter=scatter,
         n_used=len(samples),
     )
-
-
-REDUCERS: dict[PointKind, PointReducer] = {
-    PointKind.CENTRE: mean_point,
-    PointKind.DIRECT: mean_point,
-    PointKind.MIRRORED: mean_point,
-    PointKind.NEST: mean_point,
-    PointKind.SURFACE: fitted_centre,
-}
-"""How the points of a step become one."""

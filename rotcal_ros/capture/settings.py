@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import setting
 
 MAX_WINDOW_SAMPLES = 50_000
@@ -90,3 +91,11 @@ class CaptureSettings:
         minimum=0.0,
         maximum=3600.0,
     )
+
+    def __post_init__(self) -> None:
+        """Refuse settings that leave no time to measure."""
+        if self.settle_time_s >= self.step_timeout_s:
+            raise ConfigurationError(
+                f"capture: settle_time_s = {self.settle_time_s:g} leaves no time for a window;"
+                f" expected less than step_timeout_s = {self.step_timeout_s:g}"
+            )

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Stamps = NDArray[np.int64]
-Values = NDArray[np.float64]
+from rotcal_ros.arrays import Floats, Stamps
 
 CAPACITY = 1 << 17
 """Samples that a stream remembers at least: two minutes of a 1 kHz stream."""
@@ -61,7 +60,7 @@ class Stream:
         self.wake_latest_ns = NEVER  # and from this stamp on in any case
         self._tolerance_ns = clock_tolerance_ns
         self._ahead = 0
-        self._newest: Values | None = None
+        self._newest: Floats | None = None
         self._size = 0
         self._stamps = np.empty(1024, dtype=np.int64)
         self._values = np.empty((1024, width), dtype=np.float64)
@@ -74,8 +73,8 @@ class Stream:
         return self._stamps[: self._size]
 
     @property
-    def values(self) -> Values:
-        """Values of the remembered samples, one row each."""
+    def values(self) -> Floats:
+        """Floats of the remembered samples, one row each."""
         return self._values[: self._size]
 
     def stage(self, stamp_ns: int, values: tuple[float, ...]) -> bool:
@@ -112,7 +111,7 @@ class Stream:
             self.admit(stamps, values)
         self.wait(-NEVER)
 
-    def admit(self, stamps: Stamps, values: Values) -> None:
+    def admit(self, stamps: Stamps, values: Floats) -> None:
         """Check the order of samples (n,), (n, width) and remember the good ones."""
         for begin in range(0, len(stamps), CAPACITY):
             self._admit(stamps[begin : begin + CAPACITY], values[begin : begin + CAPACITY])
@@ -129,7 +128,7 @@ class Stream:
         """Return whether every sample up to ``stamp_ns`` has been admitted."""
         return self.latest is not None and self.latest >= stamp_ns
 
-    def _admit(self, stamps: Stamps, values: Values) -> None:
+    def _admit(self, stamps: Stamps, values: Floats) -> None:
         self.counts.received += len(stamps)
         good = self._in_order(stamps, values)
         if good is not None:
@@ -138,12 +137,12 @@ class Stream:
             self._append(stamps, self._inspect(values))
             self.latest, self._newest = int(stamps[-1]), values[-1]
 
-    def _inspect(self, values: Values) -> Values:
+    def _inspect(self, values: Floats) -> Floats:
         """Count what is wrong with samples in good order; return what to remember of them."""
         self.counts.non_finite += int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
         return values
 
-    def _in_order(self, stamps: Stamps, values: Values) -> NDArray[np.intp] | None:
+    def _in_order(self, stamps: Stamps, values: Floats) -> NDArray[np.intp] | None:
         """Return the indices of the samples to keep; None: all."""
         first = int(stamps[0]) - 1 if self.latest is None else self.latest
         steps = np.diff(stamps, prepend=first)
@@ -172,7 +171,7 @@ class Stream:
             self._ahead = 0
         return self._ahead > 0
 
-    def _append(self, stamps: Stamps, values: Values) -> None:
+    def _append(self, stamps: Stamps, values: Floats) -> None:
         """Remember samples; what exceeds the memory is forgotten, the oldest first."""
         size = self._size + len(stamps)
         if size > 2 * CAPACITY:
@@ -194,5 +193,5 @@ class Stream:
         self._values[: self._size] = self._values[count : count + self._size]
 
 
-def _same(a: Values, b: Values) -> bool:
+def _same(a: Floats, b: Floats) -> bool:
     return bool(np.array_equal(a, b, equal_nan=True))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from math import fsum, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.streams import Stream, Values
+from rotcal_ros.capture.streams import Stream
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 ANGLE, VELOCITY = range(2)
@@ -17,14 +17,14 @@ ANGLE, VELOCITY = range(2)
 _CHUNK = 512  # arrivals are found soon or not at all
 
 
-def offset(angles: Values, commanded: float) -> Values:
+def offset(angles: Floats, commanded: float) -> Floats:
     """Return measured - commanded angle, in [-pi, pi]: full turns do not count."""
     difference = angles - commanded
-    centred: Values = difference - 2 * pi * np.round(difference / (2 * pi))
+    centred: Floats = difference - 2 * pi * np.round(difference / (2 * pi))
     return centred
 
 
-def at_rest(feedback: Values, commanded: float, settings: CaptureSettings) -> NDArray[np.bool_]:
+def at_rest(feedback: Floats, commanded: float, settings: CaptureSettings) -> Bools:
     """Return for each row (angle, velocity) whether the table stands at ``commanded`` (rad)."""
     near = np.abs(offset(feedback[:, ANGLE], commanded)) <= (
         settings.position_tolerance_arcsec * ARCSEC

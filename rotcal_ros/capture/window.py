@@ -8,10 +8,10 @@ from enum import IntEnum
 from math import fsum, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints, Stamps
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.streams import Stamps, Stream, Values
+from rotcal_ros.capture.streams import Stream
 from rotcal_ros.observations import LengthStatus
 from rotcal_ros.units import MICROMETRE
 
@@ -67,7 +67,7 @@ class TracerStream(Stream):
         super().__init__(3, clock_tolerance_ns)
         self._max_length = max_length
 
-    def _inspect(self, values: Values) -> Values:
+    def _inspect(self, values: Floats) -> Floats:
         """Turn the status into a fault and count faults and lost readings."""
         faults = classify(values[:, STATUS], values[:, LENGTH], self._max_length)
         numbers = np.bincount(faults, minlength=len(Fault))
@@ -84,7 +84,7 @@ class TracerStream(Stream):
         return np.column_stack([sequence, values[:, LENGTH], faults])
 
 
-def classify(status: Values, length: Values, max_length: float) -> NDArray[np.int64]:
+def classify(status: Floats, length: Floats, max_length: float) -> Ints:
     """Return the :class:`Fault` of each reading; all arrays have shape (n,)."""
     faults = np.full(len(status), int(Fault.UNKNOWN), dtype=np.int64)
     for value, fault in _STATUS_FAULT.items():
@@ -96,13 +96,13 @@ def classify(status: Values, length: Values, max_length: float) -> NDArray[np.in
     return faults
 
 
-def sequence_steps(sequence: Values, before: float) -> NDArray[np.int64]:
+def sequence_steps(sequence: Floats, before: float) -> Ints:
     """Return the steps (n,) of a sequence that follows ``before``, modulo 32 bits."""
-    steps: NDArray[np.int64] = np.diff(sequence, prepend=before).astype(np.int64) % _WRAP
+    steps: Ints = np.diff(sequence, prepend=before).astype(np.int64) % _WRAP
     return steps
 
 
-def reduce_window(stamps: Stamps, readings: Values, settings: CaptureSettings) -> Reduced:
+def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -> Reduced:
     """Reduce the window ``stamps`` (n,), ``readings`` (n, 3) of an admitted tracer stream.
 
     The mean is that of the usable readings, spikes beyond ``spike_limit`` robust standard
@@ -130,13 +130,13 @@ def reduce_window(stamps: Stamps, readings: Values, settings: CaptureSettings) -
     )
 
 
-def mean_and_scatter(values: Values) -> tuple[float, float]:
+def mean_and_scatter(values: Floats) -> tuple[float, float]:
     """Return mean and standard deviation of one of the ``values`` (n,), n >= 2."""
     mean = fsum(values) / len(values)
     return mean, sqrt(fsum((values - mean) ** 2) / (len(values) - 1))
 
 
-def _mark_spikes(length: Values, faults: NDArray[np.int64], settings: CaptureSettings) -> None:
+def _mark_spikes(length: Floats, faults: Ints, settings: CaptureSettings) -> None:
     good = faults == Fault.NONE
     if not good.any():
         return
@@ -145,14 +145,14 @@ def _mark_spikes(length: Values, faults: NDArray[np.int64], settings: CaptureSet
     faults[np.flatnonzero(good)[distance > max(limit, settings.spike_floor_m)]] = Fault.SPIKE
 
 
-def _drift(stamps: Stamps, length: Values, mean: float) -> float:
+def _drift(stamps: Stamps, length: Floats, mean: float) -> float:
     """Return the change of the fitted line from the first to the last reading (m)."""
     time = (stamps - stamps[0]).astype(np.float64)
     time -= fsum(time) / len(time)
     return float(fsum(time * (length - mean)) / fsum(time * time) * (time[-1] - time[0]))
 
 
-def _gap(sequence: Values) -> str:
+def _gap(sequence: Floats) -> str:
     """Say which readings are missing inside a window; empty: none."""
     steps = sequence_steps(sequence[1:], sequence[0])
     at = np.flatnonzero(steps != 1)
@@ -168,7 +168,7 @@ def _gap(sequence: Values) -> str:
     return f"{lost} tracer readings lost in the window (sequence {before} to {after})"
 
 
-def _too_few(faults: NDArray[np.int64], length: Values, settings: CaptureSettings) -> str:
+def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> str:
     counts = Counter(Fault(f) for f in faults.tolist() if f != Fault.NONE)
     parts = ", ".join(f"{counts[fault]} {_WORDS[fault]}" for fault in sorted(counts))
     needed = f"expected at least {settings.min_used_share:.0%}"

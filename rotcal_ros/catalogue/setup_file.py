@@ -1,4 +1,4 @@
-"""Set-up files of plain tables: a whole configuration, or just the file of a ball plate."""
+"""Set-up files of plain tables: a whole configuration, or what a method takes instead."""
 
 from __future__ import annotations
 
@@ -7,34 +7,31 @@ from typing import Any
 
 import yaml
 
-from rotcal_ros.catalogue.ball_plate import NAME as BALL_PLATE
-from rotcal_ros.configuration import (
+from rotcal_ros.catalogue.configuration import (
     Configuration,
     dump_configuration,
     parse_configuration,
     read_configuration,
 )
+from rotcal_ros.catalogue.method import find_method, method_names
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.methods.ball_plate.plate import parse_plate
-
-SIGMA = "sigma_centre_m"
 
 
 def read_setup(path: Path) -> Configuration:
     """Return the configuration that a set-up file states.
 
-    A file with ``method: ball_plate`` and the entries of a plate at the top is one too; there
-    ``sigma_centre_m`` states the standard deviation of a centre. Raises ConfigurationError.
+    A file with ``method: NAME`` at the top is one too where the method knows what its other
+    entries mean, as the ball plate does with those of a plate. Raises ConfigurationError.
     """
     document = _document(path)
-    if not isinstance(document, dict) or document.get("method") != BALL_PLATE:
+    name = document.get("method") if isinstance(document, dict) else None
+    if name not in method_names():
         return read_configuration(path)
-    entries = {name: value for name, value in document.items() if name not in ("method", SIGMA)}
-    parse_plate(entries, str(path))
-    groups: dict[str, Any] = {"plan": {"plate": entries, "measure": "centre"}}
-    if SIGMA in document:
-        groups["solver"] = {SIGMA: document[SIGMA]}
-    return parse_configuration(dump_configuration(BALL_PLATE, groups), str(path))
+    short_setup = find_method(name).short_setup
+    if short_setup is None:
+        return read_configuration(path)
+    text = dump_configuration(name, short_setup(document, str(path)))
+    return parse_configuration(text, str(path))
 
 
 def _document(path: Path) -> Any:

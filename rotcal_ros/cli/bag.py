@@ -25,7 +25,7 @@ def command() -> None:
 @json_option
 def info(bag: Path, as_json: bool) -> int:
     """Tell what is in BAG: files, topics, attachments, configuration."""
-    from rotcal_ros.bags.summary import describe
+    from rotcal_ros.recordings.summary import describe
 
     with _progress("reading") as progress:
         summary = describe(bag, progress)

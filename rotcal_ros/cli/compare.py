@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import json_option, print_json, say
-from rotcal_ros.cli.inputs import read_curve, read_text
-from rotcal_ros.results import COMPONENTS
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.recordings.sources import read_curve, read_text
 
 if TYPE_CHECKING:
-    from rotcal_ros.compensation.measured import MeasuredCurve
+    from rotcal_ros.curves.measured import MeasuredCurve
     from rotcal_ros.evaluation.compare import Comparison
 
 path_type = click.Path(path_type=Path)
@@ -71,7 +71,7 @@ def command(
     if as_json:
         print_json(_plain(comparisons, component))
     else:
-        from rotcal_ros.cli.comparison_table import print_comparisons
+        from rotcal_ros.report.terminal.comparison import print_comparisons
 
         print_comparisons(comparisons, component)
     if output is not None:
@@ -96,7 +96,7 @@ def _draw(
     comparisons: Mapping[tuple[str, str], Comparison],
     component: str,
 ) -> None:
-    from rotcal_ros.bags.durable import write_atomically
+    from rotcal_ros.files import write_atomically
     from rotcal_ros.report.comparison import comparison_page, curves_and_errors
 
     if output.suffix == ".html":

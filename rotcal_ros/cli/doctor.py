@@ -17,8 +17,8 @@ from typing import Final
 import click
 
 from rotcal_ros.cli.console import json_option, print_json
-from rotcal_ros.cli.domains import free_domain
 from rotcal_ros.middleware import middleware
+from rotcal_ros.sessions.domains import free_domain
 
 CORE: Final = (
     "click",

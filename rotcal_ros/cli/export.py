@@ -131,13 +131,12 @@ def read_source(path: Path) -> Source:
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
         return Source(result, {path.name: sha256(data).hexdigest()}, None)
-    from rotcal_ros.bags.replay import read_recording
-    from rotcal_ros.planning.cell_settings import CellSettings
+    from rotcal_ros.recordings.replay import read_recording
 
     recording = read_recording(path)
     for warning in recording.warnings():
         say(f"warning: {warning}")
-    axis = recording.calibration.configuration.group("cell", CellSettings).axis
+    axis = recording.calibration.configuration.cell.axis
     return Source(recording.solve(), recording.sha256, axis)
 
 

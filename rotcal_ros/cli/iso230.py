@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.cli.console import json_option, print_json, say
-from rotcal_ros.cli.inputs import read_result, read_text
+from rotcal_ros.recordings.sources import read_result, read_text
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
@@ -37,7 +37,7 @@ def command(source: Path, output: Path | None, as_json: bool) -> int:
     if as_json:
         print_json(figures.to_dict())
     else:
-        from rotcal_ros.cli.iso230_table import print_iso230
+        from rotcal_ros.report.terminal.iso230 import print_iso230
 
         print_iso230(figures, runs.forward.shape[1])
     if output is not None:
@@ -47,7 +47,7 @@ def command(source: Path, output: Path | None, as_json: bool) -> int:
 
 def _read(source: Path) -> BidirectionalRuns:
     from rotcal_ros.errors import DataError
-    from rotcal_ros.evaluation.runs import read_runs, runs_of
+    from rotcal_ros.evaluation.bidirectional import read_runs, runs_of
 
     if source.suffix == ".csv":
         return read_runs(read_text(source), str(source))
@@ -61,7 +61,7 @@ def _read(source: Path) -> BidirectionalRuns:
 
 
 def _draw(output: Path, runs: BidirectionalRuns, figures: Iso230) -> None:
-    from rotcal_ros.bags.durable import write_atomically
+    from rotcal_ros.files import write_atomically
     from rotcal_ros.report.iso230 import diagrams
 
     if output.suffix != ".svg":

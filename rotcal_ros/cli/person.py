@@ -7,9 +7,8 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from rotcal_ros.cli.session import Session
-from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.sessions.session import Session
 
 
 class Person:
@@ -20,7 +19,7 @@ class Person:
     """
 
     def __init__(self, session: Session, at_once: bool) -> None:
-        cell = session.configuration.group("cell", CellSettings)
+        cell = session.configuration.cell
         self._service = f"{cell.namespace.rstrip('/')}/resume"
         self._simulated = session.simulated
         self._at_once = at_once or session.simulated

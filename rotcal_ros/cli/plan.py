@@ -191,12 +191,12 @@ def order(
 ) -> int:
     """Print the measuring order of a ball plate configuration with its predicted duration."""
     from rotcal_ros.catalogue import prepare
-    from rotcal_ros.configuration import read_configuration
+    from rotcal_ros.catalogue.ball_plate.plan import measuring_order
+    from rotcal_ros.catalogue.configuration import read_configuration
     from rotcal_ros.planning.ball_plan import Kinematics
-    from rotcal_ros.planning.ball_plate_plan import BallPlatePlanSettings, measuring_order
 
     prepared = prepare(read_configuration(configuration))
-    settings = prepared.configuration.group("plan", BallPlatePlanSettings)
+    settings = prepared.configuration.plan
     kinematics = Kinematics(
         table_velocity=table_deg_s * DEGREE,
         settle=settle_s,

@@ -27,7 +27,7 @@ from rotcal_ros.errors import BagError
 def command(bag: Path, output: Path | None, truth: Path | None) -> int:
     """Solve BAG again and write the report: figures, tables, warnings, verdict, fingerprints."""
     # Figures take a second to load; a wrong option should not wait for them.
-    from rotcal_ros.bags.replay import read_recording
+    from rotcal_ros.recordings.replay import read_recording
     from rotcal_ros.report.page import write_report
     from rotcal_ros.report.recorded import report_of
 

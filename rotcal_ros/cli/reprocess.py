@@ -11,7 +11,7 @@ import click
 from rotcal_ros.cli.console import json_option, print_json, progress_bar, say
 
 if TYPE_CHECKING:
-    from rotcal_ros.bags.many import Job, Outcome
+    from rotcal_ros.recordings.many import Job, Outcome
 
 BAD = 1
 path_type = click.Path(path_type=Path)
@@ -45,9 +45,9 @@ def command(
     content and configuration is not solved again. One bad bag does not stop the rest; the exit
     code is then 1.
     """
-    from rotcal_ros.bags.many import Job, find_bags
-    from rotcal_ros.bags.workers import on_all_cores, on_cluster
-    from rotcal_ros.configuration import read_configuration
+    from rotcal_ros.catalogue.configuration import read_configuration
+    from rotcal_ros.recordings.many import Job, find_bags
+    from rotcal_ros.recordings.workers import on_all_cores, on_cluster
     from rotcal_ros.report.many import in_time, write_overview, write_table
 
     configuration = read_configuration(setup)

@@ -15,10 +15,10 @@ import click
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, print_json, progress_bar, say
 from rotcal_ros.cli.main import INTERRUPTED
 from rotcal_ros.cli.person import Person
-from rotcal_ros.cli.resume import resume_session
-from rotcal_ros.cli.session import BAG, Session, prepare_session, require_ros
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.sessions.resume import resume_session
+from rotcal_ros.sessions.session import BAG, Session, prepare_session, require_ros
 from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def command(
     outcome = calibrate(session, Person(session, yes))
     if outcome.get("interrupted"):
         return INTERRUPTED
-    from rotcal_ros.cli.products import write_products
+    from rotcal_ros.sessions.products import write_products
 
     files = write_products(session, report=not no_report, export=not no_export)
     outcome |= {"seconds": round(time.monotonic() - started, 1), "files": files}
@@ -133,8 +133,8 @@ def _run(session: Session, person: Person) -> dict[str, Any]:
 
 def _solve_bag(session: Session) -> dict[str, Any]:
     """Solve the bag of a session that was interrupted behind its last step."""
-    from rotcal_ros.bags.durable import write_atomically
-    from rotcal_ros.bags.replay import read_recording
+    from rotcal_ros.files import write_atomically
+    from rotcal_ros.recordings.replay import read_recording
 
     recording = read_recording(session.folder / BAG)
     result = recording.solve()

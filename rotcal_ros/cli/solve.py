@@ -18,11 +18,11 @@ from rotcal_ros.cli.console import (
 from rotcal_ros.errors import DataError
 
 if TYPE_CHECKING:
-    from rotcal_ros.bags.replay import Recording
-    from rotcal_ros.cli.evaluations import Evaluation
-    from rotcal_ros.configuration import Configuration
+    from rotcal_ros.catalogue.configuration import Configuration
+    from rotcal_ros.catalogue.method import Measurements
+    from rotcal_ros.evaluation.ways import Evaluation
+    from rotcal_ros.recordings.replay import Recording
     from rotcal_ros.results import Result
-    from rotcal_ros.tables import TableData, WholeTable
 
 path_type = click.Path(path_type=Path)
 
@@ -74,15 +74,15 @@ def command(
     for suspect or failed.
     """
     if source.suffix == ".csv":
-        data: Recording | TableData | WholeTable = _read_table(source, setup, targets)
+        data: Recording | Measurements = _read_table(source, setup, targets)
     else:
         data = _read_bag(source, setup, taken_from, namespace)
     if balls or coarser:
-        from rotcal_ros.bags.replay import Recording
-        from rotcal_ros.cli.evaluations import evaluate, ways
-        from rotcal_ros.tables import TableData
+        from rotcal_ros.catalogue.measurements import PlannedMeasurements
+        from rotcal_ros.evaluation.ways import evaluate, ways
+        from rotcal_ros.recordings.replay import Recording
 
-        if not isinstance(data, Recording | TableData):
+        if not isinstance(data, Recording | PlannedMeasurements):
             raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
         evaluations = evaluate(data, ways(balls, coarser))
         if len(evaluations) > 1:
@@ -92,7 +92,7 @@ def command(
         result = data.solve()
     text = result.to_json()
     if output is not None:
-        from rotcal_ros.bags.durable import write_atomically
+        from rotcal_ros.files import write_atomically
 
         write_atomically(output, text + "\n")
     if as_json:
@@ -105,8 +105,8 @@ def command(
 
 
 def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str) -> Recording:
-    from rotcal_ros.bags.replay import read_recording
-    from rotcal_ros.bags.topics import Topics
+    from rotcal_ros.recordings.replay import read_recording
+    from rotcal_ros.recordings.topics import Topics
 
     with progress_bar() as bar:
         task = bar.add_task("reading", total=None)
@@ -122,8 +122,8 @@ def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str)
     return recording
 
 
-def _read_table(source: Path, setup: Path | None, targets: Path | None) -> TableData | WholeTable:
-    from rotcal_ros.tables import read_measurements
+def _read_table(source: Path, setup: Path | None, targets: Path | None) -> Measurements:
+    from rotcal_ros.catalogue.measurements import read_measurements
 
     configuration = _configuration(setup)
     if configuration is None:
@@ -141,8 +141,8 @@ def _show_evaluations(
     evaluations: tuple[Evaluation, ...], output: Path | None, as_json: bool
 ) -> int:
     """Print or write several evaluations side by side; the exit code is the worst one's."""
-    from rotcal_ros.bags.durable import write_atomically
-    from rotcal_ros.cli.evaluations import in_words
+    from rotcal_ros.evaluation.ways import in_words
+    from rotcal_ros.files import write_atomically
 
     data = {"evaluations": [evaluation.to_dict() for evaluation in evaluations]}
     if output is not None:
@@ -157,6 +157,6 @@ def _show_evaluations(
 
 def _print_result(result: Result) -> None:
     """Print the deviations as a table for people."""
-    from rotcal_ros.cli.result_table import print_result
+    from rotcal_ros.report.terminal.result import print_result
 
     print_result(result)

@@ -56,7 +56,7 @@ def command(
     if as_json:
         print_json(both.to_dict())
     else:
-        from rotcal_ros.cli.uncertainty_table import print_uncertainty
+        from rotcal_ros.report.terminal.uncertainty import print_uncertainty
 
         print_uncertainty(both)
     return int(bool(both.warnings))
@@ -66,12 +66,11 @@ def _read(source: Path) -> tuple[Calibration, tuple[Observation, ...]]:
     """Return the calibration and its observations: measured ones, or nominal ones."""
     if source.suffix in (".yaml", ".yml"):
         from rotcal_ros.catalogue import prepare
-        from rotcal_ros.configuration import read_configuration
-        from rotcal_ros.simulation.nominal import nominal_observations
+        from rotcal_ros.catalogue.configuration import read_configuration
 
         calibration = prepare(read_configuration(source))
-        return calibration, nominal_observations(calibration)
-    from rotcal_ros.bags.replay import read_recording
+        return calibration, calibration.nominal_observations()
+    from rotcal_ros.recordings.replay import read_recording
 
     recording = read_recording(source)
     return recording.calibration, recording.observations

@@ -14,8 +14,8 @@ import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, print_json, say
 from rotcal_ros.cli.main import INTERRUPTED
-from rotcal_ros.cli.session import SIMULATION, Session, prepare_session, require_ros
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.sessions.session import SIMULATION, Session, prepare_session, require_ros
 
 if TYPE_CHECKING:
     from rotcal_ros.compensation.export import ExportFiles
@@ -89,7 +89,7 @@ def command(
         return INTERRUPTED
     verification = _verification(before, after, made[APPLIED])
     data = verification.to_dict() | {"controllers": list(made)}
-    from rotcal_ros.bags.durable import write_atomically
+    from rotcal_ros.files import write_atomically
 
     write_atomically(folder / "verification.json", json.dumps(data, indent=1) + "\n")
     page = _write_report(report_of or before.session.folder, verification)
@@ -103,9 +103,9 @@ def command(
 def _measure(configuration: Path, folder: Path, changes: Sequence[str]) -> Measured:
     """Run one calibration; DataError unless its verdict is ok."""
     from rotcal_ros.cli.person import Person
-    from rotcal_ros.cli.products import write_products
     from rotcal_ros.cli.run import calibrate
     from rotcal_ros.results import Result
+    from rotcal_ros.sessions.products import write_products
 
     session = prepare_session(configuration, folder, changes)
     if not session.simulated:
@@ -134,10 +134,9 @@ def _compensate(
     from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.table import table_from_result
     from rotcal_ros.compensation.writing import write_files
-    from rotcal_ros.planning.cell_settings import CellSettings
     from rotcal_ros.units import DEGREE
 
-    cell = before.session.configuration.group("cell", CellSettings)
+    cell = before.session.configuration.cell
     table = table_from_result(before.result, axis=cell.axis)
     now = datetime.now(timezone.utc)
     made = {
@@ -190,10 +189,9 @@ def _true_figures(measured: Measured) -> Iso230:
     import numpy as np
 
     from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
-    from rotcal_ros.simulation import SimulationSettings
     from rotcal_ros.simulation.positioning import true_runs
 
-    settings = measured.session.configuration.group(SIMULATION, SimulationSettings)
+    settings = measured.session.configuration.simulation
     angles = measured.result.angles
     targets = np.linspace(angles[0], angles[-1], ISO_TARGETS)
     forward, reverse = true_runs(settings, targets, ISO_RUNS)
@@ -204,7 +202,7 @@ def _write_report(session: Path, verification: Verification) -> Path:
     """Write the report of a session with the section on the verification."""
     from dataclasses import replace
 
-    from rotcal_ros.bags.replay import read_recording
+    from rotcal_ros.recordings.replay import read_recording
     from rotcal_ros.report.page import write_report
     from rotcal_ros.report.recorded import report_of
     from rotcal_ros.report.verification import verification_section

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rotcal_ros.compensation.controllers import CONTROLLERS
+from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.settings import setting
 
 
@@ -12,7 +12,7 @@ from rotcal_ros.settings import setting
 class BridgeSettings:
     """Which controller gets tables, in which form, and how far they may change it."""
 
-    controller: str = setting("csv", doc="kind of controller", choices=tuple(CONTROLLERS))
+    controller: str = setting("csv", doc="kind of controller", choices=controller_names())
     options: tuple[str, ...] = setting((), doc="controller settings, each as NAME=VALUE")
     spacing_deg: float = setting(
         10.0, doc="deg, distance of the rows", minimum=1e-3, maximum=180.0

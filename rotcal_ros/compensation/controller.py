@@ -11,16 +11,14 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rotcal_ros.compensation.curve import SAME_ANGLE, TURN
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.resample import averaged
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC, DEGREE
-
-Floats = NDArray[np.float64]
 
 EVERY_TURN: Final = (-TURN, 2.0 * TURN)
 """Travel (rad) over which a control that wraps by itself is proven."""

@@ -4,46 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Any
 
-from rotcal_ros.compensation import (
-    fagor,
-    fanuc,
-    heidenhain,
-    linuxcnc,
-    plain_csv,
-    pmac,
-    sinumerik,
-    twincat,
-)
+from rotcal_ros import plugins
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.errors import ConfigurationError
 
-CONTROLLERS: Final[Mapping[str, Controller]] = MappingProxyType(
-    {
-        module.CONTROLLER.name: module.CONTROLLER
-        for module in (
-            linuxcnc,
-            sinumerik,
-            fanuc,
-            twincat,
-            heidenhain,
-            fagor,
-            pmac,
-            plain_csv,
-        )
-    }
-)
+
+def controller_names() -> tuple[str, ...]:
+    """Return the names of all controllers that are installed."""
+    return plugins.names(plugins.CONTROLLERS)
 
 
 def controller(name: str) -> Controller:
     """Return the controller ``name``, or raise ConfigurationError with the names there are."""
-    if name not in CONTROLLERS:
-        raise ConfigurationError(
-            f"controller {name!r} is not known, expected one of: {', '.join(CONTROLLERS)}"
-        )
-    return CONTROLLERS[name]
+    found: Controller = plugins.load(plugins.CONTROLLERS, name, "controller")
+    return found
 
 
 def make_settings(name: str, values: Mapping[str, Any]) -> Any:

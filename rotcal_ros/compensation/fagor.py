@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import (
     Controller,
     columns_deg,
@@ -30,8 +30,6 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
 
 MAX_ROWS: Final = 1000
 DECIMALS: Final = 4

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.compensation.controller import (
     Controller,
     even_interval_deg,
@@ -33,9 +33,6 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LARGEST_STEP: Final = 7
 LARGEST_MAGNIFICATION: Final = 100

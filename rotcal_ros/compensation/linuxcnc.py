@@ -17,6 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import (
     Controller,
     columns_deg,
@@ -24,13 +25,11 @@ from rotcal_ros.compensation.controller import (
     only_file,
     require_at_most,
 )
-from rotcal_ros.compensation.curve import TURN
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
 
 MAX_ROWS: Final = 256
 DECIMALS: Final = 9

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline, PPoly
 
-from rotcal_ros.compensation.curve import TURN, refuse_outside
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.curves.interpolation import TURN, refuse_outside
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import Approach
-
-Floats = NDArray[np.float64]
 
 
 class Correction:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import (
     Controller,
     columns_deg,
@@ -25,8 +25,6 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import BagError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC, DEGREE
-
-Floats = NDArray[np.float64]
 
 HEADER: Final = "angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec"
 ANGLE_DECIMALS: Final = 9

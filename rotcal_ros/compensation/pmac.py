@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.compensation.controller import (
     Controller,
     columns_deg,
@@ -29,8 +29,6 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
 
 FRACTION: Final = 16
 
@@ -55,8 +53,8 @@ class PmacTables:
     """Correction and backlash (N + 1,) in 1/16 count at even rows 0 .. 360 deg."""
 
     rows_deg: Floats
-    comp: NDArray[np.int64]
-    backlash: NDArray[np.int64]
+    comp: Ints
+    backlash: Ints
     unit_deg: float
 
 
@@ -101,7 +99,7 @@ def correction(tables: PmacTables, angle: Floats, approach: Approach) -> Floats:
     return np.asarray(counts * (tables.unit_deg * DEGREE), dtype=np.float64)
 
 
-def _entries(name: str, text: str, kind: str, settings: PmacSettings) -> NDArray[np.int64] | None:
+def _entries(name: str, text: str, kind: str, settings: PmacSettings) -> Ints | None:
     """Return 0 and the entries of one table, or None when it is not there."""
     head = rf"^#{settings.motor} DEFINE {kind} (\d+),(\d+)\n([^\n]*)$"
     match = re.search(head, text, re.MULTILINE)

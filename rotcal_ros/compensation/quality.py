@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import Controller
-from rotcal_ros.compensation.curve import SAME_ANGLE, TURN
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import averaged
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC
-
-Floats = NDArray[np.float64]
 
 DIRECTIONS = (Approach.POSITIVE, Approach.NEGATIVE)
 POINTS_PER_ROW = 24

@@ -6,8 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotcal_ros.compensation.curve import Interpolation, interpolation_matrix, row_angles, wrapped
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.curves.interpolation import (
+    Interpolation,
+    interpolation_matrix,
+    row_angles,
+    wrapped,
+)
 from rotcal_ros.units import ARCSEC
 
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import (
     Controller,
     columns_deg,
@@ -34,8 +34,6 @@ from rotcal_ros.compensation.table import CompensationTable, check_axis
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
 
 DECIMALS: Final = 7
 STEP_DEG: Final = 1e-6

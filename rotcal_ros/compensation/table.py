@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rotcal_ros.compensation.curve import (
+from rotcal_ros.arrays import Floats
+from rotcal_ros.curves.interpolation import (
     SAME_ANGLE,
     TURN,
     Interpolation,
@@ -23,12 +23,10 @@ from rotcal_ros.compensation.curve import (
     row_angles,
     wrapped,
 )
-from rotcal_ros.compensation.measured import MeasuredCurve, measured_curve
+from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.results import Result, Verdict
 from rotcal_ros.units import ARCSEC, DEGREE
-
-Floats = NDArray[np.float64]
 
 SIGN_CONVENTION: Final = "correction = -(actual - commanded); add it to the commanded angle"
 

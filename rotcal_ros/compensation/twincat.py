@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.compensation.controller import (
     Controller,
     columns_deg,
@@ -28,8 +28,6 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import BagError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
 
 UNIT_DEG: Final = 1e-4
 TURN_UNITS: Final = 3_600_000
@@ -47,8 +45,8 @@ class SsfkTable:
     """Deviations (N + 1,) in 0.0001 deg at even rows 0 .. 360 deg."""
 
     rows_deg: Floats
-    pos: NDArray[np.int64]
-    neg: NDArray[np.int64]
+    pos: Ints
+    neg: Ints
 
 
 def write(table: CompensationTable, settings: TwinCatSettings, stem: str) -> dict[str, str]:

@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import only_file, parse_rows
 from rotcal_ros.compensation.table import check_axis
 from rotcal_ros.compensation.writing import check_stem
+from rotcal_ros.components import COMPONENTS, TRANSLATIONS
 from rotcal_ros.errors import BagError, DataError
-from rotcal_ros.results import COMPONENTS, Result
-
-Floats = NDArray[np.float64]
+from rotcal_ros.results import Result
 
 SIGN: Final = "deviation = actual - commanded; angles counter-clockwise about +z"
 KIND: Final = "rotcal_volumetric"
@@ -110,4 +109,4 @@ def read_volumetric_json(files: Mapping[str, str]) -> VolumetricErrors:
 
 
 def _unit(component: str) -> str:
-    return "m" if component in ("EXC", "EYC", "EZC") else "rad"
+    return "m" if component in TRANSLATIONS else "rad"

@@ -16,21 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from rotcal_ros.compensation.curve import (
+from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.curves.interpolation import (
     SAME_ANGLE,
     TURN,
     harmonic_basis,
     interpolation_matrix,
     regular_root,
 )
-from rotcal_ros.compensation.measured import MeasuredCurve
+from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.suspicion import suspicion
 from rotcal_ros.units import ARCSEC, DEGREE
 
-Floats = NDArray[np.float64]
-
-COVERAGE: Final = 2.0
 SURE: Final = 0.01
 """Two curves are said to disagree when so much disagreement comes by chance this rarely."""
 
@@ -49,7 +48,7 @@ class Comparison:
     difference: Floats
     std: Floats
     normalised_error: Floats
-    interpolated: NDArray[np.bool_]
+    interpolated: Bools
     offset: float
     rms: float
     chi2: float
@@ -163,7 +162,7 @@ def compare_all(
 def _agree(normalised: Floats, p_value: float) -> bool:
     """All |E_n| <= 1, or no more above 1 than chance gives, singly and together."""
     above = int(np.sum(np.abs(normalised) > 1.0))
-    expected = float(2.0 * stats.norm.sf(COVERAGE))
+    expected = float(2.0 * stats.norm.sf(COVERAGE_FACTOR))
     usual = above <= int(stats.binom.ppf(1.0 - SURE, len(normalised), expected))
     return above == 0 or (usual and p_value >= SURE)
 
@@ -172,11 +171,11 @@ def _normalised(difference: Floats, std: Floats) -> Floats:
     """Return E_n; without any uncertainty a difference is infinitely many times too large."""
     tiny = np.finfo(np.float64).tiny
     zero = np.abs(difference) <= 1e-15
-    scaled = difference / np.maximum(COVERAGE * std, tiny)
+    scaled = difference / np.maximum(COVERAGE_FACTOR * std, tiny)
     return np.asarray(np.where(zero, 0.0, np.clip(scaled, -1e6, 1e6)), dtype=np.float64)
 
 
-def _coincide(angles: Floats, curve: MeasuredCurve) -> NDArray[np.bool_]:
+def _coincide(angles: Floats, curve: MeasuredCurve) -> Bools:
     gap = angles[:, None] - curve.angles[None, :]
     if curve.period:
         gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
@@ -209,7 +208,7 @@ def _turned(comparison: Comparison) -> Comparison:
     )
 
 
-def _notes(measured: NDArray[np.bool_], n_first: int, why: str, exact: bool) -> list[str]:
+def _notes(measured: Bools, n_first: int, why: str, exact: bool) -> list[str]:
     notes = []
     if not np.all(measured):
         notes.append(

@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rotcal_ros.compensation.curve import harmonic_basis, harmonic_estimator
-from rotcal_ros.compensation.measured import MeasuredCurve
+from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.curves.interpolation import harmonic_basis, harmonic_estimator
+from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
-
-Floats = NDArray[np.float64]
 
 CHI2_95: Final = 5.991464547107979
 """95 % quantile of chi-square with the two degrees of freedom of one harmonic."""
@@ -31,14 +29,14 @@ class HarmonicContent:
     nothing. ``residual_rms`` is what all orders together leave.
     """
 
-    orders: NDArray[np.int64]
+    orders: Ints
     cosine: Floats
     sine: Floats
     amplitude: Floats
     amplitude_std: Floats
     phase: Floats
     phase_std: Floats
-    significant: NDArray[np.bool_]
+    significant: Bools
     residual_rms: float
 
 
@@ -78,7 +76,7 @@ def harmonic_content(curve: MeasuredCurve, max_order: int | None = None) -> Harm
     )
 
 
-def _significant(vectors: Floats, pairs: Floats) -> NDArray[np.bool_]:
+def _significant(vectors: Floats, pairs: Floats) -> Bools:
     """Whether v' C^-1 v is above the 95 % quantile; exact values are significant unless zero."""
     size = np.maximum(np.linalg.det(pairs), 0.0)
     adjugate = np.stack(

@@ -12,12 +12,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

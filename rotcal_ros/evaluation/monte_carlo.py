@@ -17,12 +17,11 @@ from math import exp, pi, sqrt
 from typing import Final, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.methods.distributions import normal_isf
 
-Floats = NDArray[np.float64]
 Model = Callable[[np.random.Generator, int], Floats]
 Progress = Callable[[int, int], None]
 Blocks = Generator[Floats, None, None]

@@ -7,13 +7,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
+from rotcal_ros.components import COMPONENTS, ROTATIONS
 from rotcal_ros.evaluation.monte_carlo import Propagation, compare_with_linear
-from rotcal_ros.results import COMPONENTS, Result
+from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +53,7 @@ class Propagated:
         """Where the trials contradict the solver, in units that people read."""
         texts: list[str] = []
         for k, (name, part) in enumerate(self.components.items()):
-            unit = ARCSEC if name in ("EAC", "EBC", "ECC") else MICROMETRE
+            unit = ARCSEC if name in ROTATIONS else MICROMETRE
             label = "arcsec" if unit == ARCSEC else "um"
             at = slice(k * len(part.value), (k + 1) * len(part.value))
             texts += compare_with_linear(

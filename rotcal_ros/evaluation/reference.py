@@ -9,14 +9,12 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rotcal_ros.compensation.curve import SAME_ANGLE, TURN, wrapped
-from rotcal_ros.compensation.measured import MeasuredCurve, covers_circle
+from rotcal_ros.arrays import Floats
+from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
+from rotcal_ros.curves.measured import MeasuredCurve, covers_circle
 from rotcal_ros.errors import DataError
 from rotcal_ros.units import ARCSEC, DEGREE
-
-Floats = NDArray[np.float64]
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
 

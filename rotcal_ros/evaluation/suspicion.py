@@ -6,9 +6,8 @@ from math import pi
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from rotcal_ros.arrays import Floats
 
 ALIKE: Final = 0.9
 """Correlation from which on two curves have the same shape."""

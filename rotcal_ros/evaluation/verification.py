@@ -7,14 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.results import Result, Verdict
 from rotcal_ros.units import ARCSEC, DEGREE
-
-Floats = NDArray[np.float64]
 
 SCHEMA: Final = 1
 AGREEMENT: Final = 4.0

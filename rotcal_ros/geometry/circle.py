@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import GeometryError
-
-Floats = NDArray[np.float64]
 
 FLAT: Final = 1e-7
 """Points are taken for a line when the smaller principal spread is this much below the other."""

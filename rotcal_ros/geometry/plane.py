@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import GeometryError
-
-Floats = NDArray[np.float64]
 
 COLLINEAR: Final = 1e-7
 """Points are taken for collinear when their second singular value is smaller by this factor."""

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import GeometryError
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
-
-Floats = NDArray[np.float64]
 
 MIN_ASPECT: Final = 0.01
 """Points whose extent across their longest direction is below this share lie "in a line"."""

@@ -6,11 +6,10 @@ Angles are radians, counter-clockwise about the axis; matrices act on column vec
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import GeometryError
-
-Floats = NDArray[np.float64]
 
 
 def wrap_angle(angle: ArrayLike) -> Floats:

@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import GeometryError
-
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 MAX_STEPS = 50
 CONVERGED = 1e-12
@@ -47,9 +44,9 @@ class Spheres:
     radius_std: Floats
     unit_covariance: Floats
     std: Floats
-    dof: NDArray[np.int64]
+    dof: Ints
     residuals: Floats
-    used: Mask
+    used: Bools
     form_deviation: Floats
     reason: tuple[str, ...]
 
@@ -65,7 +62,7 @@ def fit_spheres(
     *,
     radius: float | None,
     tip_radius: float = 0.0,
-    used: Mask | None = None,
+    used: Bools | None = None,
     sigma: float | None = None,
     reject: bool = True,
 ) -> Spheres:
@@ -126,11 +123,11 @@ def fit_sphere(points: Floats, *, radius: float | None, tip_radius: float = 0.0)
     return spheres
 
 
-def _checked(points: Floats, used: Mask | None) -> tuple[Floats, Mask]:
+def _checked(points: Floats, used: Bools | None) -> tuple[Floats, Bools]:
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 3 or points.shape[2] != 3:
         raise GeometryError(f"touch points must have the shape (balls, n, 3), not {points.shape}")
-    finite: Mask = np.all(np.isfinite(points), axis=2)
+    finite: Bools = np.all(np.isfinite(points), axis=2)
     if used is not None:
         if np.shape(used) != points.shape[:2]:
             raise GeometryError(f"mask {np.shape(used)} does not fit points {points.shape}")
@@ -138,7 +135,7 @@ def _checked(points: Floats, used: Mask | None) -> tuple[Floats, Mask]:
     return np.where(finite[:, :, None], points, 0.0), finite
 
 
-def _too_few(mask: Mask, unknowns: int) -> list[str]:
+def _too_few(mask: Bools, unknowns: int) -> list[str]:
     return [
         ""
         if count > unknowns
@@ -148,7 +145,7 @@ def _too_few(mask: Mask, unknowns: int) -> list[str]:
 
 
 def _gauss_newton(
-    points: Floats, mask: Mask, offset: float, free: bool
+    points: Floats, mask: Bools, offset: float, free: bool
 ) -> tuple[Floats, Floats, Floats]:
     """Return centres (B, 3), distances tip centre - ball centre (B,) and the Jacobian (B, n, p).
 
@@ -227,12 +224,12 @@ def _worst(
     residuals: Floats,
     design: Floats,
     inverse: Floats,
-    mask: Mask,
+    mask: Bools,
     square: Floats,
-    dof: NDArray[np.int64],
+    dof: Ints,
     sigma: float | None,
     offset: float,
-) -> Mask:
+) -> Bools:
     """Mark the worst point of every ball that has one beyond the critical value."""
     leverage = np.einsum("bni,bij,bnj->bn", design, inverse, design)
     share = np.clip(1.0 - leverage, 1e-9, 1.0)

@@ -7,10 +7,10 @@ to solve a bag.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import chdtrc, chdtri, fdtri, ndtri
 
-Floats = NDArray[np.float64]
+from rotcal_ros.arrays import Floats
 
 
 def chi2_sf(value: float, dof: float) -> float:

@@ -14,7 +14,7 @@ from rotcal_msgs.msg import CalibrationPlan, ProbePoint, ProbeTarget, TableAngle
 from rotcal_msgs.msg import Observation as ObservationMsg
 from sensor_msgs.msg import JointState, Temperature
 
-from rotcal_ros.capture import Capture, CaptureSettings, Record
+from rotcal_ros.capture import Capture, Record
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.health import Health
@@ -22,7 +22,6 @@ from rotcal_ros.nodes.plan_message import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.observations import LengthStatus
-from rotcal_ros.planning.cell_settings import CellSettings
 
 CONTINUOUS = ("tracer_length", "joint_states")
 """Streams that never pause: their silence means that the instrument is lost."""
@@ -115,9 +114,8 @@ class CaptureNode(Node):
         self._capture, self._run = None, ""
         try:
             calibration = calibration_of(message)
-            settings = calibration.configuration.group("capture", CaptureSettings)
-            self._joint = calibration.configuration.group("cell", CellSettings).joint
-            self._capture = Capture(calibration.plan, settings)
+            self._joint = calibration.configuration.cell.joint
+            self._capture = calibration.capture(message.run)
         except Exception as error:
             self._state = f"plan refused: {error}"
             raise

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from rotcal_ros.catalogue import Continuation
+from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import DataError
 
 

@@ -12,7 +12,9 @@ from rotcal_msgs.msg import Observation as ObservationMsg
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Header
 
-from rotcal_ros.bags.records import (
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.errors import DataError
+from rotcal_ros.messages import (
     command,
     observation,
     probe_sample,
@@ -21,8 +23,6 @@ from rotcal_ros.bags.records import (
     temperature_sample,
     tracer_sample,
 )
-from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import DataError
 from rotcal_ros.observations import (
     Command,
     Observation,
@@ -159,6 +159,7 @@ def observation_message(captured: Observation, frame: str) -> ObservationMsg:
         reason=captured.reason,
         window_start=time_message(captured.window_start_ns),
         window_end=time_message(captured.window_end_ns),
+        run=captured.run,
     )
 
 

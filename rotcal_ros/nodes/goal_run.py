@@ -13,9 +13,10 @@ from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
-from rotcal_ros.bags.durable import write_atomically
-from rotcal_ros.catalogue import ATTEMPTS_PER_RUN, Calibration, Continuation
+from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.errors import DataError
+from rotcal_ros.files import write_atomically
 from rotcal_ros.nodes import conversions, preflight
 from rotcal_ros.nodes.cell_links import TABLE_FRAME, CellLinks
 from rotcal_ros.nodes.health import Health
@@ -134,10 +135,11 @@ class GoalRun:
             CalibrationPlan(
                 header=conversions.header(now_ns, TABLE_FRAME),
                 plan_id=configuration.plan_id,
-                method=configuration.method,
+                method=configuration.method.name,
                 configuration=configuration.text,
                 total_steps=self.progress.total,
                 start_index=self._continuation.start_index,
+                run=self._continuation.run,
             )
         )
         run = f"{configuration.plan_id}@{now_ns}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.catalogue import Calibration, prepare
-from rotcal_ros.configuration import parse_configuration
+from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.errors import PlanError
 from rotcal_ros.nodes.conversions import stamp_ns
 

@@ -18,9 +18,15 @@ from rclpy.node import Node
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
-from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.catalogue import METHODS, Calibration, Continuation, prepare
-from rotcal_ros.configuration import Configuration, dump_configuration, parse_configuration
+from rotcal_ros.catalogue import Calibration, prepare
+from rotcal_ros.catalogue.configuration import (
+    Configuration,
+    dump_configuration,
+    parse_configuration,
+    settings_classes,
+)
+from rotcal_ros.catalogue.continuation import Continuation
+from rotcal_ros.catalogue.method import DEFAULT, find_method
 from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.continuing import read_continuation
@@ -29,10 +35,11 @@ from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings, read_settings, settings_mapping
 from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.nodes.running import run_node
-from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
 RESULT_TIMEOUT_S: Final = 3600
+PLANNER_GROUPS: Final = ("cell", "plan", "capture", "solver", "planner")
+"""Groups that the planner makes a configuration of when a goal comes without one."""
 FEEDBACK_PERIOD_S: Final = 0.1
 
 
@@ -91,17 +98,9 @@ class Planner(LifecycleNode):
 
     def _declare(self) -> Mapping[str, type]:
         """Declare the parameters of the configured method and return its groups."""
-        name = self.declare_parameter("method", "tracer_multistation").value
-        if name not in METHODS:
-            raise ConfigurationError(
-                f"planner: parameter method: unknown method {name!r}; "
-                f"known: {', '.join(sorted(METHODS))}"
-            )
+        method = find_method(self.declare_parameter("method", DEFAULT).value)
         groups = {
-            "cell": CellSettings,
-            **METHODS[name].settings,
-            "capture": CaptureSettings,
-            "planner": PlannerSettings,
+            name: cls for name, cls in settings_classes(method).items() if name in PLANNER_GROUPS
         }
         for group, cls in groups.items():
             declare_settings(self, group, cls, read_only=False)
@@ -115,10 +114,10 @@ class Planner(LifecycleNode):
             groups = {g: settings_mapping(self, g, cls) for g, cls in self._groups.items()}
             text, source = dump_configuration(method, groups), "parameters of the planner"
         configuration = parse_configuration(text, source)
-        if goal.method and goal.method != configuration.method:
+        if goal.method and goal.method != configuration.method.name:
             raise ConfigurationError(
                 f"the goal asks for method {goal.method!r}, its configuration describes "
-                f"{configuration.method!r}"
+                f"{configuration.method.name!r}"
             )
         return configuration
 
@@ -160,7 +159,7 @@ class Planner(LifecycleNode):
         calibration: Calibration = prepare(configuration)
         continuation = self._continuation_of(calibration, handle.request.start_index)
         if handle.request.configuration:
-            settings = configuration.group("planner", PlannerSettings)
+            settings = configuration.planner
         else:
             settings = read_settings(self, "planner", PlannerSettings)
         return GoalRun(

@@ -18,10 +18,10 @@ from rotcal_msgs.msg import RecordedObservation
 from rotcal_msgs.srv import StartRecording, StopRecording
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.names import ROLES
 from rotcal_ros.bags.reader import session_files
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
-from rotcal_ros.bags.topics import ROLES
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.conversions import stamp_ns

@@ -11,15 +11,15 @@ from rclpy.node import Node
 from rotcal_msgs.msg import ProbePoint, ProbeTarget, TableAngle, TracerLength
 from sensor_msgs.msg import JointState, Temperature
 
+from rotcal_ros.catalogue.method import DEFAULT, find_method
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_links import MACHINE_FRAME, TABLE_FRAME
+from rotcal_ros.nodes.cell_links import TABLE_FRAME
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.parameters import declare_settings
 from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.simulation import CellOutput, SimulatedCell, SimulationSettings
-from rotcal_ros.simulation.settings import TRACKER
+from rotcal_ros.simulation import CellOutput, SimulatedCell
 
 PERIOD_S: Final = 0.005
 LONGEST_TURN_S: Final = 0.02
@@ -33,7 +33,8 @@ class SimulatedCellNode(Node):
 
     def __init__(self) -> None:
         super().__init__("simulated_cell")
-        settings = declare_settings(self, "simulation", SimulationSettings)
+        method = find_method(self.declare_parameter("method", DEFAULT).value)
+        settings = declare_settings(self, "simulation", method.simulation_settings)
         self._joint = declare_settings(self, "cell", CellSettings).joint or "table"
         self._scale = settings.time_scale
         self._cell = SimulatedCell(settings, self.get_clock().now().nanoseconds)
@@ -42,9 +43,9 @@ class SimulatedCellNode(Node):
         self._order_text = "no order yet"
         self._health = Health(self, self._report)
         guarded = self._health.guarded
-        if self._cell.has_tracer:
+        if self._cell.instrument.streams_lengths:
             self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
-        self._probe_frame = TRACKER if settings.instrument == TRACKER else MACHINE_FRAME
+        self._probe_frame = self._cell.instrument.frame
         if settings.table.external:
             follow = guarded(self._follow)
             self.create_subscription(JointState, "table_actual", follow, STREAM)

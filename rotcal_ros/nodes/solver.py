@@ -13,7 +13,7 @@ from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
 
-from rotcal_ros.catalogue import Calibration, run_of
+from rotcal_ros.catalogue import Calibration
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
@@ -25,7 +25,6 @@ from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run_node
 from rotcal_ros.nodes.waiting import until
 from rotcal_ros.observations import Observation
-from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.results import Result
 
 RunStep = tuple[int, int]
@@ -81,7 +80,7 @@ class SolverNode(Node):
         if old is not None and old.configuration.plan_id == message.plan_id:
             kept = {k: o for k, o in self._observations.items() if k[1] < message.start_index}
         elif known is not None and known.plan_id == message.plan_id:
-            kept = {(run_of(o), o.step): o for o in known.observations}
+            kept = {(o.run, o.step): o for o in known.observations}
             self._run_number = known.run
         self._observations = kept
         self._solved_count = 0
@@ -91,7 +90,7 @@ class SolverNode(Node):
     def _take(self, message: ObservationMsg) -> None:
         if self._calibration is not None and message.accepted:
             observation = conversions.observation(message)
-            self._observations[run_of(observation), observation.step] = observation
+            self._observations[observation.run, observation.step] = observation
 
     def _preliminary(self) -> None:
         """Begin a solution of what is there, unless one is running or nothing is new."""
@@ -172,7 +171,7 @@ class SolverNode(Node):
         """Publish the compensation table, where the result can make one."""
         assert self._calibration is not None
         try:
-            cell = self._calibration.configuration.group("cell", CellSettings)
+            cell = self._calibration.configuration.cell
             table = table_from_result(result, axis=cell.axis)
         except RotcalError as error:
             self.get_logger().warning(f"no compensation table: {error}")

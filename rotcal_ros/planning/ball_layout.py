@@ -9,14 +9,10 @@ from math import comb
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.components import COMPONENTS, ROTATIONS
 from rotcal_ros.errors import PlanError
-from rotcal_ros.planning.layout_variance import (
-    Floats,
-    Ints,
-    mean_variances,
-    proven_bound,
-)
-from rotcal_ros.results import COMPONENTS
+from rotcal_ros.planning.layout_variance import mean_variances, proven_bound
 
 EXHAUSTIVE_LIMIT = 4_000_000
 """Layouts up to which all are looked at; beyond it exchange search takes over."""
@@ -63,7 +59,7 @@ def predicted_std(
     variances: tuple[float, ...] | Floats, sigma: float, radius: float
 ) -> dict[str, float]:
     """Turn the four mean variances of a layout into standard deviations of six components."""
-    scale = {name: 1.0 / radius if name in ("EAC", "EBC", "ECC") else 1.0 for name in COMPONENTS}
+    scale = {name: 1.0 / radius if name in ROTATIONS else 1.0 for name in COMPONENTS}
     return {
         name: sigma * scale[name] * float(np.sqrt(variances[_INDEX[name]])) for name in COMPONENTS
     }

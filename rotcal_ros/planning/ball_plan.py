@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import PlanError
-from rotcal_ros.planning.layout_variance import Floats, Ints
 
 Order = Literal["table_once", "probe_rests"]
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.general import solve_general
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 from rotcal_ros.planning.ball_layout import Layout, best_layout
 from rotcal_ros.planning.ball_plan import spread_out
-from rotcal_ros.planning.layout_variance import Floats, Ints
-from rotcal_ros.results import COMPONENTS
 
 MOST_BALLS = 24
 

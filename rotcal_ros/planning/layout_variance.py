@@ -11,13 +11,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.methods.ball_plate.harmonics import couplings
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Complexes = NDArray[np.complex128]
 
 VARIANCES: Final = ("ECC", "EXC, EYC", "EAC, EBC", "EZC")
 """Order of the four mean variances; rotations are multiplied by the circle's radius squared."""
@@ -122,11 +118,11 @@ def _singular(
     turn: Floats,
     determinant: Floats,
     n_balls: int,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Layouts (L,) with a harmonic whose systems are singular to rounding."""
     small = SINGULAR * n_balls
     smallest = np.minimum(np.minimum(upper, lower), middle).min(axis=1) < small
     plane = ~((turn > 0.0) & (turn * small < 1.0)).all(axis=1)
     axis = ~(determinant > SINGULAR * n_balls**3).all(axis=1)
-    bad: NDArray[np.bool_] = smallest | plane | axis
+    bad: Bools = smallest | plane | axis
     return bad

@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from rotcal_ros import __version__
-from rotcal_ros.compensation.measured import MeasuredCurve
-from rotcal_ros.evaluation.compare import COVERAGE, Comparison
-from rotcal_ros.report import style
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.curves.measured import MeasuredCurve
+from rotcal_ros.evaluation.compare import Comparison
+from rotcal_ros.figures import style
 from rotcal_ros.report.template import environment
-from rotcal_ros.report.units import unit_of
 from rotcal_ros.units import DEGREE
 
 Pairs = Mapping[tuple[str, str], Comparison]
@@ -30,7 +30,7 @@ def curves_and_errors(
     for (label, curve), colour in zip(curves.items(), cycle(style.COLOURS), strict=False):
         offset = 0.0 if label == first else comparisons[first, label].offset
         value = (curve.deviation + offset) / unit
-        band = COVERAGE * np.sqrt(np.diag(curve.covariance)) / unit
+        band = COVERAGE_FACTOR * np.sqrt(np.diag(curve.covariance)) / unit
         style.curve_with_band(top, curve.angles / DEGREE, value, band, label, colour)
     top.set_ylabel(f"{component} / {name}")
     top.legend(loc="best")
@@ -87,7 +87,7 @@ def comparison_page(
 def _rows(comparison: Comparison, unit: float) -> list[tuple[str, ...]]:
     """Return angle, difference, expanded uncertainty, E_n and a remark of every angle."""
     return [
-        (f"{angle / DEGREE:.4f}", f"{d / unit:+.3f}", f"{COVERAGE * s / unit:.3f}", f"{e:+.2f}",
+        (f"{angle / DEGREE:.4f}", f"{d / unit:+.3f}", f"{COVERAGE_FACTOR * s / unit:.3f}", f"{e:+.2f}",
          "interpolated" if between else "")
         for angle, d, s, e, between in zip(
             comparison.angles, comparison.difference, comparison.std,

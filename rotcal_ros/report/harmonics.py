@@ -7,16 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros.compensation.measured import measured_curve
+from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.curves.measured import measured_curve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
-from rotcal_ros.report import style
+from rotcal_ros.figures import style
 from rotcal_ros.report.template import environment
-from rotcal_ros.report.units import unit_of
-from rotcal_ros.results import COMPONENTS, Result
+from rotcal_ros.results import Result
 from rotcal_ros.units import DEGREE
-
-COVERAGE = 2.0
 
 
 def contents(result: Result) -> dict[str, HarmonicContent]:
@@ -38,7 +36,7 @@ def bars(found: Mapping[str, HarmonicContent]) -> str:
     panels = style.grid(-(-len(found) // 2), min(2, len(found)), height=2.5)
     for ax, (name, content) in zip(panels, found.items(), strict=False):
         unit, label = unit_of(name)
-        whiskers = COVERAGE * content.amplitude_std / unit
+        whiskers = COVERAGE_FACTOR * content.amplitude_std / unit
         heights = content.amplitude / unit
         for sure, alpha in ((content.significant, 0.85), (~content.significant, 0.25)):
             ax.bar(
@@ -67,9 +65,9 @@ def section(result: Result) -> str:
 def _table(name: str, content: HarmonicContent) -> dict[str, Any]:
     """Return order, amplitude and phase of every order as text."""
     unit, label = unit_of(name)
-    amplitude, spread = content.amplitude / unit, COVERAGE * content.amplitude_std / unit
+    amplitude, spread = content.amplitude / unit, COVERAGE_FACTOR * content.amplitude_std / unit
     phase = np.mod(content.phase, 2.0 * np.pi) / DEGREE
-    turn = COVERAGE * content.phase_std / DEGREE
+    turn = COVERAGE_FACTOR * content.phase_std / DEGREE
     rows = [
         (
             str(order),

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from markupsafe import escape
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
-from rotcal_ros.evaluation.runs import runs_of
-from rotcal_ros.report import style
+from rotcal_ros.figures import style
 from rotcal_ros.report.template import environment
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -34,7 +34,7 @@ def diagrams(runs: BidirectionalRuns, figures: Iso230) -> str:
     return style.svg(every)
 
 
-def _accuracy(ax: Axes, angles: NDArray[np.float64], figures: Iso230) -> None:
+def _accuracy(ax: Axes, angles: Floats, figures: Iso230) -> None:
     """Draw the means with +- 2 s; A lies between the dashed lines, M is the range of the mean."""
     ends = []
     for mean, s, colour, label in (
@@ -55,7 +55,7 @@ def _accuracy(ax: Axes, angles: NDArray[np.float64], figures: Iso230) -> None:
     ax.legend(loc="best")
 
 
-def _spread(ax: Axes, angles: NDArray[np.float64], figures: Iso230) -> None:
+def _spread(ax: Axes, angles: Floats, figures: Iso230) -> None:
     """Draw reversal and bidirectional repeatability of every target as bars."""
     width = 0.35 * float(np.min(np.diff(angles)))
     for shift, values, colour, label in (

@@ -11,12 +11,10 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from rotcal_ros import __version__
-from rotcal_ros.bags.many import Outcome
+from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.report import style
-from rotcal_ros.report.figures import COVERAGE_FACTOR
-from rotcal_ros.report.units import unit_of
-from rotcal_ros.results import COMPONENTS
+from rotcal_ros.figures import style
+from rotcal_ros.recordings.many import Outcome
 
 
 def write_table(outcomes: Sequence[Outcome], path: Path) -> None:

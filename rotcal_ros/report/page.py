@@ -8,12 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros import __version__
+from rotcal_ros.catalogue import find_method, method_names
+from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.figures import Figure, curves
+from rotcal_ros.figures.residuals import residual_figures
+from rotcal_ros.files import write_atomically
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import ball_plate_figures, figures, harmonics, mirror_figures
+from rotcal_ros.report import harmonics
 from rotcal_ros.report.iso230 import section as iso230_section
 from rotcal_ros.report.template import environment
-from rotcal_ros.report.units import unit_of
-from rotcal_ros.results import COMPONENTS, Result
+from rotcal_ros.results import Result
 from rotcal_ros.units import DEGREE
 
 
@@ -61,58 +65,40 @@ def render_report(report: ReportInput) -> str:
 
 def write_report(report: ReportInput, path: Path) -> None:
     """Write the page to ``path``; the text is complete or the file is not there."""
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(render_report(report), encoding="utf-8")
-    temporary.replace(path)
+    write_atomically(path, render_report(report))
 
 
-def _figures(report: ReportInput) -> list[tuple[str, str, str]]:
-    """Return (title, caption, SVG) of all figures that the result can fill."""
+def _figures(report: ReportInput) -> list[Figure]:
+    """Return all figures that the result can fill."""
     result = report.result
     candidates = [
-        (
+        Figure(
             "Deviations",
             "Deviation = actual − commanded, at every angle. The band is the expanded "
             "uncertainty (k = 2).",
-            figures.deviations(result, report.truth),
+            curves.deviations(result, report.truth),
         ),
-        (
+        Figure(
             "Adjacent deviations",
             "Deviation of each step between neighbouring angles. These are not the positioning "
             "deviations: a controller needs the cumulative curve above.",
-            figures.adjacent(result),
+            curves.adjacent(result),
         ),
-        *(ball_plate_figures.candidates(result) or _residual_figures(result)),
-        (
-            "Stations in plan view",
-            "Solved stations on their circle with strongly exaggerated errors.",
-            figures.stations(result),
-        ),
-        (
+        *_own_figures(report),
+        Figure(
             "Temperature",
             "Temperature at each observation.",
-            figures.temperature(report.observations),
+            curves.temperature(report.observations),
         ),
     ]
-    candidates[1:1] = mirror_figures.sections(result, report.truth)
-    return [candidate for candidate in candidates if candidate[2]]
+    return [candidate for candidate in candidates if candidate.svg]
 
 
-def _residual_figures(result: Result) -> list[tuple[str, str, str]]:
-    """Return the figures of residuals by table position and target."""
-    return [
-        (
-            "Residuals",
-            "Observed − computed. A pattern by table position or by target points to an error "
-            "that the model does not hold.",
-            figures.residuals(result),
-        ),
-        (
-            "Normalised residuals",
-            "Residual divided by its own standard deviation, by table position and target.",
-            figures.residual_map(result),
-        ),
-    ]
+def _own_figures(report: ReportInput) -> Sequence[Figure]:
+    """Return what the method draws; of one that is not installed here the residuals."""
+    if report.result.method not in method_names():
+        return residual_figures(report.result)
+    return find_method(report.result.method).figures(report.result, report.truth)
 
 
 def _evaluation_sections(result: Result) -> list[tuple[str, str]]:
@@ -137,7 +123,7 @@ def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
             if name in result.deviations:
                 factor, _ = unit_of(name)
                 value = result.deviations[name][i] / factor
-                band = figures.COVERAGE_FACTOR * result.std[name][i] / factor
+                band = COVERAGE_FACTOR * result.std[name][i] / factor
                 cells.append(f"{value:+.3f} ± {band:.3f}")
         rows.append((f"{angle / DEGREE:.4f}", cells))
     return rows
@@ -154,7 +140,7 @@ def _summary(result: Result) -> list[tuple[str, str]]:
         if name in result.deviations:
             factor, unit = unit_of(name)
             values = result.deviations[name] / factor
-            band = figures.COVERAGE_FACTOR * result.std[name].max() / factor
+            band = COVERAGE_FACTOR * result.std[name].max() / factor
             span = f"{values.min():+.3f} to {values.max():+.3f} {unit}"
             summary.append((name, f"{span}, U ≤ {band:.3f} {unit} (k = 2)"))
     return summary

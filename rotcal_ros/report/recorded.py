@@ -10,7 +10,7 @@ from typing import Any
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
-from rotcal_ros.bags.replay import Recording
+from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.report.page import ReportInput
 from rotcal_ros.results import Result
 

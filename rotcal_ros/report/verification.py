@@ -7,7 +7,7 @@ from html import escape
 from matplotlib.axes import Axes
 
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
-from rotcal_ros.report import style
+from rotcal_ros.figures import style
 from rotcal_ros.units import ARCSEC, DEGREE
 
 TITLE = "Before and after compensation"

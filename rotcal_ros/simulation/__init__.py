@@ -1,4 +1,4 @@
-"""The simulated cell: table, probe, tracer and temperature as plain physics."""
+"""The simulated cell: table, temperature and an instrument as plain physics."""
 
 from rotcal_ros.simulation.cell import CellOutput, SimulatedCell
 from rotcal_ros.simulation.settings import SimulationSettings

@@ -6,15 +6,12 @@ from collections import deque
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Stamps
 from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import table_poses
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 HISTORY: Final = 1000
 """Angles that are remembered; readings are never made further back than a fraction of these."""

@@ -8,12 +8,9 @@ from itertools import pairwise
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Stamps
 from rotcal_ros.units import NANOSECOND
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from rotcal_ros.arrays import Floats
 
 _BLOCK = 512
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.observations import Approach
 from rotcal_ros.simulation.settings import SimulationSettings
 from rotcal_ros.simulation.table import correction, deviations
 from rotcal_ros.units import ARCSEC
-
-Floats = NDArray[np.float64]
 
 
 def true_runs(settings: SimulationSettings, targets: Floats, runs: int) -> tuple[Floats, Floats]:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import TYPE_CHECKING
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import group, setting
-from rotcal_ros.simulation.touch_settings import SimulatedPlateSettings, TouchProbeSettings
-from rotcal_ros.simulation.tracker_settings import SimulatedMirrorSettings, TrackerSettings
 
-TRACER: Final = "tracer"
-TRACKER: Final = "tracker"
-TOUCH_PROBE: Final = "touch_probe"
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import Instrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 
 @dataclass(frozen=True)
@@ -106,55 +105,6 @@ class TableSettings:
 
 
 @dataclass(frozen=True)
-class TracerSettings:
-    """The laser tracer on the table."""
-
-    mount_m: tuple[float, float, float] = setting(
-        (0.0569, -0.0318, 0.1225), doc="m, centre of the tracer in the table frame at angle 0"
-    )
-    dead_distance_m: float = setting(
-        1.0, doc="m, distance at which the tracer reads zero", minimum=0.0
-    )
-    zero_shift_um: float = setting(
-        0.0, doc="um, standard deviation of the zero from one start of the tracer to the next",
-        minimum=0.0,
-    )  # fmt: skip
-    rate_hz: float = setting(1000.0, doc="Hz, rate of readings", minimum=0.1, maximum=10_000.0)
-    noise_um: float = setting(0.2, doc="um, noise of one reading at distance 0", minimum=0.0)
-    noise_um_per_m: float = setting(
-        0.2, doc="um/m, growth of the noise with the distance", minimum=0.0
-    )
-
-
-@dataclass(frozen=True)
-class ProbeSettings:
-    """The coordinate measuring machine whose probe carries the reflector."""
-
-    initial_position_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 1.0), doc="m, position of the probe at the start"
-    )
-    systematic_um: float = setting(
-        1.0, doc="um, standard deviation of the error of a target, the same at each visit",
-        minimum=0.0,
-    )  # fmt: skip
-    repeatability_um: float = setting(
-        0.1, doc="um, standard deviation of a coordinate from one arrival to the next", minimum=0.0
-    )
-    following_um: float = setting(
-        0.5, doc="um, standard deviation of the reported from the commanded position", minimum=0.0
-    )
-    speed_m_s: float = setting(0.1, doc="m/s, largest speed", minimum=1e-6)
-    acceleration_m_s2: float = setting(0.5, doc="m/s^2, acceleration", minimum=1e-6)
-    settling_um: float = setting(2.0, doc="um, lag at the end of a motion", minimum=0.0)
-    settling_time_s: float = setting(
-        0.05, doc="s, time constant with which the lag decays", minimum=1e-6
-    )
-    report_delay_s: float = setting(
-        0.05, doc="s, from the end of a motion to the report of the point", minimum=1e-3
-    )
-
-
-@dataclass(frozen=True)
 class TemperatureSettings:
     """The temperature of the air and what it does."""
 
@@ -173,39 +123,9 @@ class TemperatureSettings:
 
 
 @dataclass(frozen=True)
-class FaultSettings:
-    """What goes wrong now and then."""
+class SimulationSettings(ABC):
+    """The simulated cell: a table, a temperature, and the instrument of a method."""
 
-    blocked_from_deg: float = setting(0.0, doc="deg, start of the sector without a beam")
-    blocked_to_deg: float = setting(
-        0.0, doc="deg, end of the sector without a beam; equal to the start: none"
-    )
-    blocked_targets: tuple[int, ...] = setting(
-        (-1,), doc="targets without a beam while the table is in the sector; -1 alone: all"
-    )
-    spike_probability: float = setting(
-        0.0, doc="probability that a reading is a spike", minimum=0.0, maximum=1.0
-    )
-    spike_um: float = setting(20.0, doc="um, magnitude of a spike", minimum=0.0)
-    dropout_probability: float = setting(
-        0.0, doc="probability that a reading is the first of a drop-out", minimum=0.0, maximum=1.0
-    )
-    dropout_samples: int = setting(5, doc="readings lost in a drop-out", minimum=1, maximum=10_000)
-    non_finite_probability: float = setting(
-        0.0, doc="probability that a reading is not a number", minimum=0.0, maximum=1.0
-    )
-
-
-@dataclass(frozen=True)
-class SimulationSettings:
-    """The simulated cell: a table, a temperature, and one of the instruments."""
-
-    instrument: str = setting(
-        TRACER,
-        doc="what measures: a laser tracer with a machine for its reflector, a machine that "
-        "touches the balls of a plate, or a laser tracker with a mirror",
-        choices=(TRACER, TOUCH_PROBE, TRACKER),
-    )
     seed: int = setting(1, doc="seed of all random numbers", minimum=0, maximum=2**31 - 1)
     time_scale: float = setting(
         1.0,
@@ -217,14 +137,7 @@ class SimulationSettings:
         2.0, doc="s, machine time after the last motion that still counts as busy", minimum=0.0
     )
     table: TableSettings = group(TableSettings)
-    tracker: TrackerSettings = group(TrackerSettings)
-    mirror: SimulatedMirrorSettings = group(SimulatedMirrorSettings)
-    plate: SimulatedPlateSettings = group(SimulatedPlateSettings)
-    touch_probe: TouchProbeSettings = group(TouchProbeSettings)
-    tracer: TracerSettings = group(TracerSettings)
-    probe: ProbeSettings = group(ProbeSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
-    faults: FaultSettings = group(FaultSettings)
 
     def __post_init__(self) -> None:
         if self.table.external and self.time_scale != 1.0:
@@ -232,3 +145,9 @@ class SimulationSettings:
                 f"simulation: an external table moves at life speed, time_scale is "
                 f"{self.time_scale:g}: set it to 1"
             )
+
+    @abstractmethod
+    def make_instrument(
+        self, table: Table, temperature: SimulatedTemperature, start_ns: int
+    ) -> Instrument:
+        """Return the machine and its instrument, which stand beside ``table``."""

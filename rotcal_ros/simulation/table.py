@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Stamps
 from rotcal_ros.compensation import plain_csv
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.observations import Approach, TableSample
-from rotcal_ros.results import COMPONENTS
 from rotcal_ros.simulation.motion import Limits, Motion
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.settings import AngularHarmonics, LinearHarmonics, TableSettings
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 
 def harmonics(series: LinearHarmonics | AngularHarmonics, angles: Floats) -> Floats:

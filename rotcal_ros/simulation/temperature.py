@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Stamps
 from rotcal_ros.observations import TemperatureSample
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.settings import TemperatureSettings
 from rotcal_ros.units import MICROMETRE, NANOSECOND
-
-Floats = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 SENSOR = "air"
 

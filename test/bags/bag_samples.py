@@ -15,7 +15,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
 from rotcal_ros.capture import Capture, CaptureSettings
-from rotcal_ros.configuration import dump_configuration, parse_configuration
+from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.observations import (
     Command,
     Observation,
@@ -178,8 +178,8 @@ def simulate(configuration_text: str = CONFIGURATION) -> Run:
     """Run a small calibration on the simulated cell, capturing live, one record at a time."""
     configuration = parse_configuration(configuration_text)
     plan = catalogue.prepare(configuration).plan
-    capture = Capture(plan, configuration.group("capture", CaptureSettings))
-    cell = SimulatedCell(configuration.group("simulation", SimulationSettings), START_NS)
+    capture = Capture(plan, configuration.capture)
+    cell = SimulatedCell(configuration.simulation, START_NS)
     run = Run()
 
     def arrive(record: Any) -> None:

@@ -12,7 +12,8 @@ from bag_samples import STORE, TYPES, encode, floats, serialised
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.bags import names, records
+from rotcal_ros import messages as records
+from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.decode import Columns, Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition

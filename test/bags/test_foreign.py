@@ -5,10 +5,10 @@ import math
 import pytest
 from bag_samples import CONFIGURATION, START_NS, STORE, serialised, simulate
 
-from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
-from rotcal_ros.configuration import dump_configuration, parse_configuration
+from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
+from rotcal_ros.recordings.replay import read_recording
 
 NAMES = {
     "tracer_length": "/etalon/distance_mm",

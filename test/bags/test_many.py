@@ -13,12 +13,12 @@ from bag_samples import CONFIGURATION as SAMPLE
 from bag_samples import simulate, write_run
 from click.testing import CliRunner
 
-from rotcal_ros.bags.many import Job, find_bags, solve_bag
-from rotcal_ros.bags.replay import read_recording
-from rotcal_ros.bags.workers import on_all_cores, on_cluster
+from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.configuration import dump_configuration, parse_configuration
 from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.recordings.many import Job, find_bags, solve_bag
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.workers import on_all_cores, on_cluster
 
 SEEDS = (5, 6, 7)
 _groups = parse_configuration(SAMPLE).groups

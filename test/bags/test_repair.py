@@ -13,9 +13,9 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.mcap_records import CHUNK, MAGIC
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks, session_files
 from rotcal_ros.bags.repair import repair
-from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
 from rotcal_ros.errors import BagError
+from rotcal_ros.recordings.replay import read_recording
 
 
 def damaged(run_bag: Path, tmp_path: Path, cut: float = 1.0, flips: int = 0) -> Path:

@@ -14,13 +14,13 @@ from bag_samples import CONFIGURATION, START_NS, Run, encode, open_writer, seria
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
-from rotcal_ros.bags.replay import read_recording
-from rotcal_ros.bags.topics import Topics
 from rotcal_ros.bags.verdict import losses_in_words, session_losses
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
-from rotcal_ros.configuration import parse_configuration
+from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import LengthStatus, Observation, TracerSample
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.topics import Topics
 
 
 def test_streams_give_the_live_observations_to_the_last_bit(

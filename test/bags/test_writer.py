@@ -13,12 +13,12 @@ import yaml
 from bag_samples import CONFIGURATION, START_NS, TYPES, open_writer, serialised
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.durable import DurableFile
 from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
 from rotcal_ros.errors import BagError
+from rotcal_ros.files import DurableFile
 
 
 def tracer_message(number: int) -> bytes:

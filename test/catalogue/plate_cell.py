@@ -4,8 +4,8 @@ from pathlib import Path
 
 from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.catalogue import prepare
-from rotcal_ros.cli.session import changed
-from rotcal_ros.configuration import read_configuration
+from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.sessions.session import changed
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 
 DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"
@@ -24,14 +24,14 @@ def small(*changes):
 
 
 def simulated_cell(calibration):
-    return SimulatedCell(calibration.configuration.group("simulation", SimulationSettings))
+    return SimulatedCell(calibration.configuration.simulation)
 
 
 def measure(calibration, *, steps=None, order=iter, turn_s=0.5):
     """Return the observations of all steps; ``order`` reorders the records of every turn."""
     cell = simulated_cell(calibration)
     capture = Capture(
-        calibration.plan, calibration.configuration.group("capture", CaptureSettings)
+        calibration.plan, calibration.configuration.capture
     )
     observations = []
     for step in calibration.plan.steps[:steps]:

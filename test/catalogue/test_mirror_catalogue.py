@@ -8,12 +8,12 @@ import pytest
 
 from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.catalogue import METHODS, prepare
-from rotcal_ros.cli.session import changed
-from rotcal_ros.configuration import read_configuration
+from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem, write_points
 from rotcal_ros.methods.plane_mirror.problem import problem_from_observations
 from rotcal_ros.observations import PointKind
+from rotcal_ros.sessions.session import changed
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 from rotcal_ros.tables import read_measurements
 from rotcal_ros.units import ARCSEC
@@ -30,8 +30,8 @@ def configured(*changes):
 def measured(configuration):
     """Return the calibration, its accepted observations, and the true ECC."""
     calibration = prepare(configuration)
-    cell = SimulatedCell(configuration.group("simulation", SimulationSettings))
-    capture = Capture(calibration.plan, configuration.group("capture", CaptureSettings))
+    cell = SimulatedCell(configuration.simulation)
+    capture = Capture(calibration.plan, configuration.capture)
     observations = []
     for step in calibration.plan.steps:
         command = step.command(0)

@@ -1,6 +1,6 @@
 import socket
 
-from rotcal_ros.cli.domains import DOMAINS, free_domain
+from rotcal_ros.sessions.domains import DOMAINS, free_domain
 
 
 def test_every_call_gives_another_domain():

@@ -11,8 +11,8 @@ import yaml
 from click.testing import CliRunner
 
 from rotcal_ros.catalogue import METHODS
+from rotcal_ros.catalogue.configuration import dump_configuration
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.configuration import dump_configuration
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 

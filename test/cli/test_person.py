@@ -5,9 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.cli import person as module
 from rotcal_ros.cli.person import Person
-from rotcal_ros.configuration import dump_configuration, parse_configuration
 
 PAUSED = {"event": "paused", "instruction": "put the tracker there"}
 WAITING = {"event": "feedback", "activity": "paused: put the tracker there"}

@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from rotcal_ros.cli import processes
-from rotcal_ros.cli.processes import Processes
+from rotcal_ros.sessions import processes
+from rotcal_ros.sessions.processes import Processes
 
 STUBBORN = (
     "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); "

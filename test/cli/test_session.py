@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
+from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.cli.run import describe
-from rotcal_ros.cli.session import changed, free_name, node_environment, prepare_session
-from rotcal_ros.configuration import read_configuration
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.sessions.session import changed, free_name, node_environment, prepare_session
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
 

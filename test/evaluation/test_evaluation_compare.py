@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 
-from rotcal_ros.compensation.measured import MeasuredCurve
+from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import read_reference, without_polygon

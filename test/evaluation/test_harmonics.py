@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rotcal_ros.compensation.measured import MeasuredCurve
+from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.harmonics import harmonic_content
 

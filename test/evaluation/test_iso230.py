@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.bidirectional import read_runs
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
-from rotcal_ros.evaluation.runs import read_runs
 from rotcal_ros.units import ARCSEC
 
 SPREAD = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotcal_ros.evaluation import one_table
 from rotcal_ros.evaluation.monte_carlo import propagate
 from rotcal_ros.evaluation.propagated import Propagated
 from rotcal_ros.methods import ball_plate, plane_mirror, tracer
-from rotcal_ros.simulation import one_table
 
 
 def prepared(method):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.compensation.measured import MeasuredCurve, measured_curve
+from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
+from rotcal_ros.evaluation import one_table
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import without_polygon
 from rotcal_ros.methods import ball_plate, plane_mirror, tracer
-from rotcal_ros.simulation import one_table
 from rotcal_ros.units import ARCSEC
 
 BALLS = (0, 3, 4, 9, 14, 20)

@@ -14,11 +14,11 @@ from real_linuxcnc import HERE, Axis, Running, plant_hal
 
 from rotcal_ros.cli.person import Person
 from rotcal_ros.cli.run import calibrate
-from rotcal_ros.cli.session import RunningSession, prepare_session
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
 from rotcal_ros.results import Result
+from rotcal_ros.sessions.session import RunningSession, prepare_session
 from rotcal_ros.units import ARCSEC, DEGREE
 
 pytest.importorskip("rclpy")
@@ -64,7 +64,7 @@ def axis(tmp_path):
 @pytest.fixture
 def with_driver(axis, monkeypatch):
     """Let every session start the driver too, which starts LinuxCNC."""
-    from rotcal_ros.cli import session
+    from rotcal_ros.sessions import session
 
     start = session._start
 

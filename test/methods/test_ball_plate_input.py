@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from plate_data import PAPER_PLATE, RADIUS
 
+from rotcal_ros.catalogue.ball_plate.plan import BallPlatePlanSettings
 from rotcal_ros.catalogue.setup_file import read_setup
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
 from rotcal_ros.methods.ball_plate.separability import separability
 from rotcal_ros.planning.ball_layout import rank_subsets
-from rotcal_ros.planning.ball_plate_plan import BallPlatePlanSettings
 
 PLATES = Path(__file__).parents[2] / "config" / "plates"
 GOOD = {"grid": 72, "ball_steps": PAPER_PLATE, "circle_radius_m": 0.185, "ball_diameter_m": 0.025}

@@ -9,7 +9,8 @@ from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, s
 from rotcal_ros.errors import DataError, ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate import BallPlateProblem, select, solve
 from rotcal_ros.methods.ball_plate.spectral import solve_spectral
-from rotcal_ros.results import COMPONENTS, Result
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.results import Result
 
 
 def at(place_of, grid=72, balls=PAPER_PLATE, direction=1.0, noise=1e-7):

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from rotcal_ros import catalogue
-from rotcal_ros.configuration import dump_configuration, parse_configuration
+from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.errors import DataError, PlanError
+from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.iso230 import iso230
-from rotcal_ros.evaluation.runs import runs_of
 from rotcal_ros.observations import Approach
-from rotcal_ros.planning.runs import visits
+from rotcal_ros.planning.visits import visits
 from rotcal_ros.results import Result
 from rotcal_ros.simulation.nominal import nominal_observations
 from rotcal_ros.units import ARCSEC

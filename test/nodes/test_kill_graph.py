@@ -12,7 +12,7 @@ from live_cell import SUITE, wait_until
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, read_blocks
-from rotcal_ros.bags.replay import read_recording
+from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from live_cell import SUITE, wait_until
 
-from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.configuration import parse_configuration
+from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from live_cell import SUITE, LiveCell
 
-from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.catalogue import prepare
-from rotcal_ros.cli.session import changed
-from rotcal_ros.configuration import read_configuration
-from rotcal_ros.results import COMPONENTS, Result
+from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.results import Result
+from rotcal_ros.sessions.session import changed
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 
 pytest.importorskip("rclpy")
@@ -60,7 +61,7 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     assert recording.solve().to_json() == text
     result = Result.from_dict(json.loads(text))
     calibration = prepare(read_configuration(live.file))
-    settings = calibration.configuration.group("simulation", SimulationSettings)
+    settings = calibration.configuration.simulation
     truth = calibration.method.gauge(result.angles, SimulatedCell(settings).truth(result.angles))
     for name in COMPONENTS:
         error = (result.deviations[name] - truth[name]) / result.std[name]

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from live_cell import DEMO, SHORT, wait_until
 
-from rotcal_ros.bags.replay import read_recording
 from rotcal_ros.catalogue import run_of
+from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

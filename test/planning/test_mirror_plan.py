@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotcal_ros.catalogue.plane_mirror.layout import incidence, station_visits
+from rotcal_ros.catalogue.plane_mirror.plan import MirrorPlanSettings, mirror_plan
 from rotcal_ros.errors import PlanError
 from rotcal_ros.observations import PointKind
-from rotcal_ros.planning.mirror_layout import incidence, station_visits
-from rotcal_ros.planning.mirror_plan import MirrorPlanSettings, mirror_plan
 from rotcal_ros.units import DEGREE
 
 NESTS = (1.5, 0.5, 0.1, 0.4, 1.7, 0.6, -1.4, 1.3, 1.0, -2.0, -0.6, 0.1, -0.3, -1.6, 0.6)

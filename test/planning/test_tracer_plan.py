@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
+from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.errors import PlanError
-from rotcal_ros.planning.tracer_plan import TracerPlanSettings, tracer_plan
 
 PAPER = TracerPlanSettings(table_start_deg=-145.0, table_step_deg=30.0, table_positions=11)
 

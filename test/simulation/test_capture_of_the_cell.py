@@ -10,9 +10,9 @@ import pytest
 
 from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.tracer import TracerSolverSettings
-from rotcal_ros.configuration import read_configuration
-from rotcal_ros.planning.tracer_plan import TracerPlanSettings, tracer_plan
+from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.tracer.calibration import TracerSolverSettings
+from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -49,9 +49,9 @@ def load(name):
     configuration = read_configuration(CONFIG / name)
     return (
         prepare(configuration).plan,
-        with_fixed_zero(configuration.group("simulation", SimulationSettings)),
-        configuration.group("capture", CaptureSettings),
-        configuration.group("solver", TracerSolverSettings),
+        with_fixed_zero(configuration.simulation),
+        configuration.capture,
+        configuration.solver,
     )
 
 

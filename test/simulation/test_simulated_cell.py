@@ -9,16 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rotcal_ros.catalogue.tracer.simulation_settings import FaultSettings
 from rotcal_ros.observations import Approach, Command, LengthStatus, PointKind
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
-from rotcal_ros.simulation.settings import (
-    AngularHarmonics,
-    FaultSettings,
-    ProbeSettings,
-    TableSettings,
-    TemperatureSettings,
-    TracerSettings,
-)
+from rotcal_ros.simulation.settings import (AngularHarmonics, ProbeSettings, TableSettings, TemperatureSettings, TracerSettings)
 
 SECOND = 1_000_000_000
 QUIET_PROBE = ProbeSettings(

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotcal_ros.catalogue.plane_mirror.simulation_settings import (
+    SimulatedMirrorSettings,
+    TrackerSettings,
+)
 from rotcal_ros.observations import Approach, Command, PointKind
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 from rotcal_ros.simulation.settings import AngularHarmonics, TableSettings
-from rotcal_ros.simulation.tracker_settings import SimulatedMirrorSettings, TrackerSettings
 from rotcal_ros.units import DEGREE
 
 EXACT = TrackerSettings(

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotcal_ros.catalogue.ball_plate.simulated_probe import MachineError, plate_balls, upper_half
+from rotcal_ros.catalogue.ball_plate.simulation_settings import (
+    SimulatedPlateSettings,
+    TouchProbeSettings,
+)
 from rotcal_ros.observations import Approach, Command, PointKind
 from rotcal_ros.simulation import SimulatedCell, SimulationSettings
 from rotcal_ros.simulation.settings import TOUCH_PROBE, LinearHarmonics, TableSettings
-from rotcal_ros.simulation.touch_probe import MachineError, plate_balls, upper_half
-from rotcal_ros.simulation.touch_settings import SimulatedPlateSettings, TouchProbeSettings
 from rotcal_ros.units import ARCSEC
 
 EXACT = SimulationSettings(

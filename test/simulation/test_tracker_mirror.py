@@ -3,16 +3,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.errors import PlanError
-from rotcal_ros.methods.plane_mirror import TrackerNoise
-from rotcal_ros.observations import PointKind
-from rotcal_ros.simulation.tracker_mirror import (
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
     add_noise,
     measure,
     paper_cell,
     ring_cell,
     table_pose,
 )
+from rotcal_ros.errors import PlanError
+from rotcal_ros.methods.plane_mirror import TrackerNoise
+from rotcal_ros.observations import PointKind
 
 
 def still(n):

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import PlanError
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, grid_angles
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 
 
 @dataclass(frozen=True)

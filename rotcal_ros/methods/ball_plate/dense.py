@@ -10,10 +10,11 @@ from functools import partial
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.model import Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 
 
 def design_matrix(problem: BallPlateProblem) -> Floats:

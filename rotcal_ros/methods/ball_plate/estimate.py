@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.ball_plate import gaps, general, model
 from rotcal_ros.methods.ball_plate.general import solve_general
 from rotcal_ros.methods.ball_plate.model import Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.spectral import solve_spectral
 
 FEW_GAPS = 20

@@ -15,10 +15,11 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_array
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.model import Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 
 MIN_BALLS = 3
 """Balls that a table position needs: two leave the rotation about their line open."""

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.arrays import Complexes, Floats, Ints
 from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate.problem import Complexes, Floats, Ints, grid_angles
+from rotcal_ros.methods.ball_plate.problem import grid_angles
 
 PLANE, AXIS = 0, 1
 POSE = ((1, PLANE), (0, AXIS))

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.estimate import residual_operator
 from rotcal_ros.methods.ball_plate.model import Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.distributions import f_isf
 from rotcal_ros.units import ARCSEC, MICROMETRE
 

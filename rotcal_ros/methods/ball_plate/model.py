@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 
 N_CONSTRAINTS = 19
 FIELDS = ("plate", "cmm", "rotation", "translation", "axis_rotation", "axis_shift")

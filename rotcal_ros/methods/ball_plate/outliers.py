@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.ball_plate.model import Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.distributions import f_isf
 
 FALSE_ALARM = 0.01

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.methods.ball_plate.problem import Floats, grid_angles
+from rotcal_ros.methods.ball_plate.problem import grid_angles
 from rotcal_ros.settings import load, setting
 
 

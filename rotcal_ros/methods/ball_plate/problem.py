@@ -6,13 +6,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError, PlanError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Complexes = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -103,7 +99,7 @@ class BallPlateProblem:
         deviations: Floats = self.centres - self.radius * nominal
         return deviations
 
-    def take(self, keep: NDArray[np.bool_] | Ints) -> BallPlateProblem:
+    def take(self, keep: Bools | Ints) -> BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
         return replace(
             self,

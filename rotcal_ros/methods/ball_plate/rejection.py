@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError, ObservabilityError
 from rotcal_ros.methods.ball_plate.estimate import least_squares
 from rotcal_ros.methods.ball_plate.knock import Knock, find_knock
 from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.outliers import CentreTest, choose, judge_centres
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.separability import require_separable
 from rotcal_ros.results import Rejection
 

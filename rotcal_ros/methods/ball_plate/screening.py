@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.results import Rejection
 from rotcal_ros.units import DEGREE, MILLIMETRE
 
@@ -44,7 +44,7 @@ def screen(problem: BallPlateProblem) -> Screened:
     clockwise, one ball measured in place of another. Flagged: centres that are not finite,
     single centres far from their place, doubled centres while others are missing.
     """
-    finite: NDArray[np.bool_] = np.all(np.isfinite(problem.centres), axis=1)
+    finite: Bools = np.all(np.isfinite(problem.centres), axis=1)
     rejected = [
         Rejection(int(problem.rows[r]), f"{_where(problem, r)}: the centre is not finite")
         for r in np.flatnonzero(~finite)

@@ -7,10 +7,11 @@ from math import gcd
 
 import numpy as np
 
+from rotcal_ros.arrays import Complexes, Floats, Ints
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import harmonics, model
 from rotcal_ros.methods.ball_plate.dense import design_matrix
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Complexes, Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 
 TOLERANCE = 1e-9
 """Eigenvalues below this, relative to the number of balls, count as zero."""

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.rejection import Fitted, fit_and_reject
 from rotcal_ros.methods.ball_plate.screening import screen
 from rotcal_ros.methods.ball_plate.separability import separability
@@ -20,7 +22,7 @@ from rotcal_ros.methods.ball_plate.two_groups import (
     turned_covariance,
 )
 from rotcal_ros.methods.distributions import chi2_sf
-from rotcal_ros.results import COMPONENTS, Residuals, Result, Verdict
+from rotcal_ros.results import Residuals, Result, Verdict
 from rotcal_ros.units import MICROMETRE, MICRORADIAN
 
 METHOD = "ball_plate"

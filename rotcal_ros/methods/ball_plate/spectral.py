@@ -10,17 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.arrays import Complexes, Floats, Ints
+from rotcal_ros.components import ROTATIONS
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import harmonics, model
 from rotcal_ros.methods.ball_plate.harmonics import AXIS, PLANE, Harmonics
 from rotcal_ros.methods.ball_plate.model import Parameters, Solution
-from rotcal_ros.methods.ball_plate.problem import (
-    BallPlateProblem,
-    Complexes,
-    Floats,
-    Ints,
-    grid_angles,
-)
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 
 
 def solve_spectral(problem: BallPlateProblem) -> Solution:
@@ -213,7 +209,7 @@ class TableCovariance:
 
     def _weights(self, name: str) -> tuple[int, list[tuple[int, Floats]]]:
         """Return the block and the turning-frame unknowns of which a component is made."""
-        scale = 1.0 / self.radius if name in ("EAC", "EBC", "ECC") else 1.0
+        scale = 1.0 / self.radius if name in ROTATIONS else 1.0
         block = PLANE if name in ("EXC", "EYC", "ECC") else AXIS
         angles = grid_angles(self.system.grid)
         cos, sin = scale * np.cos(angles), scale * np.sin(angles)

@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.ball_plate import general, model
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.rejection import fit_and_reject
 from rotcal_ros.methods.ball_plate.screening import screen
 from rotcal_ros.methods.ball_plate.solve import solve
-from rotcal_ros.results import COMPONENTS
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.model import Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, Floats, Ints
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.separability import common_divisor
 
 

@@ -2,13 +2,12 @@
 
 from rotcal_ros.methods.plane_mirror.nest_tests import check_nests
 from rotcal_ros.methods.plane_mirror.problem import (
-    WAYS,
     PlaneMirrorProblem,
     TrackerNoise,
     problem_from_observations,
 )
+from rotcal_ros.methods.plane_mirror.settings import WAYS
 from rotcal_ros.methods.plane_mirror.solve import METHOD, solve
-from rotcal_ros.methods.plane_mirror.table import read_points, write_points
 from rotcal_ros.methods.plane_mirror.trials import mirror_trials
 
 __all__ = [
@@ -19,7 +18,5 @@ __all__ = [
     "check_nests",
     "mirror_trials",
     "problem_from_observations",
-    "read_points",
     "solve",
-    "write_points",
 ]

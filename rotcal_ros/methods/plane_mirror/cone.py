@@ -10,11 +10,9 @@ elevation of the normals above the plane of rotation, s = sin(beta).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
-
-Floats = NDArray[np.float64]
 
 
 def fit_cone(normals: Floats, commanded: Floats) -> tuple[Floats, Floats]:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError, GeometryError
 from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.layout import Reflectors
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
-
-Floats = NDArray[np.float64]
 
 
 def direct_readings(placed: Floats, reflectors: Reflectors, angles: Floats) -> Floats:

@@ -9,9 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.plane_mirror import cone, joint
 from rotcal_ros.methods.plane_mirror.direct import direct_readings
 from rotcal_ros.methods.plane_mirror.layout import Nests, Pairs, Reflectors
@@ -19,9 +17,6 @@ from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import Poses, adjust_stations
 from rotcal_ros.methods.plane_mirror.stitching import stitch
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared, then rounding
 

@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.layout import Nests, Pairs
@@ -29,8 +29,6 @@ from rotcal_ros.methods.plane_mirror.registration import (
     nest_equations,
     station_columns,
 )
-
-Floats = NDArray[np.float64]
 
 _MAX_STEPS: Final = 30
 _TOLERANCE: Final = 1e-13

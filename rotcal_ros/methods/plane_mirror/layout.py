@@ -6,13 +6,11 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.observations import PointKind
-
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -23,19 +21,19 @@ class Pairs:
     (G,); ``group`` (P,) tells the group of each pair and ``start`` (G,) its first pair.
     """
 
-    direct: Integers
-    mirrored: Integers
-    group: Integers
-    start: Integers
-    position: Integers
-    station: Integers
+    direct: Ints
+    mirrored: Ints
+    group: Ints
+    start: Ints
+    position: Ints
+    station: Ints
 
     @property
     def n_groups(self) -> int:
         """Number of groups, that is, of normals."""
         return len(self.position)
 
-    def keep(self, wanted: NDArray[np.bool_]) -> Pairs:
+    def keep(self, wanted: Bools) -> Pairs:
         """Return the pairs (P,) that are wanted, without the groups that become empty."""
         groups, group = np.unique(self.group[wanted], return_inverse=True)
         return Pairs(
@@ -55,22 +53,22 @@ class Nests:
     A nest that was moved in between counts as two points of the same name.
     """
 
-    row: Integers
-    station: Integers
-    point: Integers
-    start: Integers
-    name: Integers
+    row: Ints
+    station: Ints
+    point: Ints
+    start: Ints
+    name: Ints
 
     @property
     def n_points(self) -> int:
         """Number of fixed points."""
         return len(self.name)
 
-    def keep(self, wanted: NDArray[np.bool_]) -> Nests:
+    def keep(self, wanted: Bools) -> Nests:
         """Return the rows (Q,) that are wanted, without the points that become empty."""
         return _nests(self.row[wanted], self.station[wanted], self.point[wanted], self.name)
 
-    def split(self, moved: NDArray[np.bool_]) -> Nests:
+    def split(self, moved: Bools) -> Nests:
         """Return nests in which the rows (Q,) marked as moved belong to a new point."""
         point = np.where(moved, self.n_points, self.point)
         name = np.append(self.name, self.name[self.point[moved][0]])
@@ -81,13 +79,13 @@ class Nests:
 class Reflectors:
     """Direct rows (M,) of reflectors that the table carries, sorted by reflector."""
 
-    row: Integers
-    position: Integers
-    station: Integers
-    reflector: Integers
-    name: Integers
+    row: Ints
+    position: Ints
+    station: Ints
+    reflector: Ints
+    name: Ints
 
-    def keep(self, wanted: NDArray[np.bool_]) -> Reflectors:
+    def keep(self, wanted: Bools) -> Reflectors:
         """Return the rows (M,) that are wanted."""
         return replace(
             self,
@@ -163,14 +161,14 @@ def find_reflectors(problem: PlaneMirrorProblem) -> Reflectors:
     return Reflectors(rows, problem.position[rows], problem.station[rows], reflector, names)
 
 
-def _nests(row: Integers, station: Integers, point: Integers, name: Integers) -> Nests:
+def _nests(row: Ints, station: Ints, point: Ints, name: Ints) -> Nests:
     used, point = np.unique(point, return_inverse=True)
     order = np.lexsort([row, station, point])
     point = point[order].astype(np.int64)
     return Nests(row[order], station[order], point, _starts(point, len(used)), name[used])
 
 
-def _starts(sorted_index: Integers, count: int) -> Integers:
+def _starts(sorted_index: Ints, count: int) -> Ints:
     return np.searchsorted(sorted_index, np.arange(count)).astype(np.int64)
 
 

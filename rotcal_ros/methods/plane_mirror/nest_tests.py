@@ -7,9 +7,9 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror.layout import Nests, find_nests
@@ -21,9 +21,6 @@ from rotcal_ros.methods.plane_mirror.registration import (
     place_stations,
     pose_jacobian,
 )
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 MIN_APART: Final = 5e-3
 """Two nests are never closer than this (m): it is less than any reflector."""
@@ -113,12 +110,12 @@ def nest_fit(points: Floats, nests: Nests, weight: Floats, poses: Poses) -> Nest
 
 def _moved_nest(
     problem: PlaneMirrorProblem, nests: Nests, fit: NestFit
-) -> tuple[NDArray[np.bool_], str] | None:
+) -> tuple[Bools, str] | None:
     """Return the most likely move, if one explains what noise cannot; else None."""
     if fit.dof == 0 or fit.chi_square <= chi2_isf(problem.significance, fit.dof):
         return None
     hypotheses = _hypotheses(nests)
-    best: tuple[float, NDArray[np.bool_], str] | None = None
+    best: tuple[float, Bools, str] | None = None
     for members, when in hypotheses:
         drop, shift = _gain(fit, members)
         rest = max(1.0, (fit.chi_square - drop) / max(fit.dof - 3, 1))
@@ -132,7 +129,7 @@ def _moved_nest(
     return None if best is None else best[1:]
 
 
-def _hypotheses(nests: Nests) -> list[tuple[NDArray[np.bool_], str]]:
+def _hypotheses(nests: Nests) -> list[tuple[Bools, str]]:
     """Each nest moved for good between two stations, or stood elsewhere at one station only."""
     found = []
     for point in range(nests.n_points):
@@ -144,14 +141,14 @@ def _hypotheses(nests: Nests) -> list[tuple[NDArray[np.bool_], str]]:
     return found
 
 
-def _stations(nests: Nests, members: NDArray[np.bool_]) -> tuple[int, int]:
+def _stations(nests: Nests, members: Bools) -> tuple[int, int]:
     """Return the last station before the move that saw the nest, and the first after it."""
     first = int(nests.station[members].min())
     own = nests.station[nests.point == nests.point[members][0]]
     return int(own[own < first].max()), first
 
 
-def _gain(fit: NestFit, members: NDArray[np.bool_]) -> tuple[float, Floats]:
+def _gain(fit: NestFit, members: Bools) -> tuple[float, Floats]:
     """Drop of chi square and the shift (3,) when the members may stand elsewhere together."""
     select = np.kron(members[:, None].astype(float), np.eye(3))
     weighted = fit.weight @ select

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.plane_mirror.layout import Pairs
 from rotcal_ros.methods.plane_mirror.problem import TrackerNoise
-
-Floats = NDArray[np.float64]
 
 _STEPS: Final = 2  # from the mean of M - M': first noise squared, then rounding
 

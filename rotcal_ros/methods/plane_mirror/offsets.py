@@ -9,15 +9,13 @@ squares below are the paper's running sum (equations 7 to 16); with more, all ti
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from rotcal_ros.arrays import Floats, Ints
 
 
-def joining_map(position: Integers, zero: Integers, variance: Floats, n: int) -> Floats:
+def joining_map(position: Ints, zero: Ints, variance: Floats, n: int) -> Floats:
     """Return the matrix (n, m) from readings (m,) to deviations from the first position.
 
     ``position``, ``zero`` (m,) say where each reading belongs, ``variance`` (m,) its weight.
@@ -32,7 +30,7 @@ def joining_map(position: Integers, zero: Integers, variance: Floats, n: int) ->
     return np.vstack([np.zeros(m), solution[: n - 1]])
 
 
-def islands(position: Integers, zero: Integers, n: int) -> tuple[Integers, Integers]:
+def islands(position: Ints, zero: Ints, n: int) -> tuple[Ints, Ints]:
     """Return the island number of each position (n,) and of each set; one island is good."""
     sets = int(zero.max()) + 1
     links = coo_array((np.ones(len(position)), (position, n + zero)), shape=(n + sets, n + sets))

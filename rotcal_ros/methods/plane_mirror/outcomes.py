@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror import cone, joint, stitching
 from rotcal_ros.methods.plane_mirror import uncertainty as unc
 from rotcal_ros.methods.plane_mirror.direct import (
@@ -23,8 +23,6 @@ from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals
 from rotcal_ros.methods.plane_mirror.registration import nest_equations
 from rotcal_ros.methods.plane_mirror.residuals import enter, enter_nests, enter_pairs
 from rotcal_ros.results import Residuals
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -158,7 +156,7 @@ def _from_readings(
     response: Floats,
     covariance: Floats,
     axes: Floats,
-    zero: NDArray[np.int64],
+    zero: Ints,
     placed: Floats | None = None,
 ) -> Outcome:
     """Deviations from readings; chi square of groups, cones and positions seen repeatedly."""

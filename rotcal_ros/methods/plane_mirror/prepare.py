@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror import screening
 from rotcal_ros.methods.plane_mirror.direct import fit_circle, require_circles
@@ -25,9 +25,6 @@ from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import Poses
 from rotcal_ros.methods.plane_mirror.stitching import require_cone, require_overlap
 from rotcal_ros.results import Rejection
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -144,7 +141,7 @@ def _with_mirror(prepared: Prepared) -> Prepared:
     return replace(prepared, mirror=mirror, poses=mirror.poses)
 
 
-def _absent(problem: PlaneMirrorProblem, used: Integers) -> list[str]:
+def _absent(problem: PlaneMirrorProblem, used: Ints) -> list[str]:
     absent = np.setdiff1d(np.arange(len(problem.angles)), used)
     names = ", ".join(problem.position_name(int(i)) for i in absent)
     return [f"no usable points at {names}: left out of the result"] if len(absent) else []

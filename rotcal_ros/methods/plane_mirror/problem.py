@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Final, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
+from rotcal_ros.methods.plane_mirror.settings import (
+    INCIDENCE_LIMIT_DEG,
+    WAYS,
+    MirrorSolverSettings,
+    Way,
+)
 from rotcal_ros.observations import Observation, PointKind
 from rotcal_ros.units import ARCSEC, DEGREE
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Way = Literal["direct", "stitching", "registration", "joint"]
-WAYS: Final[tuple[Way, ...]] = get_args(Way)
+_DEFAULTS = MirrorSolverSettings()
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,11 @@ class TrackerNoise:
     ``mirror_slope_std`` is the mirror's flatness as slope (rad) seen from spot to spot.
     """
 
-    range_std: float = 2.5e-6
-    range_std_per_metre: float = 0.25e-6
-    transverse_std: float = 3.75e-6
-    transverse_std_per_metre: float = 1.5e-6
-    mirror_slope_std: float = 0.0
+    range_std: float = _DEFAULTS.range_std_m
+    range_std_per_metre: float = _DEFAULTS.range_std_relative
+    transverse_std: float = _DEFAULTS.transverse_std_m
+    transverse_std_per_metre: float = _DEFAULTS.transverse_std_relative
+    mirror_slope_std: float = _DEFAULTS.mirror_slope_std_arcsec * ARCSEC
 
     def __post_init__(self) -> None:
         values = (
@@ -68,6 +70,17 @@ class TrackerNoise:
         return np.asarray(np.linalg.inv(self.covariance(points)), dtype=np.float64)
 
 
+def noise_of(settings: MirrorSolverSettings) -> TrackerNoise:
+    """Return the noise of the tracker that the settings state."""
+    return TrackerNoise(
+        range_std=settings.range_std_m,
+        range_std_per_metre=settings.range_std_relative,
+        transverse_std=settings.transverse_std_m,
+        transverse_std_per_metre=settings.transverse_std_relative,
+        mirror_slope_std=settings.mirror_slope_std_arcsec * ARCSEC,
+    )
+
+
 @dataclass(frozen=True)
 class PlaneMirrorProblem:
     """Points of a laser tracker around a rotary table, row by row, and how to use them.
@@ -90,16 +103,16 @@ class PlaneMirrorProblem:
     """
 
     angles: Floats
-    position: Integers
-    station: Integers
-    kind: Integers
-    nest: Integers
+    position: Ints
+    station: Ints
+    kind: Ints
+    nest: Ints
     xyz: Floats
     noise: TrackerNoise = field(default_factory=TrackerNoise)
-    way: Way = "joint"
-    tilt_std: float = 1.0 * ARCSEC
-    incidence_limit: float = 50.0 * DEGREE
-    significance: float = 1e-3
+    way: Way = _DEFAULTS.way
+    tilt_std: float = _DEFAULTS.tilt_std_arcsec * ARCSEC
+    incidence_limit: float = INCIDENCE_LIMIT_DEG * DEGREE
+    significance: float = _DEFAULTS.significance
     station_names: tuple[str, ...] = ()
     source: str = "the data"
     lines: tuple[int, ...] = ()
@@ -137,7 +150,7 @@ def problem_from_observations(
     observations: Iterable[Observation],
     angles: Floats,
     noise: TrackerNoise | None = None,
-    way: Way = "joint",
+    way: Way = _DEFAULTS.way,
 ) -> PlaneMirrorProblem:
     """Make a problem from captured probe points; observations that were not accepted are left out.
 

@@ -12,16 +12,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import GeometryError
 from rotcal_ros.geometry.rigid import align, require_spread
 from rotcal_ros.geometry.rotations import cross_matrix, rotation_from_vector
 from rotcal_ros.methods.plane_mirror.layout import Nests
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 _MAX_STEPS: Final = 30
 _TOLERANCE: Final = 1e-14
@@ -37,13 +34,13 @@ class Poses:
     rotation: Floats
     translation: Floats
 
-    def turned(self, points: Floats, station: Integers) -> Floats:
+    def turned(self, points: Floats, station: Ints) -> Floats:
         """Return vectors (..., m, 3) seen from ``station`` (m,) along the common axes."""
         rotation = self.rotation[..., station, :, :]
         vectors: Floats = np.einsum("...mij,...mj->...mi", rotation, points)
         return vectors
 
-    def placed(self, points: Floats, station: Integers) -> Floats:
+    def placed(self, points: Floats, station: Ints) -> Floats:
         """Return points (..., m, 3) seen from ``station`` (m,) in the common frame."""
         return self.turned(points, station) + self.translation[..., station, :]
 
@@ -60,7 +57,7 @@ class Poses:
         return Poses(rotation, translation)
 
 
-def station_columns(station: Integers) -> tuple[Integers, Integers]:
+def station_columns(station: Ints) -> tuple[Ints, Ints]:
     """Return the entries (k,) that do not stand at the first station, and their columns (k, 6)."""
     movable = np.flatnonzero(station > 0)
     columns = 6 * (station[movable] - 1)[:, None] + np.arange(6)
@@ -136,7 +133,7 @@ def place_stations(problem: PlaneMirrorProblem, nests: Nests) -> Poses:
     return Poses(rotation, translation)
 
 
-def _shared(known: Floats, nests: Nests, station: int) -> Integers:
+def _shared(known: Floats, nests: Nests, station: int) -> Ints:
     """Entries of the nests that a station sees and whose place is known, one per nest."""
     seen = (nests.station == station) & np.isfinite(known[nests.point, 0])
     _, first = np.unique(nests.point[seen], return_index=True)
@@ -157,7 +154,7 @@ def _learn(
 
 
 def _require_nests(
-    problem: PlaneMirrorProblem, nests: Nests, station: int, rows: Integers, target: Floats
+    problem: PlaneMirrorProblem, nests: Nests, station: int, rows: Ints, target: Floats
 ) -> None:
     names = ", ".join(str(name) for name in nests.name[nests.point[rows]])
     where = f"{problem.source}: tracker station {problem.station_name(station)}"
@@ -169,7 +166,7 @@ def _require_nests(
     require_spread(target, f"{where}: the nests {names} that it shares with the others")
 
 
-def pose_jacobian(arm: Floats, station: Integers, n_stations: int) -> Floats:
+def pose_jacobian(arm: Floats, station: Ints, n_stations: int) -> Floats:
     """Change (..., Q, 3, p) of the placed points per pose change."""
     jacobian = np.zeros((*arm.shape, 6 * (n_stations - 1)))
     movable, columns = station_columns(station)

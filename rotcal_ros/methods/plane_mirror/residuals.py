@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror.layout import Nests, Pairs
 from rotcal_ros.methods.plane_mirror.nest_tests import NestFit
 from rotcal_ros.methods.plane_mirror.normals import Normals, condition_jacobian, tangent_basis
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.results import Residuals
-
-Floats = NDArray[np.float64]
 
 
 def empty_residuals(problem: PlaneMirrorProblem) -> Residuals:
@@ -27,9 +25,7 @@ def empty_residuals(problem: PlaneMirrorProblem) -> Residuals:
     )
 
 
-def enter(
-    residuals: Residuals, rows: NDArray[np.int64], length: Floats, share: Floats, test: Floats
-) -> None:
+def enter(residuals: Residuals, rows: Ints, length: Floats, share: Floats, test: Floats) -> None:
     """Write the residual lengths (m), redundancies and test values of ``rows`` as used."""
     residuals.residual[rows] = length
     residuals.redundancy[rows] = np.clip(share, 0.0, 1.0)

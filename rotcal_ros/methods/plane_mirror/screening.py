@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.distributions import chi2_isf
@@ -19,8 +19,6 @@ from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals, incide
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.results import Rejection
 from rotcal_ros.units import DEGREE
-
-Floats = NDArray[np.float64]
 
 MIN_SEPARATION: Final = 1e-3
 """Two reflectors, or a reflector and its image, are never closer than this (m)."""

@@ -6,19 +6,18 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror import outcomes, screening
 from rotcal_ros.methods.plane_mirror.estimate import Prepared
 from rotcal_ros.methods.plane_mirror.normals import fit_normals, incidence
 from rotcal_ros.methods.plane_mirror.outcomes import Outcome
 from rotcal_ros.methods.plane_mirror.prepare import prepare
-from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, Way
+from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.residuals import empty_residuals
+from rotcal_ros.methods.plane_mirror.settings import Way
 from rotcal_ros.results import Residuals, Result
-
-Floats = NDArray[np.float64]
 
 METHOD: Final = "plane_mirror"
 

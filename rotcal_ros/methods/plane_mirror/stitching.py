@@ -5,16 +5,13 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError, GeometryError
 from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.layout import Pairs
 from rotcal_ros.methods.plane_mirror.offsets import islands
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 MIN_ARC: Final = 5e-3
 """Smallest singular value of an arc of directions, about its height: four degrees end to end."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.plane_mirror.cone import fit_cone
 from rotcal_ros.methods.plane_mirror.estimate import Prepared, estimate
 from rotcal_ros.methods.plane_mirror.layout import Pairs
@@ -15,8 +15,6 @@ from rotcal_ros.methods.plane_mirror.normals import fit_normals, image_response,
 from rotcal_ros.methods.plane_mirror.prepare import prepare
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.stitching import cone_height, station_axes
-
-Floats = NDArray[np.float64]
 
 _CHUNK: Final = 250  # trials at a time keep the arrays small enough for the cache
 

@@ -7,17 +7,14 @@ in that order 2 G numbers; the direct way feels tangential, radial and axial mov
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror import cone, stitching
 from rotcal_ros.methods.plane_mirror.joint import plane_weight
 from rotcal_ros.methods.plane_mirror.layout import Pairs, Reflectors
 from rotcal_ros.methods.plane_mirror.normals import Normals, tangent_frame
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import Poses, station_columns
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 
 def normal_covariance(
@@ -123,7 +120,7 @@ def misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, i
 
 
 def cone_misfit(
-    normals: Floats, axes: Floats, zero: Integers, azimuth: Floats, covariance: Floats
+    normals: Floats, axes: Floats, zero: Ints, azimuth: Floats, covariance: Floats
 ) -> tuple[float, int]:
     """Return chi square and dof of the normals (G, 3) about their cones, one per set ``zero``."""
     values = np.einsum("gi,gi->g", normals, axes)

@@ -4,8 +4,17 @@
 :mod:`.solve` for what comes out. Source: the laser tracer multi-station paper, Eq. 1-36.
 """
 
-from rotcal_ros.methods.tracer.problem import TracerProblem, TracerSettings
+from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.settings import TracerLimits, TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD, solve
 from rotcal_ros.methods.tracer.trials import TracerTrials, tracer_trials
 
-__all__ = ["METHOD", "TracerProblem", "TracerSettings", "TracerTrials", "solve", "tracer_trials"]
+__all__ = [
+    "METHOD",
+    "TracerProblem",
+    "TracerLimits",
+    "TracerSolverSettings",
+    "TracerTrials",
+    "solve",
+    "tracer_trials",
+]

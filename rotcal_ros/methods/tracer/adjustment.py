@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from rotcal_ros.arrays import Floats
 
 MINIMAL_REDUNDANCY: Final = 1e-6
 """Below this share a length is checked by nothing: its test value is zero."""

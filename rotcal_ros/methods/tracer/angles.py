@@ -11,14 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import GeometryError
 from rotcal_ros.geometry.circle import Circle, circle_centre_jacobian, fit_circle
 from rotcal_ros.geometry.plane import Plane, fit_plane
 from rotcal_ros.geometry.rotations import wrap_angle
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

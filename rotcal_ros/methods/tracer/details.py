@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion, algorithm_error, scatter
@@ -13,10 +12,8 @@ from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.observability import weakest_direction
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.screening import rejection_limit
-from rotcal_ros.methods.tracer.uncertainty import COVERAGE_FACTOR, AngleUncertainty
+from rotcal_ros.methods.tracer.uncertainty import HALF_OF_95_PERCENT, AngleUncertainty
 from rotcal_ros.methods.tracer.verdict import Evidence
-
-Floats = NDArray[np.float64]
 
 
 class Solution(NamedTuple):
@@ -56,7 +53,7 @@ def details(problem: TracerProblem, solution: Solution) -> dict[str, Any]:
         "scatter": scatter(motion.adjacent),
         "budget": dict(solution.angles.budget),
         "covariance_scale": solution.scale,
-        "coverage_factor": COVERAGE_FACTOR,
+        "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(problem, solution),
         "closure": [
             {"first": c.first, "last": c.last, "error": c.error, "std": c.std}

@@ -10,13 +10,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer.problem import TracerProblem
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 STATION_MINIMUM: Final = 5
 """Lengths per station: four unknowns (X, Y, Z, d) and one to check them."""
@@ -41,7 +38,7 @@ class Grid:
     station_ids: Ints
     target_ids: Ints
     row: Ints
-    used: NDArray[np.bool_]
+    used: Bools
     length: Floats
     length_std: Floats
     targets: Floats

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.distributions import chi2_sf
@@ -20,9 +20,6 @@ from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.solve import solve
 from rotcal_ros.methods.tracer.trials import TracerTrials, tracer_trials
 from rotcal_ros.results import Result, Verdict
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError, ObservabilityError
 from rotcal_ros.geometry.rotations import cross_matrix, fit_rotation
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance, ranges
@@ -37,8 +37,6 @@ from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.observability import CURE, name_direction
 from rotcal_ros.methods.tracer.schur import Reduced, eliminate
 from rotcal_ros.methods.tracer.station import adjust_stations
-
-Floats = NDArray[np.float64]
 
 CONVERGED: Final = 1e-14
 """Squared length of the last step in standard deviations."""

@@ -10,13 +10,10 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.tracer.grid import Grid
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 RANK_TOLERANCE: Final = 1e-12
 """Smallest eigenvalue of the mean outer product of the design's rows, relative to the largest."""

@@ -2,43 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.methods.tracer.settings import Datum, TracerLimits, TracerSolverSettings, Variant
 
-Floats = NDArray[np.float64]
-Variant = Literal["station", "joint"]
-Datum = Literal["prior", "free"]
-
-
-@dataclass(frozen=True, slots=True)
-class TracerSettings:
-    """When an observation is rejected, and when a result is no longer called ok.
-
-    ``rejection_significance``: probability of rejecting any observation at all when all are
-    good (two-sided, shared among the observations; 0.01 means |test value| > 4.3 at 704
-    lengths). ``test_significance``: the same for each global test (chi-squared, closure, error
-    motion). ``max_rejected_share``: share of rejected lengths beyond which the verdict is suspect.
-    ``max_station_std``: largest standard deviation of a station in any direction, relative to
-    the radius of the circle of stations; beyond it the geometry is refused.
-    """
-
-    rejection_significance: float = 0.01
-    test_significance: float = 0.001
-    max_rejected_share: float = 0.03
-    max_station_std: float = 0.01
-
-    def __post_init__(self) -> None:
-        for name in self.__slots__:
-            value = getattr(self, name)
-            if not 0.0 < value < 1.0:
-                raise ConfigurationError(
-                    f"tracer setting {name} is {value}, expected 0 < value < 1"
-                )
+_DEFAULTS = TracerSolverSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,19 +50,19 @@ class TracerProblem:
     deviations that are not positive; ConfigurationError for unknown names.
     """
 
-    station: NDArray[np.int64]
-    target: NDArray[np.int64]
+    station: Ints
+    target: Ints
     length: Floats
     length_std: Floats
     targets: Floats
     target_std: Floats
     table_angles: Floats
-    variant: Variant = "station"
-    datum: Datum = "prior"
-    error_motion_std: float = 0.0
+    variant: Variant = _DEFAULTS.variant
+    datum: Datum = _DEFAULTS.datum
+    error_motion_std: float = _DEFAULTS.error_motion_std_m
     repeated_runs: bool = False
     start_stations: Floats | None = None
-    settings: TracerSettings = field(default_factory=TracerSettings)
+    settings: TracerLimits = _DEFAULTS
 
     def __post_init__(self) -> None:
         self._check_names()
@@ -171,7 +145,7 @@ def _indices(name: str, values: ArrayLike, limit: int, size: int | None = None) 
     return _require(inside, array.astype(np.int64), f"{name} index", f"0 to {limit - 1}")
 
 
-def _require(good: NDArray[np.bool_], array: NDArray[Any], name: str, what: str) -> NDArray[Any]:
+def _require(good: Bools, array: NDArray[Any], name: str, what: str) -> NDArray[Any]:
     """Return ``array`` where all is ``good``; else raise DataError naming the first bad entry."""
     good = np.broadcast_to(good, array.shape)
     if not good.all():

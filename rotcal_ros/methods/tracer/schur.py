@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ObservabilityError
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,13 +21,12 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.adjustment import Adjustment
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM, STATION_MINIMUM, Grid
 
-Floats = NDArray[np.float64]
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
 NORMAL_QUARTILE: Final = 0.6745
@@ -103,7 +102,7 @@ def reject_gross(
         grid = replace(grid, used=coarse.used)
 
 
-def _outliers(grid: Grid, fit: Adjustment, limit: float) -> NDArray[np.bool_]:
+def _outliers(grid: Grid, fit: Adjustment, limit: float) -> Bools:
     """Return (m, n) which lengths to reject in this round."""
     size = np.where(grid.used, np.abs(fit.test_value), 0.0)
     size[grid.used.sum(axis=1) <= STATION_MINIMUM] = 0.0

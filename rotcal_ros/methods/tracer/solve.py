@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer import joint, station
 from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY
@@ -26,8 +26,6 @@ from rotcal_ros.methods.tracer.uncertainty import (
 )
 from rotcal_ros.methods.tracer.verdict import Evidence, closures, judge
 from rotcal_ros.results import Rejection, Residuals, Result
-
-Floats = NDArray[np.float64]
 
 METHOD = "tracer_multistation"
 LOST = 0.1

@@ -15,13 +15,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.methods.tracer.adjustment import ranges
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.station import locate_stations
-
-Floats = NDArray[np.float64]
 
 NEARLY_FLAT: Final = 3e-3
 """Ratio of singular values below which the linear solution alone is not trusted."""
@@ -31,7 +29,7 @@ MIRROR: Final = 1e-5
 """Distance (m) from which two candidates are two places, not one found twice."""
 
 
-def start_candidates(targets: Floats, length: Floats, used: NDArray[np.bool_]) -> Floats:
+def start_candidates(targets: Floats, length: Floats, used: Bools) -> Floats:
     """Return start values (c, m, 4) of (X, Y, Z, d) for ``targets`` (n, 3), ``length`` (m, n).
 
     One candidate (c = 1) where the targets determine all stations linearly; otherwise three: the
@@ -87,7 +85,7 @@ def _without_gaps(targets: Floats, length: Floats) -> Floats | None:
     return start
 
 
-def _rows(points: Floats, reading: Floats, used: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _rows(points: Floats, reading: Floats, used: Bools) -> tuple[Floats, Floats]:
     """Return the linear systems (m, n, 5) and right-hand sides (m, n), zero where unused."""
     system = np.empty((*reading.shape, 5))
     system[..., :3] = 2.0 * points

@@ -11,14 +11,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance, ranges
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.observability import check_station_rank
-
-Floats = NDArray[np.float64]
 
 BETA: Final = 0.55
 SIGMA: Final = 0.4
@@ -32,7 +30,7 @@ MAX_ITERATIONS: Final = 100
 
 def locate_stations(
     targets: Floats, length: Floats, weights: Floats, start: Floats
-) -> tuple[Floats, NDArray[np.bool_]]:
+) -> tuple[Floats, Bools]:
     """Return (X, Y, Z, d) of all stations (m, 4), and which have settled (m,); Eq. 5-17.
 
     ``targets`` (n, 3), ``length`` and ``weights`` (m, n; weight zero for a missing length),
@@ -118,7 +116,7 @@ def _search(
     slope: Floats,
     slack: Floats,
     objective: Floats,
-    short: NDArray[np.bool_],
+    short: Bools,
     misfit: Misfit,
 ) -> tuple[Floats, Floats]:
     """Shorten ``h`` where F does not fall enough by powers of beta until it does (Eq. 11-14).

@@ -12,16 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.joint import linearise, relax
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.schur import Reduced
 from rotcal_ros.methods.tracer.solve import adjusted
-
-Floats = NDArray[np.float64]
 
 STEPS: Final = 3
 MOST_STEPS: Final = 6

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion, bearing_jacobian
 
-Floats = NDArray[np.float64]
-
-COVERAGE_FACTOR: Final = 1.959963984540054
+HALF_OF_95_PERCENT: Final = 1.959963984540054
 """Standard deviations of a normal distribution in half a 95 % interval."""
 
 

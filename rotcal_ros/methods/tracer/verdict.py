@@ -16,14 +16,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.distributions import normal_isf
-from rotcal_ros.methods.tracer.problem import TracerSettings
+from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.uncertainty import GlobalTest
 from rotcal_ros.results import Verdict
-
-Floats = NDArray[np.float64]
 
 FAILED_SIGMA0: Final = 10.0
 FAILED_SHARE: Final = 0.2
@@ -45,7 +43,7 @@ class Closure:
 
 
 def closures(
-    angles: Floats, cumulative: Floats, covariance: Floats, station_ids: NDArray[np.int64]
+    angles: Floats, cumulative: Floats, covariance: Floats, station_ids: Ints
 ) -> tuple[Closure, ...]:
     """Return the closures of ``angles`` (m,): later stations against the first at their angle."""
     found = []
@@ -82,7 +80,7 @@ class Evidence:
     mirror_ambiguous: bool
 
 
-def judge(evidence: Evidence, settings: TracerSettings) -> tuple[Verdict, tuple[str, ...]]:
+def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[str, ...]]:
     """Return the verdict and its warnings by the rules in this module's docstring."""
     doubts = [
         *_doubt_lengths(evidence, settings),
@@ -95,7 +93,7 @@ def judge(evidence: Evidence, settings: TracerSettings) -> tuple[Verdict, tuple[
     return verdict, (*doubts, *_remarks(evidence, settings))
 
 
-def _doubt_lengths(evidence: Evidence, settings: TracerSettings) -> list[str]:
+def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
     doubts = []
     if evidence.lengths.probability < settings.test_significance:
         doubts.append(
@@ -113,7 +111,7 @@ def _doubt_lengths(evidence: Evidence, settings: TracerSettings) -> list[str]:
     return doubts
 
 
-def _doubt_stations(evidence: Evidence, settings: TracerSettings) -> list[str]:
+def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
     doubts: list[str] = []
     limit = normal_isf(0.5 * settings.test_significance)
     doubts += [
@@ -135,7 +133,7 @@ def _doubt_stations(evidence: Evidence, settings: TracerSettings) -> list[str]:
     return doubts
 
 
-def _remarks(evidence: Evidence, settings: TracerSettings) -> list[str]:
+def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
     remarks = []
     if 1.0 - evidence.lengths.probability < settings.test_significance:
         remarks.append(

@@ -5,10 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
+    measure,
+    measure_direct,
+    paper_cell,
+    ring_cell,
+)
 from rotcal_ros.errors import DataError, GeometryError
 from rotcal_ros.methods.plane_mirror import TrackerNoise, check_nests, solve
 from rotcal_ros.observations import PointKind
-from rotcal_ros.simulation.tracker_mirror import measure, measure_direct, paper_cell, ring_cell
 from rotcal_ros.units import ARCSEC, DEGREE
 
 DIRECT, MIRRORED, NEST = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror import (
     PlaneMirrorProblem,
@@ -12,7 +13,6 @@ from rotcal_ros.methods.plane_mirror import (
     write_points,
 )
 from rotcal_ros.observations import Observation, PointKind
-from rotcal_ros.simulation.tracker_mirror import measure, paper_cell
 
 HEAD = "position,tracker_station,kind,nest,x_m,y_m,z_m\n"
 

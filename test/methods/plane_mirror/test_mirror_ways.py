@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
-from rotcal_ros.methods.plane_mirror.estimate import estimate
-from rotcal_ros.methods.plane_mirror.prepare import prepare
-from rotcal_ros.observations import PointKind
-from rotcal_ros.results import Result
-from rotcal_ros.simulation.tracker_mirror import (
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
     TrackerStation,
     add_noise,
     measure,
@@ -20,6 +15,11 @@ from rotcal_ros.simulation.tracker_mirror import (
     paper_cell,
     ring_cell,
 )
+from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
+from rotcal_ros.methods.plane_mirror.estimate import estimate
+from rotcal_ros.methods.plane_mirror.prepare import prepare
+from rotcal_ros.observations import PointKind
+from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
 MIRROR_WAYS = ("stitching", "registration", "joint")

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from tracer_scene import arc, low_ring, simulate
 
+from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError
-from rotcal_ros.methods.tracer import TracerProblem, TracerSettings, solve
+from rotcal_ros.methods.tracer import (TracerProblem, solve)
 from rotcal_ros.methods.tracer.screening import critical_value
 from rotcal_ros.units import ARCSEC
 
@@ -59,7 +60,7 @@ def test_unknown_names_and_parameters(changes):
     with pytest.raises(ConfigurationError):
         SCENE.problem(**changes)
     with pytest.raises(ConfigurationError, match="max_rejected_share"):
-        TracerSettings(max_rejected_share=1.5)
+        TracerLimits(max_rejected_share=1.5)
 
 
 def test_no_rows_at_all():
@@ -160,7 +161,7 @@ def test_many_spikes_are_suspicious():
 
 
 def test_too_small_a_stated_noise_enlarges_the_uncertainty():
-    keep_all = TracerSettings(rejection_significance=1e-15)
+    keep_all = TracerLimits(rejection_significance=1e-15)
     honest = solve(SCENE.problem(settings=keep_all))
     bold = solve(SCENE.problem(length_std=1e-7, settings=keep_all))
     assert bold.verdict == "suspect"

@@ -1,0 +1,28 @@
+"""The settings of somebody else's topics: group ``topics`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rotcal_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class TopicSettings:
+    """Topics of a bag that bear other names, and the units of bare numbers."""
+
+    tracer_length: str = setting("", doc="topic of the lengths; empty: by its last name")
+    probe_point: str = setting("", doc="topic of the probe; empty: by its last name")
+    joint_states: str = setting("", doc="topic of the table's feedback; empty: by its last name")
+    temperature: str = setting("", doc="topic of the temperature; empty: by its last name")
+    length_unit_m: float = setting(
+        1.0, doc="m, unit of a Float64 length; negative where it shrinks with distance"
+    )
+    angle_unit_rad: float = setting(
+        1.0, doc="rad, unit of a Float64 angle; negative where the table counts clockwise"
+    )
+
+    def renamed(self) -> dict[str, str]:
+        """Return role -> topic of those that were given."""
+        roles = ("tracer_length", "probe_point", "joint_states", "temperature")
+        return {role: getattr(self, role) for role in roles if getattr(self, role)}

@@ -1,0 +1,1 @@
+"""Ball plate, reduced three-rosette: everything that this method brings."""

@@ -1,0 +1,199 @@
+"""The simulated coordinate measuring machine that touches the balls of a plate on the table."""
+
+from __future__ import annotations
+
+from math import dist
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Stamps
+from rotcal_ros.catalogue.ball_plate.simulation_settings import (
+    SimulatedPlateSettings,
+    TouchProbeSettings,
+)
+from rotcal_ros.observations import Command, PointKind, ProbeSample, TracerSample
+from rotcal_ros.simulation.instrument import Table
+from rotcal_ros.simulation.motion import Limits, Motion
+from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.table import rotations
+from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
+
+_WAVES = 12
+"""Plane waves that the machine's error is made of."""
+
+
+def upper_half(count: int) -> Floats:
+    """Return directions (count, 3) that cover the upper half of a ball evenly."""
+    height = (np.arange(count) + 0.5) / count
+    around = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
+    flat = np.sqrt(1.0 - height**2)
+    directions: Floats = np.column_stack([flat * np.cos(around), flat * np.sin(around), height])
+    return directions
+
+
+def plate_balls(settings: SimulatedPlateSettings, seed: int) -> Floats:
+    """Return the true ball centres (R, 3) in the table frame at angle 0, m."""
+    steps = np.array(settings.ball_steps)
+    angle = settings.azimuth_deg * DEGREE + 2.0 * np.pi * steps / settings.grid
+    places = settings.circle_radius_m * np.column_stack(
+        [np.cos(angle), np.sin(angle), np.zeros_like(angle)]
+    )
+    noise = IndexedNoise(seed, Source.BALL)
+    errors = np.array([noise.normal(3 * int(step), 3) for step in steps])
+    turn = np.array(settings.clamping_turn_arcsec)[:, None] * ARCSEC
+    clamped = (places + settings.manufacture_um * MICROMETRE * errors) @ rotations(*turn)[0].T
+    balls: Floats = clamped + np.array(settings.clamping_shift_um) * MICROMETRE
+    return balls
+
+
+class MachineError:
+    """The systematic error of the machine: a smooth field, the same at every visit."""
+
+    def __init__(self, settings: TouchProbeSettings, seed: int) -> None:
+        noise = IndexedNoise(seed, Source.MACHINE)
+        count = 3 * _WAVES
+        self._waves = noise.normal(0, 3 * count).reshape(count, 3) / settings.wavelength_m
+        self._phases = 2.0 * np.pi * noise.uniform(0, count)
+        self._size = settings.systematic_um * MICROMETRE * np.sqrt(2.0 / _WAVES)
+
+    def __call__(self, places: Floats) -> Floats:
+        """Return reported - true place (n, 3) at ``places`` (n, 3), m."""
+        waves = np.cos(places @ self._waves.T + self._phases)
+        error: Floats = self._size * waves.reshape(len(places), 3, _WAVES).sum(axis=2)
+        return error
+
+
+class SimulatedTouchProbe:
+    """A probe that travels to the ball at the ordered place and touches its upper half.
+
+    It touches whatever ball is nearest to the order, once table and probe are at rest. Touch k
+    of the whole run depends on k and on the table, never on how time was cut.
+    """
+
+    frame = "machine"
+    streams_lengths = False
+
+    def __init__(
+        self,
+        settings: TouchProbeSettings,
+        plate: SimulatedPlateSettings,
+        table: Table,
+        seed: int,
+        start_ns: int,
+    ) -> None:
+        self.settings = settings
+        self._table, self._balls = table, plate_balls(plate, seed)
+        self._reach = 0.5 * plate.ball_diameter_m + settings.tip_radius_m
+        self._limits = Limits(settings.speed_m_s, settings.acceleration_m_s2, 0.0, 1.0)
+        self._error = MachineError(settings, seed)
+        self._noise = IndexedNoise(seed, Source.TOUCH)
+        self._dirt = IndexedNoise(seed, Source.DIRT)
+        self._from = self._place = settings.initial_position_m
+        self._motion = Motion(start_ns, [0.0], self._limits)
+        self._pending: Command | None = None
+        self._touched = self._touches = self._sequence = 0
+        self.target = -1
+        self.rest_ns = start_ns
+
+    @property
+    def pending(self) -> Command | None:
+        """The order whose points have not all been reported yet."""
+        return self._pending
+
+    def order(self, now_ns: int, command: Command) -> None:
+        """Go to the ball at the position of ``command`` and touch it."""
+        way, height = dist(self._place, command.position), self.settings.clearance_m
+        lifted = [-height, 0.0, way, way + height] if way else [0.0]
+        self._motion = Motion(now_ns, lifted, self._limits)
+        self.rest_ns = max(now_ns, self._motion.end_ns)
+        self._from, self._place = self._place, command.position
+        self._pending, self.target, self._touched = command, command.target, 0
+
+    def positions(self, stamps: Stamps) -> Floats:
+        """Return the nominal positions (n, 3) of the tip, m: up, across and down again."""
+        start, stop = np.array(self._from), np.array(self._place)
+        length, height = dist(self._from, self._place), self.settings.clearance_m
+        if not length:
+            return np.tile(stop, (len(stamps), 1))
+        way = self._motion.state(stamps)[0]
+        share = np.clip(way / length, 0.0, 1.0)
+        positions: Floats = start + np.multiply.outer(share, stop - start)
+        positions[:, 2] += height - np.maximum(0.0, np.maximum(-way, way - length))
+        return positions
+
+    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
+        """Return the points of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
+        if self._pending is None:
+            return ()
+        surface = self._pending.kind == PointKind.SURFACE
+        count = self.settings.points_per_ball if surface else 1
+        ready_ns = max(self.rest_ns, table_rest_ns) + _nanoseconds(self.settings.settling_time_s)
+        samples = []
+        for number in range(self._touched, count):
+            stamp = ready_ns + (number + 1) * _nanoseconds(self.settings.touch_time_s)
+            stamp = max(stamp, after_ns + 1 + number - self._touched)
+            if stamp > now_ns:
+                break
+            samples.append(self._sample(stamp, self._pending, number, count))
+        self._touched += len(samples)
+        if self._touched == count:
+            self._pending = None
+        return tuple(samples)
+
+    def lengths(self, _now_ns: int) -> tuple[TracerSample, ...]:
+        """Return nothing: only points are measured."""
+        return ()
+
+    def unasked(self, now_ns: int) -> ProbeSample:
+        """Return where the machine believes the tip to be, as a point of kind UNKNOWN."""
+        self._sequence += 1
+        x, y, z = self.positions(np.array([now_ns]))[0].tolist()
+        return _point(now_ns, self._sequence - 1, PointKind.UNKNOWN, (x, y, z))
+
+    def _sample(self, stamp_ns: int, order: Command, number: int, count: int) -> ProbeSample:
+        """Return one touch point, or the centre that the machine computes."""
+        self._sequence += 1
+        self._touches += 1
+        rotation, translation = self._table.poses(np.array([stamp_ns]))
+        balls = self._balls @ rotation[0].T + translation[0]
+        away = np.linalg.norm(balls - np.array(order.position), axis=1)
+        place = balls[int(np.argmin(away))]
+        noise = self.settings.noise_um * MICROMETRE * self._noise.normal(3 * self._touches, 3)
+        tip = 0.0
+        if order.kind == PointKind.SURFACE:
+            dirty = self._dirt.uniform(self._touches, 1)[0] < self.settings.dirt_probability
+            reach = self._reach + dirty * self.settings.dirt_um * MICROMETRE
+            place = place + reach * upper_half(count)[number]
+            tip = self.settings.tip_radius_m
+        x, y, z = (place + self._error(place[None])[0] + noise).tolist()
+        std = self.settings.noise_um * MICROMETRE
+        return _point(stamp_ns, self._sequence - 1, order.kind, (x, y, z), order, number, std, tip)
+
+
+def _point(
+    stamp_ns: int,
+    sequence: int,
+    kind: PointKind,
+    position: tuple[float, float, float],
+    order: Command | None = None,
+    number: int = 0,
+    std: float = 0.0,
+    tip_radius: float = 0.0,
+) -> ProbeSample:
+    return ProbeSample(
+        stamp_ns=stamp_ns,
+        sequence=sequence,
+        step=order.step if order else 0,
+        attempt=order.attempt if order else 0,
+        kind=kind,
+        target=order.target if order else 0,
+        station=0,
+        point=number,
+        position=position,
+        position_std=(std,) * 3,
+        tip_radius=tip_radius,
+    )
+
+
+def _nanoseconds(duration_s: float) -> int:
+    return round(duration_s / NANOSECOND)

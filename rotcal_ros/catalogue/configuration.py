@@ -1,0 +1,180 @@
+"""One YAML file is one calibration: read once, checked whole, every group a typed object.
+
+The file is an ordinary ROS 2 parameter file (``/**: ros__parameters: ...``), so that the same
+file starts the nodes through ROS 2's launch, through ``rotcal run``, and solves a bag offline.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from rotcal_ros.bags.recorder_settings import RecorderSettings
+from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.catalogue.method import Method, find_method
+from rotcal_ros.compensation.bridge_settings import BridgeSettings
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.plugins import nearest
+from rotcal_ros.settings import load
+
+SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
+    "cell": CellSettings,
+    "capture": CaptureSettings,
+    "planner": PlannerSettings,
+    "recorder": RecorderSettings,
+    "bridge": BridgeSettings,
+    "topics": TopicSettings,
+}
+"""Groups of settings that are the same for all methods."""
+GROUPS: Final = (
+    "cell", "plan", "capture", "solver", "planner", "recorder", "bridge", "topics", "simulation",
+)  # fmt: skip
+"""All groups, in the order in which a configuration is written."""
+OFFLINE_GROUPS: Final = ("cell", "plan", "capture", "solver", "topics")
+"""Groups that a recording is solved with; the others have done their work."""
+
+
+def settings_classes(method: Method) -> dict[str, type[Any]]:
+    """Return the registry of settings: group -> settings class, for one method."""
+    own = {
+        "plan": method.plan_settings,
+        "solver": method.solver_settings,
+        "simulation": method.simulation_settings,
+    }
+    return {name: (own | dict(SHARED_GROUPS))[name] for name in GROUPS}
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A checked configuration: one typed object for every group of settings.
+
+    The classes of ``plan``, ``solver`` and ``simulation`` are those of the method. ``given`` holds
+    the names of the groups that the text has; the others are at their defaults. ``text`` is the
+    YAML as given, ``source`` names it in error texts.
+    """
+
+    method: Method
+    cell: CellSettings
+    plan: Any
+    capture: CaptureSettings
+    solver: Any
+    planner: PlannerSettings
+    recorder: RecorderSettings
+    bridge: BridgeSettings
+    topics: TopicSettings
+    simulation: Any
+    given: frozenset[str]
+    text: str
+    source: str
+
+    @property
+    def plan_id(self) -> str:
+        """SHA-256 of the text, in hexadecimal: equal for two runs that were configured alike."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the cell is a simulated one."""
+        return "simulation" in self.given
+
+
+def read_configuration(path: Path) -> Configuration:
+    """Read a configuration file; raises ConfigurationError when it cannot be used."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"cannot read the configuration {path}: {error}") from error
+    return parse_configuration(text, str(path))
+
+
+def parse_configuration(
+    text: str, source: str = "configuration", groups: Collection[str] = GROUPS
+) -> Configuration:
+    """Return the configuration that ``text`` states.
+
+    Only ``groups`` are looked at, the others keep their defaults. Raises ConfigurationError, with
+    ``source``, the place and the nearest name, for whatever is misspelt or impossible.
+    """
+    name, values = _parameters(text, source)
+    try:
+        method = find_method(name)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{source}: {error}") from error
+    for group in values:
+        if group not in GROUPS:
+            hint = nearest(str(group), ("method", *GROUPS))
+            raise ConfigurationError(f"{source}: unknown group {group!r}{hint}")
+    given = frozenset(values) & frozenset(groups)
+    loaded: dict[str, Any] = {
+        group: load(cls, values[group] if group in given else None, f"{source}: {group}")
+        for group, cls in settings_classes(method).items()
+    }
+    return Configuration(method=method, **loaded, given=given, text=text, source=source)
+
+
+def changed(configuration: Configuration, changes: Sequence[str]) -> Configuration:
+    """Return the configuration with ``group.name=value`` changes, values in YAML.
+
+    Without any the text stays as it is. Raises ConfigurationError for what cannot be set.
+    """
+    if not changes:
+        return configuration
+    name, groups = _parameters(configuration.text, configuration.source)
+    parameters: dict[str, Any] = {"method": name, **groups}
+    for change in changes:
+        _change(parameters, change)
+    text = dump_configuration(str(parameters.pop("method")), parameters)
+    return parse_configuration(text, f"{configuration.source} with --set")
+
+
+def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return configuration text in the canonical order of groups; unknown ones come last."""
+    names = [*(name for name in GROUPS if name in groups), *(groups.keys() - set(GROUPS))]
+    parameters = {"method": method, **{name: groups[name] for name in names}}
+    text: str = yaml.safe_dump(
+        {"/**": {"ros__parameters": parameters}}, sort_keys=False, default_flow_style=None
+    )
+    return text
+
+
+def _parameters(text: str, source: str) -> tuple[str, dict[str, Any]]:
+    """Return the name of the method and the raw groups of a configuration."""
+    try:
+        document = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigurationError(f"{source}: not valid YAML: {error}") from error
+    try:
+        values = dict(document["/**"]["ros__parameters"])
+        method = values.pop("method")
+    except (KeyError, TypeError, ValueError):
+        raise ConfigurationError(
+            f"{source}: expected a ROS 2 parameter file with '/**: ros__parameters: method: ...'"
+        ) from None
+    if not isinstance(method, str):
+        raise ConfigurationError(f"{source}: method must be a name, found {method!r}")
+    return method, values
+
+
+def _change(parameters: dict[str, Any], change: str) -> None:
+    """Put one ``group.name=value`` into raw groups."""
+    name, equals, text = change.partition("=")
+    *groups, last = name.split(".")
+    if not equals or not last:
+        raise ConfigurationError(f"--set {change}: expected GROUP.NAME=VALUE")
+    place = parameters
+    for group in groups:
+        place = place.setdefault(group, {})
+        if not isinstance(place, dict):
+            raise ConfigurationError(f"--set {change}: {group} is a value, not a group")
+    try:
+        place[last] = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ConfigurationError(f"--set {change}: not a YAML value: {error}") from error

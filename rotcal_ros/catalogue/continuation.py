@@ -1,0 +1,104 @@
+"""A plan that was interrupted is continued in another run of the same session.
+
+Every run numbers its attempts from ``run * ATTEMPTS_PER_RUN`` on, so that no order of a later run
+repeats one of an earlier run: a late answer is never taken for a new one.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.planning.plan import Plan
+
+ATTEMPTS_PER_RUN: Final = 1_000_000
+"""More attempts than a person has patience for; 4000 runs fit the messages' 32 bits."""
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """What is left of an interrupted plan.
+
+    ``steps`` are measured in this order: first those that join the runs (``again``), then
+    those that are missing. ``start_index`` is the first missing one. ``observations`` are the
+    accepted ones of the earlier runs.
+    """
+
+    plan_id: str
+    run: int
+    start_index: int
+    again: tuple[int, ...]
+    steps: tuple[int, ...]
+    observations: tuple[Observation, ...]
+
+    def to_json(self) -> str:
+        """Return the text of the continuation file; every float round-trips to the last bit."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Continuation:
+        """Read the text of :meth:`to_json`; raises DataError when it is something else."""
+        try:
+            data = json.loads(text)
+            return cls(
+                plan_id=data["plan_id"],
+                run=data["run"],
+                start_index=data["start_index"],
+                again=tuple(data["again"]),
+                steps=tuple(data["steps"]),
+                observations=tuple(_observation(o) for o in data["observations"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise DataError(f"not a continuation of an interrupted plan: {error!r}") from error
+
+
+def continued(
+    plan: Plan,
+    plan_id: str,
+    run: int,
+    observations: Sequence[Observation],
+    *,
+    max_attempts: int,
+    join_steps: int,
+) -> Continuation:
+    """Return how run number ``run`` goes on after what the earlier runs observed.
+
+    A step is done when it has an accepted observation or was given up after ``max_attempts`` in
+    one run. Up to ``join_steps`` done steps are measured again, evenly spread over those at
+    table angles that have missing steps; with none there, over all.
+    """
+    accepted = {o.step for o in observations if o.accepted}
+    rejected = Counter((o.step, o.run) for o in observations if not o.accepted)
+    given_up = {step for (step, _), count in rejected.items() if count >= max_attempts}
+    missing = [s.index for s in plan.steps if s.index not in accepted | given_up]
+    open_angles = {plan.steps[index].table_index for index in missing}
+    candidates = [s for s in sorted(accepted) if plan.steps[s].table_index in open_angles]
+    again = _spread(candidates or sorted(accepted), join_steps) if missing else ()
+    return Continuation(
+        plan_id=plan_id,
+        run=run,
+        start_index=missing[0] if missing else len(plan.steps),
+        again=again,
+        steps=(*again, *missing),
+        observations=tuple(o for o in observations if o.accepted),
+    )
+
+
+def _spread(values: Sequence[int], count: int) -> tuple[int, ...]:
+    """Return ``count`` of the values, evenly spread, both ends among them."""
+    if len(values) <= count:
+        return tuple(values)
+    if count == 1:
+        return (values[-1],)
+    places = (round(k * (len(values) - 1) / (count - 1)) for k in range(count))
+    return tuple(values[place] for place in places)
+
+
+def _observation(data: dict[str, Any]) -> Observation:
+    lists = {name: tuple(value) for name, value in data.items() if isinstance(value, list)}
+    return Observation(**{**data, **lists, "kind": PointKind(data["kind"])})

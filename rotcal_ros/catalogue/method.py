@@ -1,0 +1,131 @@
+"""What a method brings, so that nodes, replay and report need not know which one it is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import numpy as np
+
+from rotcal_ros import plugins
+from rotcal_ros.arrays import Floats
+from rotcal_ros.capture.rules import CaptureRules
+from rotcal_ros.figures import Figure
+from rotcal_ros.observations import Observation
+from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.results import Result
+from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.tables import Header, Table
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue.configuration import Configuration
+
+Trials = Callable[[np.random.Generator, int], Floats]
+"""``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
+Curves = Mapping[str, Floats]
+Observed = Sequence[Observation]
+See = Callable[[Step], tuple[float, ...]]
+"""What an instrument without error sees at a step."""
+
+
+class Measurements(Protocol):
+    """What was read from a table, ready to be solved; ``sha256`` maps file names to hashes."""
+
+    @property
+    def sha256(self) -> Mapping[str, str]:
+        """Hashes of the files by their names."""
+
+    def solve(self) -> Result:
+        """Return the result."""
+
+
+class TableReader(Protocol):
+    """Reads plain tables with one of ``headers``, the present one first."""
+
+    headers: tuple[Header, ...]
+
+    def read(
+        self, configuration: Configuration, table: Table, targets: Path | None
+    ) -> Measurements:
+        """Return what was measured; DataError names file and row of what cannot be."""
+
+
+DEFAULT: Final = "tracer_multistation"
+"""The method of a node or a simulation that nobody has told which one."""
+
+
+def counted_from_the_first(_angles: Floats, deviations: Curves) -> dict[str, Floats]:
+    """Return the deviations (n,) by component, ECC counted from its first value."""
+    return {
+        name: values - values[0] if name == "ECC" else values
+        for name, values in deviations.items()
+    }
+
+
+def no_figures(_result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
+    """Return nothing: the report shows what all methods share."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Method:
+    """What a method brings. Everything lies in one package, named by an entry point.
+
+    ``name`` is that of configurations and results, ``title`` is for people, ``page`` the name of
+    its page in the documentation. ``plan_settings``, ``solver_settings`` and
+    ``simulation_settings`` are its own groups ``plan``, ``solver`` and ``simulation``.
+    ``topics`` are the instrument topics that must have delivered before the first motion.
+
+    ``plan`` builds the plan from a configuration and refuses settings that cannot work;
+    ``capture`` says how the streams become observations of its steps; ``solve`` turns a
+    configuration, its plan and accepted observations into a result. ``nominal`` tells what an
+    instrument without error would see.
+
+    ``gauge`` takes from true deviations (n,) at angles (n,) what the method cannot see, so that
+    they can be compared with a result. A method whose values are relative to a zero that an
+    interruption changes ``joins_runs``: it gets the accepted observations of all runs of a
+    plan, not only the last one of each step.
+
+    ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
+    deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
+    says in words what the observations so far tell about a person's work (see
+    :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``table`` reads plain tables,
+    ``short_setup`` turns a set-up file that is no configuration, given with its name, into groups
+    of settings. ``figures`` draws what the method alone can show.
+    """
+
+    name: str
+    title: str
+    page: str
+    topics: tuple[str, ...]
+    plan_settings: type[Any]
+    solver_settings: type[Any]
+    plan: Callable[[Configuration], Plan]
+    capture: CaptureRules
+    solve: Callable[[Configuration, Plan, Observed], Result]
+    simulation_settings: type[SimulationSettings]
+    nominal: Callable[[Configuration, Plan], See] | None = None
+    gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
+    joins_runs: bool = False
+    trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
+    check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
+    table: TableReader | None = None
+    short_setup: Callable[[Mapping[str, Any], str], Mapping[str, Any]] | None = None
+    figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = no_figures
+
+    def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:
+        """Travel to other processes by name."""
+        return find_method, (self.name,)
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the names of all methods that are installed."""
+    return plugins.names(plugins.METHODS)
+
+
+def find_method(name: str) -> Method:
+    """Return the method ``name``; ConfigurationError, with the nearest name, if there is none."""
+    method: Method = plugins.load(plugins.METHODS, name, "method")
+    return method

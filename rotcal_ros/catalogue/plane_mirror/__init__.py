@@ -1,0 +1,1 @@
+"""Laser tracker and plane mirror: everything that this method brings."""

@@ -1,0 +1,132 @@
+"""From observations to the plane-mirror problem, its result, its trials, and its nests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.method import Trials
+from rotcal_ros.errors import DataError
+from rotcal_ros.methods import plane_mirror
+from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, noise_of
+from rotcal_ros.methods.plane_mirror.settings import DIRECT, WAYS, MirrorSolverSettings, Way
+from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC, DEGREE
+
+
+def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
+    """Solve the accepted observations of a plane-mirror plan.
+
+    A reflector whose direct or mirrored point is missing (given up, or not measured yet) is left
+    out; details["left_out"] names it.
+    """
+    problem, left_out = _problem(configuration, plan, observations)
+    return _solve_ways(problem, {"left_out": left_out})
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about the accepted observations of a plane-mirror plan."""
+    return plane_mirror.mirror_trials(_problem(configuration, plan, observations)[0])
+
+
+def _problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[PlaneMirrorProblem, list[str]]:
+    """Return the problem that observations pose, and what was left out of it."""
+    paired, left_out = _paired(observations)
+    if not paired:
+        raise DataError("no reflector was measured both directly and through the mirror yet")
+    problem = plane_mirror.problem_from_observations(paired, np.array(plan.table_angles))
+    return configured(problem, configuration), left_out
+
+
+def solve_points(configuration: Configuration, problem: PlaneMirrorProblem) -> Result:
+    """Solve points that come without a plan, as the configuration says."""
+    return _solve_ways(configured(problem, configuration), {})
+
+
+def check(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[str, ...]:
+    """Return in words which nests do not stand where the stations before saw them.
+
+    Raises DataError or GeometryError when the newest station cannot be registered at all.
+    """
+    nests = [o for o in observations if o.kind == PointKind.NEST]
+    if not nests:
+        return ()
+    problem = plane_mirror.problem_from_observations(nests, np.array(plan.table_angles))
+    return tuple(plane_mirror.check_nests(configured(problem, configuration)))
+
+
+def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> PlaneMirrorProblem:
+    """Return a problem with noise, way and limits of the configuration."""
+    settings: MirrorSolverSettings = configuration.solver
+    return replace(
+        problem,
+        noise=noise_of(settings),
+        way=settings.way,
+        tilt_std=settings.tilt_std_arcsec * ARCSEC,
+        incidence_limit=configuration.plan.incidence_limit_deg * DEGREE,
+        significance=settings.significance,
+    )
+
+
+def _solve_ways(problem: PlaneMirrorProblem, details: dict[str, Any]) -> Result:
+    """Solve the chosen way; the other ways of the same points go into the details."""
+    result = plane_mirror.solve(problem)
+    others = [way for way in WAYS if DIRECT not in (way, problem.way) and way != problem.way]
+    if others:
+        details = {**details, "ways": [_other_way(problem, way) for way in others]}
+    return replace(result, details={**result.details, **details})
+
+
+def _other_way(problem: PlaneMirrorProblem, way: Way) -> dict[str, Any]:
+    """Return the curve of another way, or why there is none."""
+    try:
+        result = plane_mirror.solve(replace(problem, way=way))
+    except DataError as error:
+        return {"way": way, "why_not": str(error)}
+    return {
+        "way": way,
+        "angles_rad": result.angles,
+        "ecc_rad": result.deviations["ECC"],
+        "ecc_std_rad": result.std["ECC"],
+        "sigma0": result.sigma0,
+        "verdict": result.verdict,
+    }
+
+
+def _paired(
+    observations: Sequence[Observation],
+) -> tuple[list[Observation], list[str]]:
+    """Return the observations without reflectors that lack one of their points, and the latter.
+
+    Without any mirrored point there is no mirror, and every direct point stands for itself.
+    """
+    kinds: dict[tuple[int, int, int], set[PointKind]] = {}
+    for o in observations:
+        if o.kind != PointKind.NEST:
+            kinds.setdefault((o.table_index, o.station, o.target), set()).add(o.kind)
+    if not any(PointKind.MIRRORED in found for found in kinds.values()):
+        return list(observations), []
+    single = {key: found for key, found in kinds.items() if len(found) == 1}
+    used = [
+        o
+        for o in observations
+        if o.kind == PointKind.NEST or (o.table_index, o.station, o.target) not in single
+    ]
+    names = [
+        f"position {position}, tracker station {station}, reflector {number}: only "
+        f"{next(iter(found)).name.lower()} was measured"
+        for (position, station, number), found in single.items()
+    ]
+    return used, names

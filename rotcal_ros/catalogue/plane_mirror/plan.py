@@ -1,0 +1,299 @@
+"""The plan of the plane-mirror method: table positions, tracker stations, nests.
+
+Each tracker station measures the nests first, then its table positions; neighbouring stations
+share positions. Before each station a person moves the tracker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.plane_mirror import layout
+from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.plane_mirror.settings import DIRECT, INCIDENCE_LIMIT_DEG, STITCHING
+from rotcal_ros.methods.plane_mirror.solve import METHOD
+from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.planning.plan import Pause, Plan, Point, Step
+from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
+from rotcal_ros.settings import setting
+from rotcal_ros.units import DEGREE
+
+MIRROR: Final = "mirror"
+REFLECTORS: Final = "reflectors"
+_MIN_TRIANGLE: Final = 0.1
+"""Nests reach at least this far (m) to the side of the line through them."""
+
+
+@dataclass(frozen=True)
+class MirrorPlanSettings(TableAngleSettings):
+    """Where the table turns, where the tracker stands and what it looks at.
+
+    Places are in the machine frame, whose origin and +z are the table's.
+    """
+
+    carries: str = setting(
+        MIRROR,
+        doc="what the table carries: the mirror, or reflectors that the tracker sees directly",
+        choices=(MIRROR, REFLECTORS),
+    )
+    positions_per_station: int = setting(
+        4, doc="table positions measured from one tracker station", minimum=1, maximum=3600
+    )
+    shared_positions: int = setting(
+        1, doc="table positions that a station repeats of the one before", minimum=0, maximum=3599
+    )
+    station_radius_m: float = setting(
+        2.0, doc="m, distance of the tracker from the table axis", minimum=0.1, maximum=30.0
+    )
+    station_height_m: float = setting(
+        0.35, doc="m, height of the tracker's head above the table", minimum=-10.0, maximum=10.0
+    )
+    station_azimuths_deg: tuple[float, ...] = setting(
+        (), doc="deg, direction of each station from the axis; empty: facing its positions"
+    )
+    incidence_limit_deg: float = setting(
+        INCIDENCE_LIMIT_DEG,
+        doc="deg, largest angle between beam and mirror normal",
+        minimum=1.0,
+        maximum=85.0,
+    )
+    nests_m: tuple[float, ...] = setting(
+        (), doc="m, x y z of fixed nest 1, then of nest 2 and so on", minimum=-30.0, maximum=30.0
+    )
+    reflectors: int = setting(
+        1, doc="reflectors put up at each position and seen twice", minimum=1, maximum=20
+    )
+    reflector_reach_m: float = setting(
+        1.5, doc="m, distance of these reflectors from the glass", minimum=0.05, maximum=30.0
+    )
+    table_reflectors_m: tuple[float, ...] = setting(
+        (),
+        doc="m, x y z of reflector 1, then 2 and so on, on the table at angle 0; only where the "
+        "table carries reflectors",
+        minimum=-30.0,
+        maximum=30.0,
+    )
+    mirror_centre_m: tuple[float, float, float] = setting(
+        (0.05, 0.0, 0.15), doc="m, middle of the glass with the table at angle 0"
+    )
+    mirror_azimuth_deg: float = setting(
+        0.0, doc="deg, direction of the mirror's normal with the table at angle 0"
+    )
+    mirror_lean_deg: float = setting(
+        0.0, doc="deg, the normal above the horizontal", minimum=-45.0, maximum=45.0
+    )
+    mirror_size_m: tuple[float, float] = setting(
+        (0.1, 0.1), doc="m, width and height of the glass", minimum=0.001, maximum=10.0
+    )
+
+
+def plan(configuration: Configuration) -> Plan:
+    """Return the plan of a plane-mirror configuration.
+
+    Raises ConfigurationError when the way does not fit what the table carries, PlanError when
+    the way lacks nests or shared positions.
+    """
+    settings: MirrorPlanSettings = configuration.plan
+    way = configuration.solver.way
+    if (way == DIRECT) == (settings.carries == MIRROR):
+        raise ConfigurationError(
+            f"{configuration.source}: solver.way = {way} does not fit plan.carries = "
+            f"{settings.carries}: the direct way needs reflectors on the table, all others a "
+            "mirror"
+        )
+    result = mirror_plan(settings)
+    if way == STITCHING and len(result.pauses) > 1 and not settings.shared_positions:
+        raise PlanError(
+            f"{configuration.source}: stitching carries the zero on through shared positions; "
+            "station 1 shares none with station 0: set plan.shared_positions to at least 1"
+        )
+    if way != STITCHING and len(result.pauses) > 1 and not result.targets:
+        raise PlanError(
+            f"{configuration.source}: the way {way} joins {len(result.pauses)} tracker stations "
+            "through nests: name at least three in plan.nests_m"
+        )
+    return result
+
+
+@dataclass(frozen=True)
+class Stand:
+    """One place of the tracker: ``place`` (m) and the table positions measured from it."""
+
+    number: int
+    place: Point
+    azimuth: float
+    visit: range
+
+
+def mirror_plan(settings: MirrorPlanSettings) -> Plan:
+    """Return the plan of one plane-mirror calibration.
+
+    Raises PlanError when a station sees the mirror beyond the incidence limit, or when nests,
+    stations and positions do not fit together.
+    """
+    angles = table_angles(settings)
+    stands = tracker_stands(settings, angles)
+    nests = triples(settings.nests_m, "nests_m") if len(stands) > 1 else ()
+    _check_nests(nests)
+    blocks = [_steps_of(settings, angles, stand, nests) for stand in stands]
+    starts = np.cumsum([0, *map(len, blocks)]).tolist()
+    steps = tuple(
+        Step(index, position, angles[position], Approach.POSITIVE, kind, target, place, station)
+        for index, (station, position, kind, target, place) in enumerate(chain(*blocks))
+    )
+    pauses = tuple(
+        Pause(start, start + len(nests) - 1, _instruction(stand, stands, angles, len(nests)))
+        for start, stand in zip(starts, stands, strict=False)
+    )
+    return Plan(METHOD, angles, nests, steps, pauses)
+
+
+def tracker_stands(settings: MirrorPlanSettings, angles: tuple[float, ...]) -> tuple[Stand, ...]:
+    """Return the stations of the tracker; raises PlanError for one that is not possible."""
+    if settings.shared_positions >= settings.positions_per_station:
+        raise PlanError(
+            f"plan: shared_positions = {settings.shared_positions} must be less than "
+            f"positions_per_station = {settings.positions_per_station}: no station would get on"
+        )
+    visits = layout.station_visits(
+        len(angles), settings.positions_per_station, settings.shared_positions
+    )
+    azimuths = tuple(azimuth * DEGREE for azimuth in settings.station_azimuths_deg) or tuple(
+        settings.mirror_azimuth_deg * DEGREE + (angles[v[0]] + angles[v[-1]]) / 2 for v in visits
+    )
+    if len(azimuths) != len(visits):
+        raise PlanError(
+            f"plan: {len(visits)} tracker stations are needed for {len(angles)} positions, "
+            f"station_azimuths_deg names {len(azimuths)}"
+        )
+    stands = tuple(
+        Stand(
+            number,
+            layout.on_circle(settings.station_radius_m, azimuth, settings.station_height_m),
+            azimuth,
+            visit,
+        )
+        for number, (azimuth, visit) in enumerate(zip(azimuths, visits, strict=True))
+    )
+    if settings.carries == MIRROR:
+        for stand in stands:
+            _check_incidence(settings, angles, stand)
+    return stands
+
+
+def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
+    """Return a flat list of coordinates as points; PlanError when it is not made of triples."""
+    if len(values) % 3:
+        raise PlanError(f"plan: {name} has {len(values)} values, expected x y z of each point")
+    rows = np.reshape(values, (-1, 3)).tolist()
+    return tuple((x, y, z) for x, y, z in rows)
+
+
+def nominal_mirror(settings: MirrorPlanSettings, angle: float) -> tuple[Floats, Floats]:
+    """Return the middle of the glass and the mirror's frame with the table at ``angle`` (rad)."""
+    return layout.turned_mirror(
+        angle,
+        settings.mirror_centre_m,
+        settings.mirror_azimuth_deg * DEGREE,
+        settings.mirror_lean_deg * DEGREE,
+    )
+
+
+Row = tuple[int, int, PointKind, int, Point]
+"""Station, table position, kind, number of the nest or reflector, place."""
+
+
+def _steps_of(
+    settings: MirrorPlanSettings, angles: tuple[float, ...], stand: Stand, nests: tuple[Point, ...]
+) -> list[Row]:
+    """Return what is measured from one station: the nests, then position by position."""
+    first = stand.visit[0]
+    rows: list[Row] = [
+        (stand.number, first, PointKind.NEST, number, place)
+        for number, place in enumerate(nests, start=1)
+    ]
+    for position in stand.visit:
+        rows += [
+            (stand.number, position, kind, number, place)
+            for number, place in enumerate(_reflectors(settings, angles[position], stand), start=1)
+            for kind in _kinds(settings)
+        ]
+    return rows
+
+
+def _kinds(settings: MirrorPlanSettings) -> Iterator[PointKind]:
+    yield PointKind.DIRECT
+    if settings.carries == MIRROR:
+        yield PointKind.MIRRORED
+
+
+def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tuple[Point, ...]:
+    """Return where the reflectors of one visit stand, with the table at ``angle``."""
+    if settings.carries == MIRROR:
+        places = layout.reflector_places(
+            stand.place,
+            *nominal_mirror(settings, angle),
+            count=settings.reflectors,
+            reach=settings.reflector_reach_m,
+            edge=min(settings.mirror_size_m),
+        )
+    else:
+        carried = triples(settings.table_reflectors_m, "table_reflectors_m")
+        if not carried:
+            raise PlanError(
+                "plan: the table carries reflectors, but table_reflectors_m names none"
+            )
+        places = np.array(carried) @ rotation_about_z(angle).T
+    return tuple((x, y, z) for x, y, z in places.tolist())
+
+
+def _check_incidence(
+    settings: MirrorPlanSettings, angles: tuple[float, ...], stand: Stand
+) -> None:
+    limit = settings.incidence_limit_deg
+    for position in stand.visit:
+        centre, frame = nominal_mirror(settings, angles[position])
+        found = layout.incidence(stand.place, centre, frame) / DEGREE
+        if found > limit:
+            raise PlanError(
+                f"plan: from tracker station {stand.number} the beam would strike the mirror at "
+                f"position {position} ({angles[position] / DEGREE:g} deg) at {found:.1f} deg of "
+                f"incidence, allowed {limit:g}: take fewer positions per station "
+                f"(positions_per_station = {settings.positions_per_station}), or another azimuth"
+            )
+
+
+def _check_nests(nests: tuple[Point, ...]) -> None:
+    """Refuse nests that could not tell how the tracker was turned; none at all are allowed."""
+    if not nests:
+        return
+    if len(nests) < 3:
+        raise PlanError(f"plan: {len(nests)} nests, the registration needs at least three")
+    centred = np.array(nests) - np.mean(nests, axis=0)
+    if np.linalg.svd(centred, compute_uv=False)[1] < _MIN_TRIANGLE:
+        raise PlanError(
+            f"plan: the {len(nests)} nests lie in a line: a station could turn about it; put one "
+            "aside"
+        )
+
+
+def _instruction(
+    stand: Stand, stands: tuple[Stand, ...], angles: tuple[float, ...], n_nests: int
+) -> str:
+    x, y, z = stand.place
+    first, last = angles[stand.visit[0]] / DEGREE, angles[stand.visit[-1]] / DEGREE
+    nests = f"nests 1 to {n_nests} and " if n_nests else ""
+    return (
+        f"put the tracker at station {stand.number} (of 0 to {len(stands) - 1}), near x {x:.2f}, "
+        f"y {y:.2f}, z {z:.2f} m, {np.hypot(x, y):.2f} m from the table axis at "
+        f"{stand.azimuth / DEGREE % 360.0:.0f} deg; it will measure {nests}table positions "
+        f"{first:g} to {last:g} deg"
+    )

@@ -1,0 +1,1 @@
+"""Laser tracer, multi-station: everything that this method brings."""

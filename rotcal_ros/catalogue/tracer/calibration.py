@@ -1,0 +1,192 @@
+"""From observations to the laser-tracer problem, its result and its trials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.method import Trials
+from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
+from rotcal_ros.errors import DataError
+from rotcal_ros.methods import tracer
+from rotcal_ros.methods.arrivals import Arrivals, mean_from_first, mean_of_runs, repeatability_std
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, joined_trials, solve_joined
+from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.settings import TracerSolverSettings
+from rotcal_ros.observations import Approach, Observation
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.table_angles import table_angles
+from rotcal_ros.planning.visits import visits
+from rotcal_ros.results import Result
+
+
+def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
+    """Solve the accepted observations of a laser-tracer plan.
+
+    Those of several runs of an interrupted plan are joined by what was measured twice:
+    :mod:`rotcal_ros.methods.tracer.joins`. Repeated runs of the plan become one curve over the
+    distinct angles: :mod:`rotcal_ros.methods.arrivals`.
+    """
+    result = _adjusted(configuration, plan, observations)
+    arrivals = _arrivals(configuration)
+    if arrivals is None:
+        return result
+    return mean_of_runs(result, arrivals.take(np.asarray(result.details["station_ids"])))
+
+
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about what :func:`solve` solves."""
+    if _interrupted(observations):
+        prepared = joined_trials(_runs(configuration, plan, observations))
+    else:
+        prepared = tracer.tracer_trials(_configured_problem(configuration, plan, observations))
+    arrivals = _arrivals(configuration)
+    if arrivals is None:
+        return prepared
+    arrivals = arrivals.take(prepared.grid.station_ids)
+    result = _adjusted(configuration, plan, observations)
+    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+    scatter = repeatability_std(ecc, covariance, arrivals)
+    return RepeatedTrials(prepared, mean_from_first(arrivals), scatter)
+
+
+def _interrupted(observations: Sequence[Observation]) -> bool:
+    return len({o.run for o in observations}) > 1
+
+
+def _adjusted(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Result:
+    """Return the deviations at every arrival."""
+    if _interrupted(observations):
+        return solve_joined(_runs(configuration, plan, observations))
+    return tracer.solve(_configured_problem(configuration, plan, observations))
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedTrials:
+    """Trials of all arrivals, with their repeatability (rad), as mean curves."""
+
+    arrivals: Trials
+    mean: Floats
+    repeatability_std: float
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return the mean deviations (count, k) in rad."""
+        values = self.arrivals(rng, count)
+        values = values + self.repeatability_std * rng.standard_normal(values.shape)
+        return np.asarray(values @ self.mean.T, dtype=np.float64)
+
+
+def _configured_problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> TracerProblem:
+    posed = problem(configuration.solver, plan, observations)
+    return replace(posed, repeated_runs=configuration.plan.repeated)
+
+
+def _arrivals(configuration: Configuration) -> Arrivals | None:
+    """Return the arrivals of all stations of a plan with repeated runs."""
+    settings: TracerPlanSettings = configuration.plan
+    if not settings.repeated:
+        return None
+    angles = np.array(table_angles(settings))
+    every = visits(len(angles), settings.runs, settings.bidirectional)
+    return Arrivals(
+        targets=angles,
+        target=np.array([visit.target for visit in every]),
+        run=np.array([visit.run for visit in every]),
+        upward=np.array([visit.approach is Approach.POSITIVE for visit in every]),
+    )
+
+
+def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Runs:
+    """Return the first length of every step as one problem, the others as pairs with them."""
+    row_of: dict[int, int] = {}
+    kept: list[Observation] = []
+    repeated: dict[int, list[Observation]] = {}
+    for o in sorted(observations, key=lambda o: (o.run, o.step)):
+        if o.step in row_of:
+            repeated.setdefault(o.run, []).append(o)
+        else:
+            row_of[o.step] = len(kept)
+            kept.append(o)
+    posed = _configured_problem(configuration, plan, kept)
+    place = posed.targets[posed.target]
+    run = np.array([o.run for o in kept], dtype=np.int64)
+    pairs = []
+    for number in np.unique(run)[1:].tolist():
+        again = repeated.get(number, [])
+        row = np.array([row_of[o.step] for o in again], dtype=np.int64)
+        twin = _configured_problem(configuration, plan, again) if again else posed
+        pairs.append(
+            Pairs(
+                run=number,
+                row=row,
+                length=twin.length[: len(again)],
+                length_std=twin.length_std[: len(again)],
+                shift=_positions(again) - place[row],
+            )
+        )
+    return Runs(posed, run, _positions(kept) - place, pairs)
+
+
+def problem(
+    settings: TracerSolverSettings, plan: Plan, observations: Sequence[Observation]
+) -> TracerProblem:
+    """Return the problem that observations of a plan pose.
+
+    The coordinates of a target are the mean of what the machine reported there; a target that
+    was never observed keeps its nominal place. The standard deviation of a length joins the
+    scatter of its window with the instrument's constant and distance-dependent parts; for the
+    latter the distance from the table's frame to the target is near enough.
+
+    Raises DataError when an observation does not fit the plan.
+    """
+    for o in observations:
+        if not (o.table_index < len(plan.table_angles) and o.target < len(plan.targets)):
+            raise DataError(
+                f"step {o.step}: table index {o.table_index}, target {o.target} are not in the "
+                f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
+            )
+    target = np.array([o.target for o in observations], dtype=np.int64)
+    reported = _positions(observations)
+    targets = _reported_targets(np.array(plan.targets), target, reported)
+    distance = np.linalg.norm(targets, axis=1)[target]
+    window_std = np.array([o.std[0] for o in observations])
+    relative_std = settings.length_std_relative * distance
+    return TracerProblem(
+        station=np.array([o.table_index for o in observations], dtype=np.int64),
+        target=target,
+        length=np.array([o.mean[0] for o in observations]),
+        length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
+        targets=targets,
+        target_std=np.full(targets.shape, settings.target_std_m),
+        table_angles=np.array(plan.table_angles),
+        variant=settings.variant,
+        datum=settings.datum,
+        error_motion_std=settings.error_motion_std_m,
+        settings=settings,
+    )
+
+
+def _positions(observations: Sequence[Observation]) -> Floats:
+    """Return where the machine says the probe was, shape (k, 3)."""
+    return np.array([o.probe_position for o in observations]).reshape(-1, 3)
+
+
+def _reported_targets(nominal: Floats, target: Ints, reported: Floats) -> Floats:
+    """Return the mean reported position of each target, shape (n, 3)."""
+    count = np.bincount(target, minlength=len(nominal))
+    total = np.zeros_like(nominal)
+    np.add.at(total, target, reported)
+    seen = count > 0
+    total[seen] /= count[seen, None]
+    total[~seen] = nominal[~seen]
+    return total

@@ -1,0 +1,120 @@
+"""The plan of the laser-tracer method: table angles and a block of targets.
+
+The tracer rides on the table; the probe carries the reflector to the targets. Both orders of
+measuring are plans: all stations at each target (the order of the paper), and all targets at
+each station.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.errors import PlanError
+from rotcal_ros.methods.tracer.solve import METHOD
+from rotcal_ros.observations import PointKind
+from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
+from rotcal_ros.planning.visits import visits
+from rotcal_ros.settings import setting
+
+STATIONS_PER_TARGET = "stations_per_target"
+TARGETS_PER_STATION = "targets_per_station"
+
+
+@dataclass(frozen=True)
+class TracerPlanSettings(TableAngleSettings):
+    """Where the table turns and where the reflector goes."""
+
+    box_centre_m: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.6), doc="m, centre of the block of targets"
+    )
+    box_size_m: tuple[float, float, float] = setting(
+        (0.45, 0.6, 0.45), doc="m, size of the block of targets", minimum=0.0
+    )
+    box_points: tuple[int, int, int] = setting(
+        (4, 4, 4), doc="number of targets along x, y and z", minimum=1, maximum=1000
+    )
+    order: str = setting(
+        STATIONS_PER_TARGET,
+        doc="what changes fastest: the table (the paper's order) or the target",
+        choices=(STATIONS_PER_TARGET, TARGETS_PER_STATION),
+    )
+    runs: int = setting(
+        1,
+        doc="how often all table angles are measured; ISO 230-2 asks for 5",
+        minimum=1,
+        maximum=100,
+    )
+    bidirectional: bool = setting(
+        False, doc="measure every run on the way up and, from the other side, on the way down"
+    )
+
+    @property
+    def repeated(self) -> bool:
+        """Whether the table comes to an angle more than once."""
+        return self.runs > 1 or self.bidirectional
+
+
+def plan(configuration: Configuration) -> Plan:
+    """Return the plan of a laser-tracer configuration."""
+    return tracer_plan(configuration.plan)
+
+
+def tracer_plan(settings: TracerPlanSettings) -> Plan:
+    """Return the plan of one laser-tracer calibration.
+
+    Repeated runs list the table angles again for every arrival: a station is one arrival, at which
+    the table stands until all targets are measured. Raises PlanError when explicit angles do not
+    ascend, or when repeated runs come with an order that leaves the angle for every target.
+    """
+    if settings.repeated and settings.order != TARGETS_PER_STATION:
+        raise PlanError(
+            f"repeated runs need the order {TARGETS_PER_STATION}: with {settings.order} the table "
+            "would arrive anew for every target, and no arrival could be told from another"
+        )
+    angles = table_angles(settings)
+    arrivals = visits(len(angles), settings.runs, settings.bidirectional)
+    targets = block_of_targets(settings)
+    pairs = product(range(len(targets)), range(len(arrivals)))
+    if settings.order == TARGETS_PER_STATION:
+        pairs = ((t, a) for a, t in product(range(len(arrivals)), range(len(targets))))  # type: ignore[assignment]
+    steps = tuple(
+        Step(
+            index=number,
+            table_index=arrival,
+            table_angle=angles[arrivals[arrival].target],
+            approach=arrivals[arrival].approach,
+            kind=PointKind.REFLECTOR,
+            target=target,
+            position=targets[target],
+        )
+        for number, (target, arrival) in enumerate(pairs)
+    )
+    every = tuple(angles[visit.target] for visit in arrivals)
+    return Plan(method=METHOD, table_angles=every, targets=targets, steps=steps)
+
+
+def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:
+    """Return the targets (m), layer by layer in a serpentine: neighbours are close together."""
+    axes = [
+        np.linspace(c - s / 2, c + s / 2, n) if n > 1 else np.array([c])
+        for c, s, n in zip(
+            settings.box_centre_m, settings.box_size_m, settings.box_points, strict=True
+        )
+    ]
+    x_axis, y_axis, z_axis = axes
+    rows = [(y, z) for k, z in enumerate(z_axis) for y in y_axis[:: _zigzag(k)]]
+    return tuple(
+        (float(x), float(y), float(z))
+        for k, (y, z) in enumerate(rows)
+        for x in x_axis[:: _zigzag(k)]
+    )
+
+
+def _zigzag(row: int) -> int:
+    """Return the direction of travel (1 or -1) of a row of a serpentine."""
+    return -1 if row % 2 else 1

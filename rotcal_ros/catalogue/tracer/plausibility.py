@@ -1,0 +1,45 @@
+"""Lengths that cannot be, though they were measured well: wrong units, wrong targets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import dist
+
+from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.planning.plan import Plan
+
+_FACTOR = 10.0
+_SLACK = 1e-3  # m
+
+
+class LengthCheck:
+    """Rejects lengths that cannot be metres.
+
+    Between two targets at distance D, seen from one station, a relative length can change by D
+    at most (triangle inequality). A change of more than ten times that (and a millimetre)
+    is no measuring error but a wrong unit or a wrong target; smaller contradictions are left
+    to the solver, which knows all observations.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._last: dict[int, tuple[int, float]] = {}
+        self._targets = plan.targets
+
+    def __call__(self, observation: Observation) -> Observation:
+        """Return the observation, rejected when it cannot be."""
+        if not observation.accepted or observation.kind != PointKind.REFLECTOR:
+            return observation
+        length, target = observation.mean[0], observation.target
+        known = self._last.get(observation.table_index)
+        if known is not None:
+            other, before = known
+            apart = dist(self._targets[target], self._targets[other])
+            change = length - before
+            if abs(change) > _FACTOR * (apart + _SLACK):
+                reason = (
+                    f"implausible: length changed by {change:.6g} m between targets {other} and "
+                    f"{target}, which are {apart:.6g} m apart (millimetres instead of metres?)"
+                )
+                return replace(observation, accepted=False, reason=reason)
+        self._last[observation.table_index] = (target, length)
+        return observation

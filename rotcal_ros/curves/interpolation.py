@@ -1,0 +1,142 @@
+"""Curves through measured points, as linear maps, so that covariances travel with the values.
+
+Every curve here is a matrix W (m, n): values at m wanted angles = W @ values at n measured
+angles, and covariance = W @ C @ W.T. Angles are radians.
+"""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Final, Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.units import DEGREE
+
+Interpolation = Literal["spline", "linear"]
+
+TURN: Final = 2.0 * pi
+SAME_ANGLE: Final = 1e-9
+"""rad; angles closer than this are the same table position."""
+
+
+def interpolation_matrix(
+    nodes: Floats, at: Floats, period: float, kind: Interpolation = "spline"
+) -> Floats:
+    """Return W (m, n) with values(at) = W @ values(nodes): it passes through every node.
+
+    ``nodes`` (n,) ascend. With ``period`` > 0 they lie within one period and the curve closes;
+    "spline" is then the periodic cubic spline. With ``period`` 0 they cover an arc and the
+    spline ends "not-a-knot"; angles outside of the arc raise DataError, for nothing was
+    measured there. "linear" joins the nodes by straight lines.
+    """
+    at = np.atleast_1d(np.asarray(at, dtype=np.float64))
+    if period > 0.0:
+        knots = np.append(nodes, nodes[0] + period)
+        unit = np.vstack([np.eye(len(nodes)), np.eye(1, len(nodes))])
+        at = nodes[0] + np.mod(at - nodes[0], period)
+        boundary = "periodic"
+    else:
+        refuse_outside(nodes, at)
+        knots, unit, boundary = nodes, np.eye(len(nodes)), "not-a-knot"
+    if kind == "spline" and len(nodes) >= (3 if period > 0.0 else 2):
+        return np.asarray(CubicSpline(knots, unit, bc_type=boundary)(at), dtype=np.float64)
+    cell = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
+    share = ((at - knots[cell]) / (knots[cell + 1] - knots[cell]))[:, None]
+    return np.asarray((1.0 - share) * unit[cell] + share * unit[cell + 1], dtype=np.float64)
+
+
+def row_angles(nodes: Floats, period: float, spacing: float) -> Floats:
+    """Return the row angles every ``spacing`` rad: from 0 for a circle, inside of an arc else.
+
+    When the spacing does not divide the turn the last interval of a circle is shorter. An arc
+    keeps its two ends as rows.
+    """
+    if not np.isfinite(spacing) or spacing < 1e-5 or spacing > pi:
+        raise ConfigurationError(
+            f"spacing {spacing / DEGREE:.6g} deg: expected more than 0.001 and at most 180 deg"
+        )
+    if period > 0.0:
+        count = int(np.ceil(period / spacing - 1e-9))
+        return np.asarray(np.arange(count) * spacing, dtype=np.float64)
+    first, last = float(nodes[0]), float(nodes[-1])
+    steps = np.arange(np.ceil(first / spacing), np.floor(last / spacing) + 1) * spacing
+    inner = steps[(steps > first + SAME_ANGLE) & (steps < last - SAME_ANGLE)]
+    return np.asarray(np.concatenate([[first], inner, [last]]), dtype=np.float64)
+
+
+def wrapped(angle: float) -> float:
+    """Return ``angle`` within [0, 2 pi); a hair below the full turn counts as zero."""
+    within = float(np.mod(angle, TURN))
+    return 0.0 if TURN - within < SAME_ANGLE else within
+
+
+def harmonic_basis(angles: Floats, order: int) -> Floats:
+    """Return (n, 2 order + 1) columns 1, cos t, sin t, cos 2t, sin 2t, ... of ``angles`` (n,)."""
+    columns = [np.ones_like(angles)]
+    for k in range(1, order + 1):
+        columns += [np.cos(k * angles), np.sin(k * angles)]
+    return np.column_stack(columns)
+
+
+def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
+    """Return H (2 order + 1, n): coefficients of :func:`harmonic_basis` = H @ values(nodes).
+
+    The best linear unbiased estimate for values with ``covariance`` (n, n). A variance common
+    to all values is added first: the constant term takes it up, the other coefficients do not
+    feel it, and a covariance that is exactly zero at the reference angle becomes regular.
+    Raises DataError when the nodes cannot tell so many harmonics apart.
+    """
+    size = 2 * order + 1
+    if order < 0 or size > len(nodes):
+        raise DataError(
+            f"harmonics up to order {order} need {size} angles, the result has {len(nodes)}: "
+            f"choose an order of at most {(len(nodes) - 1) // 2}"
+        )
+    basis = harmonic_basis(nodes, order)
+    root = regular_root(covariance)
+    white = np.linalg.solve(root, basis)
+    singular = np.linalg.svd(white / np.linalg.norm(white, axis=0), compute_uv=False)
+    if singular[-1] < 1e-8 * singular[0]:
+        raise DataError(
+            f"the {len(nodes)} angles cannot tell harmonics up to order {order} apart: "
+            "lower the order or measure evenly around the whole circle"
+        )
+    q, r = np.linalg.qr(white)
+    return np.asarray(np.linalg.solve(r, np.linalg.solve(root.T, q).T), dtype=np.float64)
+
+
+def regular_root(covariance: Floats) -> Floats:
+    """Return the lower Cholesky root of ``covariance`` (n, n) plus a common variance.
+
+    Only for estimates with a free offset, which do not feel the common variance. Exact values
+    (no variance at all) all weigh the same.
+    """
+    n = len(covariance)
+    scale = float(np.trace(covariance)) / n
+    if scale <= 0.0:
+        return np.eye(n)
+    regular = covariance / scale + 1.0
+    regular[np.diag_indices(n)] += 1e-12
+    try:
+        return np.asarray(np.linalg.cholesky(regular) * np.sqrt(scale), dtype=np.float64)
+    except np.linalg.LinAlgError as error:
+        raise DataError(
+            "the covariance of the deviations is not positive semi-definite: "
+            "the result is damaged, solve again"
+        ) from error
+
+
+def refuse_outside(nodes: Floats, at: Floats) -> None:
+    """Raise DataError when an angle of ``at`` lies outside of the arc of ``nodes`` (rad)."""
+    slack = 1e-9
+    outside = at[(at < nodes[0] - slack) | (at > nodes[-1] + slack)]
+    if len(outside):
+        degrees = np.rad2deg([outside[0], nodes[0], nodes[-1]])
+        raise DataError(
+            f"the angle {degrees[0]:.6g} deg lies outside of the measured arc "
+            f"{degrees[1]:.6g} .. {degrees[2]:.6g} deg: nothing is known there"
+        )

@@ -1,0 +1,126 @@
+"""A measured deviation curve, one value per table position."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.components import ROTATIONS
+from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
+from rotcal_ros.errors import DataError
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+
+CLOSURE_LIMIT: Final = 4.0
+"""How many standard uncertainties two measurements of one position may differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredCurve:
+    """Deviation (n,) at ascending angles (n,) rad with covariance (n, n), in rad or metres.
+
+    ``period`` is 2 pi when the angles go round, with no angle twice, and 0 for an arc.
+    """
+
+    angles: Floats
+    deviation: Floats
+    covariance: Floats
+    period: float
+
+
+def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
+    """Return one component of ``result``, positions that coincide after a turn averaged.
+
+    Raises DataError when it is absent, not finite, of the wrong size, or when two measurements
+    of one table position contradict each other (the deviations do not close).
+    """
+    angles, deviation, covariance = _checked(result, component)
+    period = TURN if covers_circle(angles) else 0.0
+    position = np.array([wrapped(a) for a in angles]) if period else angles
+    order = np.argsort(position, kind="stable")
+    new = np.append(True, np.diff(position[order]) > SAME_ANGLE)
+    group = np.cumsum(new) - 1
+    merge = np.zeros((group[-1] + 1, len(angles)))
+    merge[group, order] = 1.0
+    for row in merge[merge.sum(axis=1) > 1]:
+        _check_closure(component, angles, deviation, covariance, np.flatnonzero(row))
+    merge /= merge.sum(axis=1, keepdims=True)
+    return MeasuredCurve(
+        angles=position[order][new],
+        deviation=merge @ deviation,
+        covariance=merge @ covariance @ merge.T,
+        period=period,
+    )
+
+
+def covers_circle(angles: Floats) -> bool:
+    """Whether ``angles`` (rad) go round: the gap left is no wider than the others allow."""
+    ascending = np.unique(np.asarray(angles, dtype=np.float64))
+    span = float(ascending[-1] - ascending[0])
+    if span >= TURN - SAME_ANGLE:
+        return True
+    return len(ascending) > 2 and TURN - span <= 1.5 * float(np.max(np.diff(ascending)))
+
+
+def _checked(result: Result, component: str) -> tuple[Floats, Floats, Floats]:
+    """Return angles, deviation and covariance when they are complete, else raise DataError."""
+    where = f"the {result.method} result"
+    if component not in result.deviations:
+        raise DataError(
+            f"{where} holds no {component}, only {', '.join(result.deviations) or 'nothing'}: "
+            "choose another result or component (a positioning table needs ECC)"
+        )
+    angles = np.asarray(result.angles, dtype=np.float64)
+    deviation = np.asarray(result.deviations[component], dtype=np.float64)
+    n = len(angles)
+    if deviation.shape != (n,) or n < 2:
+        raise DataError(
+            f"{where} holds {deviation.shape} {component} values for {n} angles: expected one for "
+            "each of at least two angles"
+        )
+    bad = ~(np.isfinite(angles) & np.isfinite(deviation))
+    if np.any(bad):
+        row = int(np.argmax(bad))
+        raise DataError(
+            f"{where}, row {row}: {component} is {deviation[row]} at {angles[row] / DEGREE:.6g} "
+            "deg, expected finite numbers"
+        )
+    covariance = result.covariance.get(component)
+    if covariance is None:
+        std = result.std.get(component)
+        covariance = np.zeros((n, n)) if std is None else np.diag(np.asarray(std) ** 2)
+    if np.shape(covariance) != (n, n) or not np.all(np.isfinite(covariance)):
+        raise DataError(
+            f"{where}: the covariance of {component} has shape {np.shape(covariance)} or is not "
+            f"finite, expected ({n}, {n}) finite numbers"
+        )
+    return angles, deviation, np.asarray(covariance, dtype=np.float64)
+
+
+def _check_closure(
+    component: str,
+    angles: Floats,
+    deviation: Floats,
+    covariance: Floats,
+    members: NDArray[np.intp],
+) -> None:
+    """Raise DataError when measurements ``members`` of one position contradict each other."""
+    rotation = component in ROTATIONS
+    unit, scale = ("arcsec", ARCSEC) if rotation else ("um", MICROMETRE)
+    first = members[0]
+    for other in members[1:]:
+        gap = float(deviation[other] - deviation[first])
+        variance = covariance[first, first] + covariance[other, other]
+        std = float(np.sqrt(max(variance - 2.0 * covariance[first, other], 0.0)))
+        if abs(gap) > CLOSURE_LIMIT * std + SAME_ANGLE:
+            raise DataError(
+                f"the deviations {component} do not close: at {angles[first] / DEGREE:.6g} and "
+                f"{angles[other] / DEGREE:.6g} deg, the same table position, they differ by "
+                f"{gap / scale:.4g} {unit} with a standard uncertainty of {std / scale:.3g} "
+                f"{unit} (limit {CLOSURE_LIMIT:g} times): something moved during the run, "
+                "measure again"
+            )

@@ -1,0 +1,122 @@
+"""The same data evaluated in several ways: fewer balls, a coarser grid, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from rotcal_ros.catalogue import Calibration, changed
+from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, TRANSLATIONS
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC, MICROMETRE
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue import Method
+
+SAME_ANGLE = 1e-9  # rad
+
+
+class Data(Protocol):
+    """A recording or a table: observations with their calibration."""
+
+    @property
+    def calibration(self) -> Calibration:
+        """What was to be measured and how it is solved."""
+
+    @property
+    def observations(self) -> Sequence[Any]:
+        """What was measured."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One way to evaluate the data, its result, and how far it is from the first way.
+
+    ``differences`` holds for each component the largest distance (m or rad) at the common
+    angles, both curves in the gauge of those angles; empty for the first way.
+    """
+
+    changes: tuple[str, ...]
+    result: Result
+    differences: Mapping[str, float]
+
+    @property
+    def name(self) -> str:
+        """The changes in words."""
+        return ", ".join(change.removeprefix("solver.") for change in self.changes) or "all data"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain types for JSON."""
+        return {
+            "changes": list(self.changes),
+            "largest_differences": dict(self.differences),
+            "result": self.result.to_dict(),
+        }
+
+
+def ways(balls: Sequence[str], coarser: Sequence[int]) -> tuple[tuple[str, ...], ...]:
+    """Return the changes of settings for every combination of ball lists and grids.
+
+    ``balls`` holds lists of grid steps such as "0,12,28", or "all".
+    """
+    found = []
+    for steps, factor in product(balls or ["all"], coarser or [1]):
+        changes = [] if steps == "all" else [f"solver.balls=[{steps}]"]
+        changes += [] if factor == 1 else [f"solver.coarser={factor}"]
+        found.append(tuple(changes))
+    return tuple(found)
+
+
+def evaluate(data: Data, wanted: Sequence[tuple[str, ...]]) -> tuple[Evaluation, ...]:
+    """Solve the data in every wanted way and compare with the first one."""
+    done: list[Evaluation] = []
+    for changes in wanted:
+        calibration = data.calibration
+        configuration = changed(calibration.configuration, changes)
+        result = replace(calibration, configuration=configuration).solve(data.observations)
+        differences = (
+            largest_differences(calibration.method, done[0].result, result) if done else {}
+        )
+        done.append(Evaluation(changes, result, differences))
+    return tuple(done)
+
+
+def largest_differences(method: Method, first: Result, second: Result) -> dict[str, float]:
+    """Return by component the largest distance of two results at their common angles."""
+    near = np.abs(first.angles[:, None] - second.angles) < SAME_ANGLE
+    here, there = np.nonzero(near)
+    if not len(here):
+        return {}
+    angles = first.angles[here]
+    names = [name for name in COMPONENTS if {name} <= first.deviations.keys() & second.deviations]
+    left = method.gauge(angles, {name: first.deviations[name][here] for name in names})
+    right = method.gauge(angles, {name: second.deviations[name][there] for name in names})
+    return {name: float(np.abs(left[name] - right[name]).max()) for name in names}
+
+
+def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return lines for people: each way with its largest expanded uncertainties, k = 2."""
+    lines = []
+    for evaluation in evaluations:
+        result = evaluation.result
+        lines.append(
+            f"{evaluation.name}: {result.n_observations} observations, {result.dof} degrees of "
+            f"freedom, verdict {result.verdict}"
+        )
+        for name in (name for name in COMPONENTS if name in result.deviations):
+            unit, label = _unit(name)
+            line = (
+                f"  {name}  U {COVERAGE_FACTOR * float(result.std[name].max()) / unit:.3f} {label}"
+            )
+            if name in evaluation.differences:
+                line += f", at most {evaluation.differences[name] / unit:.3f} from the first"
+            lines.append(line)
+    return lines
+
+
+def _unit(name: str) -> tuple[float, str]:
+    return (MICROMETRE, "um") if name in TRANSLATIONS else (ARCSEC, "arcsec")

@@ -1,0 +1,90 @@
+"""Figures of residuals by table position and target."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.figures import Figure, style
+from rotcal_ros.results import Result
+from rotcal_ros.units import MICROMETRE
+
+
+def residual_figures(result: Result) -> list[Figure]:
+    """Return the figures of residuals by table position and target."""
+    return [
+        Figure(
+            "Residuals",
+            "Observed − computed. A pattern by table position or by target points to an error "
+            "that the model does not hold.",
+            residuals(result),
+        ),
+        Figure(
+            "Normalised residuals",
+            "Residual divided by its own standard deviation, by table position and target.",
+            residual_map(result),
+        ),
+    ]
+
+
+@style.styled
+def residuals(result: Result) -> str:
+    """Draw residuals by table angle and by target; what was not used is marked."""
+    rows = result.residuals
+    if rows is None:
+        return ""
+    left, right = style.grid(1, 2, sharey=True)
+    for ax, index, label in (
+        (left, rows.table_index, "table position (index)"),
+        (right, rows.target, "target (index)"),
+    ):
+        _scatter_residuals(ax, index, rows.residual, rows.used)
+        ax.set_xlabel(label)
+        style.whole_numbers(ax.xaxis)
+    left.set_ylabel("residual / µm")
+    right.legend(loc="best")
+    return style.svg(left)
+
+
+def _scatter_residuals(
+    ax: Axes,
+    index: Ints,
+    residual: Floats,
+    used: Bools,
+) -> None:
+    ax.scatter(
+        index[used], residual[used] / MICROMETRE, s=7, color=style.BLUE, alpha=0.55, label="used"
+    )
+    if not used.all():
+        ax.scatter(
+            index[~used], residual[~used] / MICROMETRE, s=26, color=style.RED, marker="x",
+            label="rejected",
+        )  # fmt: skip
+    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
+
+
+@style.styled
+def residual_map(result: Result) -> str:
+    """Draw the normalised residual of every table position and target as a map.
+
+    Where a cell would hold several residuals there is no map.
+    """
+    rows = result.residuals
+    if rows is None or rows.test_value.size == 0:
+        return ""
+    cells = np.column_stack([rows.table_index, rows.target])
+    if len(np.unique(cells, axis=0)) < len(cells):
+        return ""
+    grid = np.full((rows.table_index.max() + 1, rows.target.max() + 1), np.nan)
+    grid[rows.table_index, rows.target] = rows.test_value
+    (ax,) = style.grid(height=2.6)
+    ax.grid(visible=False)
+    ax.set_facecolor(style.MISSING)
+    image = ax.imshow(grid, cmap="RdBu_r", vmin=-4, vmax=4, aspect="auto", interpolation="nearest")
+    ax.set_xlabel("target (index)")
+    ax.set_ylabel("table position")
+    style.whole_numbers(ax.xaxis)
+    style.whole_numbers(ax.yaxis)
+    ax.figure.colorbar(image, ax=ax, label="normalised residual")
+    return style.svg(ax)

@@ -1,0 +1,120 @@
+"""Repeated runs: one curve for each run and direction, and their mean as the result.
+
+The stations of a result are then arrivals of the table. What belongs to an angle is the mean of
+its arrivals; how they scatter is the table's own repeatability.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.errors import DataError
+from rotcal_ros.results import Result
+
+
+@dataclass(frozen=True, eq=False)
+class Arrivals:
+    """To which of ``targets`` (k,) rad each station of a result belongs, and when it was.
+
+    ``target``, ``run`` (m,) count from 0, ``upward`` (m,) tells the side of the approach.
+    """
+
+    targets: Floats
+    target: Ints
+    run: Ints
+    upward: Bools
+
+    def take(self, stations: Ints) -> Arrivals:
+        """Return the arrivals of some stations."""
+        return replace(
+            self,
+            target=self.target[stations],
+            run=self.run[stations],
+            upward=self.upward[stations],
+        )
+
+    @property
+    def measured(self) -> Ints:
+        """The targets (k',) that have any arrival."""
+        return np.unique(self.target)
+
+    def averaging(self) -> Floats:
+        """Return (k', m): the mean of all arrivals at each measured target.
+
+        Both directions weigh the same at a target that has both.
+        """
+        rows = self.target == self.measured[:, None]
+        sides = [rows & self.upward, rows & ~self.upward]
+        used = [side.any(axis=1, keepdims=True) for side in sides]
+        shares = [side / np.maximum(side.sum(axis=1, keepdims=True), 1) for side in sides]
+        return np.asarray(sum(shares) / sum(u.astype(np.float64) for u in used), dtype=np.float64)
+
+
+def mean_of_runs(result: Result, arrivals: Arrivals) -> Result:
+    """Return ``result`` of all arrivals as the mean ECC at the targets, with the runs in details.
+
+    ``details["runs"]`` holds ``targets`` (k,), ``forward`` and ``reverse`` (k, n) rad, NaN where
+    an arrival is missing, ``reverse`` only when there was one, and ``repeatability_std``. To the
+    covariance of the measurement comes the scatter of the arrivals that the measurement does not
+    explain. Deviations count from the first target. Raises DataError when arrivals and result
+    do not fit.
+    """
+    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+    if len(arrivals.target) != len(ecc):
+        raise DataError(f"{len(ecc)} stations in the result, {len(arrivals.target)} arrivals")
+    tied = mean_from_first(arrivals)
+    scatter = repeatability_std(ecc, covariance, arrivals)
+    total = tied @ (covariance + scatter**2 * np.eye(len(ecc))) @ tied.T
+    mean = tied @ ecc
+    adjacent = np.diff(np.eye(len(mean)), axis=0)
+    return replace(
+        result,
+        angles=arrivals.targets[arrivals.measured],
+        deviations={"ECC": mean},
+        std={"ECC": np.sqrt(np.maximum(np.diag(total), 0.0))},
+        covariance={"ECC": total},
+        adjacent_deviations=np.diff(mean),
+        adjacent_std=np.sqrt(np.maximum(np.diag(adjacent @ total @ adjacent.T), 0.0)),
+        details={
+            **result.details,
+            "station_deviations": ecc,
+            "runs": {**_tables(ecc, arrivals), "repeatability_std": scatter},
+        },
+    )
+
+
+def mean_from_first(arrivals: Arrivals) -> Floats:
+    """Return (k', m): from all arrivals to the mean curve, counted from its first value."""
+    average = arrivals.averaging()
+    return average - average[:1]
+
+
+def repeatability_std(ecc: Floats, covariance: Floats, arrivals: Arrivals) -> float:
+    """Return the standard deviation of one arrival beyond the noise of the measurement, rad.
+
+    Pooled over all targets and directions; zero when the noise explains the whole scatter.
+    """
+    squares, noise, dof = 0.0, 0.0, 0
+    group = 2 * arrivals.target + arrivals.upward
+    for value in np.unique(group):
+        at = np.flatnonzero(group == value)
+        centring = np.eye(len(at)) - 1.0 / len(at)
+        squares += float(np.sum((centring @ ecc[at]) ** 2))
+        noise += float(np.trace(centring @ covariance[np.ix_(at, at)]))
+        dof += len(at) - 1
+    return float(np.sqrt(max(squares - noise, 0.0) / dof)) if dof else 0.0
+
+
+def _tables(ecc: Floats, arrivals: Arrivals) -> dict[str, Floats]:
+    """Return the deviations as tables (k, n), one column per run."""
+    shape = (len(arrivals.targets), int(arrivals.run.max()) + 1)
+    tables = {"targets": arrivals.targets}
+    for name, side in (("forward", arrivals.upward), ("reverse", ~arrivals.upward)):
+        if side.any():
+            table = np.full(shape, np.nan)
+            table[arrivals.target[side], arrivals.run[side]] = ecc[side]
+            tables[name] = table
+    return tables

@@ -1,0 +1,81 @@
+"""The settings of the laser-tracer method: group ``solver`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from rotcal_ros.settings import setting
+
+Variant = Literal["station", "joint"]
+Datum = Literal["prior", "free"]
+
+
+@dataclass(frozen=True)
+class TracerLimits:
+    """When a length is rejected, and when a result is no longer called ok.
+
+    The significance of a rejection is two-sided and shared among the lengths; 0.01 means
+    |test value| > 4.3 at 704 lengths.
+    """
+
+    rejection_significance: float = setting(
+        0.01,
+        doc="probability of rejecting any length at all when all are good",
+        minimum=1e-9,
+        maximum=0.5,
+    )
+    test_significance: float = setting(
+        0.001,
+        doc="probability of a false alarm of each global test (chi-squared, closure, motion)",
+        minimum=1e-9,
+        maximum=0.5,
+    )
+    max_rejected_share: float = setting(
+        0.03,
+        doc="share of rejected lengths beyond which the verdict is suspect",
+        minimum=0.001,
+        maximum=0.5,
+    )
+    max_station_std: float = setting(
+        0.01,
+        doc="largest standard deviation of a station, as a share of the radius of their circle; "
+        "beyond it the geometry is refused",
+        minimum=1e-6,
+        maximum=0.999,
+    )
+
+
+@dataclass(frozen=True)
+class TracerSolverSettings(TracerLimits):
+    """How the laser-tracer method is solved, and how well the instrument measures."""
+
+    variant: Variant = setting(
+        "joint",
+        doc="station by station with known targets, or joint self-calibration",
+    )
+    datum: Datum = setting(
+        "prior",
+        doc="joint variant: targets as weighted prior, or as mere start values (free network)",
+    )
+    length_std_m: float = setting(
+        0.2e-6,
+        doc="m, standard deviation of one captured length, repeatability included",
+        minimum=1e-9,
+        maximum=1e-2,
+    )
+    length_std_relative: float = setting(
+        0.0,
+        doc="m/m, part of the length deviation that grows with the distance",
+        minimum=0.0,
+        maximum=1e-2,
+    )
+    target_std_m: float = setting(
+        1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
+    )
+    error_motion_std_m: float = setting(
+        0.0,
+        doc="m, standard deviation of the table's radial error motion",
+        minimum=0.0,
+        maximum=1e-2,
+    )

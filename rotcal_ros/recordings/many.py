@@ -1,0 +1,216 @@
+"""Many bags with one configuration: found, fingerprinted, solved one by one wherever they lie."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rotcal_ros import __version__
+from rotcal_ros.bags import names
+from rotcal_ros.bags.reader import bag_files, sha256_of
+from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
+from rotcal_ros.errors import BagError, ConfigurationError, RotcalError
+from rotcal_ros.recordings.replay import Recording, read_recording
+from rotcal_ros.results import Result
+
+SUFFIXES: Final = (".mcap", ".db3")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One bag to be solved: ``source`` is a path or an fsspec URL; ``cache`` takes the outcome."""
+
+    source: str
+    configuration: Configuration
+    cache: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one bag; ``error`` is empty when there is a result.
+
+    ``table`` tells rotary tables apart: cell and axis of the configuration that the bag was
+    recorded with, else the folder it lies in. ``start_ns`` is the log time of the first message.
+    ``cached`` tells that nothing had to be computed: the same content with the same
+    configuration was solved before.
+    """
+
+    source: str
+    key: str
+    table: str = ""
+    start_ns: int | None = None
+    result: dict[str, Any] | None = None
+    warnings: tuple[str, ...] = ()
+    error: str = ""
+    seconds: float = 0.0
+    cached: bool = False
+
+    def deviations(self) -> Result | None:
+        """Return the result, None when there is none."""
+        return None if self.result is None else Result.from_dict(self.result)
+
+
+def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
+    """Return the bags that ``sources`` name: bags, folders of bags, globs, and lists of these.
+
+    A list is a text file (``.txt``) with one bag per line, relative to itself; empty lines and
+    those that begin with # are left out. URLs (``s3://...``) go through fsspec and must end in
+    .mcap or .db3, with * for many.
+
+    Raises BagError when a source names nothing.
+    """
+    found: dict[str, None] = {}
+    for source in sources:
+        bags = dict.fromkeys(_bags_of(source))
+        if not bags:
+            raise BagError(f"{source} names no bag: expected bags, a folder, a glob or a list")
+        found |= bags
+    return tuple(found)
+
+
+def solve_bag(job: Job) -> Outcome:
+    """Solve one bag; whatever goes wrong with it becomes part of the outcome."""
+    begin = time.perf_counter()
+    key = ""
+    try:
+        with _local(job.source) as path:
+            key = fingerprint(path, job.configuration)
+            cached = Path(job.cache) / f"{key}.json"
+            if cached.exists():
+                return Outcome(**{**_read(cached), "source": job.source, "cached": True})
+            outcome = _solve(job, path, key, begin)
+        _write(cached, outcome)
+    except Exception as error:  # one bad bag does not stop the rest
+        what = f"{_kind(error)}{error}"
+        return Outcome(job.source, key, error=what, seconds=time.perf_counter() - begin)
+    return outcome
+
+
+def fingerprint(path: Path, configuration: Configuration) -> str:
+    """Return the hash of a bag's content, the configuration and the version that solves it."""
+    digest = hashlib.sha256(f"{__version__} {configuration.plan_id}".encode())
+    for file in bag_files(path):
+        digest.update(sha256_of(file).encode())
+    return digest.hexdigest()
+
+
+def _solve(job: Job, path: Path, key: str, begin: float) -> Outcome:
+    recording = read_recording(path, configuration=job.configuration)
+    starts = [v.start_ns for v in recording.verdicts if v.start_ns is not None]
+    return Outcome(
+        source=job.source,
+        key=key,
+        table=_table(recording, job.source),
+        start_ns=min(starts, default=None),
+        result=recording.solve().to_dict(),
+        warnings=recording.warnings(),
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def _table(recording: Recording, source: str) -> str:
+    """Return what tells tables apart: namespace and axis as recorded, else the folder's name."""
+    text = recording.attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
+    try:
+        recorded = parse_configuration(text, groups=("cell",))
+    except ConfigurationError:
+        return _folder_name(source)
+    if "cell" not in recorded.given:
+        return _folder_name(source)
+    return f"{recorded.cell.namespace} {recorded.cell.axis}"
+
+
+def _folder_name(source: str) -> str:
+    return source.rstrip("/").rpartition("/")[0].rpartition("/")[2]
+
+
+def _kind(error: Exception) -> str:
+    """Return the kind of an unexpected error; our own texts explain themselves."""
+    return "" if isinstance(error, RotcalError) else f"unexpected {type(error).__name__}: "
+
+
+def _bags_of(source: str) -> Iterator[str]:
+    path = Path(source)
+    if "://" in source:
+        yield from _remote(source)
+    elif path.suffix == ".txt" and path.is_file():
+        yield from _listed(path)
+    elif glob.has_magic(source):
+        for name in sorted(glob.glob(source, recursive=True)):  # noqa: PTH207  absolute globs too
+            yield from _bags_of(name)
+    elif path.suffix in SUFFIXES and path.is_file():
+        yield str(path.absolute())
+    elif path.is_dir():
+        yield from _in_folder(path)
+
+
+def _listed(path: Path) -> Iterator[str]:
+    for line in map(str.strip, path.read_text(encoding="utf-8").splitlines()):
+        if line and not line.startswith("#"):
+            yield from _bags_of(line if "://" in line else str(path.parent / line))
+
+
+def _in_folder(path: Path) -> Iterator[str]:
+    """Yield the folder itself when it is a bag, else the bags in it, however deep."""
+    if any(file.suffix in SUFFIXES for file in path.iterdir()):
+        yield str(path.absolute())
+    else:
+        for folder in sorted(p for p in path.iterdir() if p.is_dir()):
+            yield from _in_folder(folder)
+
+
+def _remote(source: str) -> Iterator[str]:
+    filesystem, path = _filesystem(source)
+    names = sorted(filesystem.glob(path)) if glob.has_magic(path) else [path]
+    yield from (filesystem.unstrip_protocol(name) for name in names)
+
+
+def _filesystem(source: str) -> tuple[Any, str]:
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError as error:
+        raise ConfigurationError(
+            f"{source}: remote bags need fsspec: pip install 'rotcal_ros[many]'"
+        ) from error
+    filesystem, path = url_to_fs(source)
+    return filesystem, path
+
+
+class _local:  # noqa: N801  used like a function
+    """The bag as a local path, fetched into a temporary folder when it lies elsewhere."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+
+    def __enter__(self) -> Path:
+        if "://" not in self._source:
+            return Path(self._source)
+        filesystem, path = _filesystem(self._source)
+        self._folder = tempfile.TemporaryDirectory(prefix="rotcal_")
+        target = Path(self._folder.name) / Path(path).name
+        filesystem.get_file(path, str(target))
+        return target
+
+    def __exit__(self, *_: object) -> None:
+        if self._folder is not None:
+            self._folder.cleanup()
+
+
+def _read(path: Path) -> dict[str, Any]:
+    data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return {**data, "warnings": tuple(data["warnings"])}
+
+
+def _write(path: Path, outcome: Outcome) -> None:
+    """Keep an outcome; two workers with the same bag write the same file."""
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
+        json.dump(asdict(outcome), file)
+    Path(file.name).replace(path)

@@ -1,0 +1,171 @@
+"""Solving a bag offline: the same capture and the same solver as live, hence the same result."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rotcal_ros import catalogue
+from rotcal_ros import messages as records
+from rotcal_ros.bags import names
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.reader import (
+    Progress,
+    Scan,
+    bag_files,
+    read_blocks,
+    scan_file,
+    sha256_of,
+)
+from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
+from rotcal_ros.catalogue.configuration import (
+    OFFLINE_GROUPS,
+    Configuration,
+    parse_configuration,
+)
+from rotcal_ros.errors import BagError
+from rotcal_ros.observations import Observation
+from rotcal_ros.recordings.foreign import StepFinder
+from rotcal_ros.recordings.streams import StreamFeeder
+from rotcal_ros.recordings.topics import Topics
+from rotcal_ros.results import Result
+
+Source = Literal["streams", "observations"]
+Decoders = dict[ChannelDefinition, Decoder]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Everything that was read from a bag.
+
+    ``observations`` are those of the chosen source, ``recorded`` those that the live capture
+    had published; ``counts`` is what the capture counted per stream (empty when the
+    observations were taken from the bag), ``broken`` the messages per topic that could not be
+    decoded, and ``sha256`` maps file names to hashes.
+    """
+
+    calibration: catalogue.Calibration
+    source: Source
+    observations: tuple[Observation, ...]
+    recorded: tuple[Observation, ...]
+    verdicts: tuple[FileVerdict, ...]
+    counts: Mapping[str, Mapping[str, int]]
+    broken: Mapping[str, int]
+    sha256: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+
+    def solve(self) -> Result:
+        """Return the result; equal observations give equal results to the last bit."""
+        return self.calibration.solve(self.observations)
+
+    @property
+    def same_as_recorded(self) -> bool:
+        """Tell whether the final observations equal those of the live capture.
+
+        Behind the last recorded one of a run there may be more: nodes that were killed had the
+        readings on disk before they could tell what they are.
+        """
+        again, live = map(catalogue.last_accepted, (self.observations, self.recorded))
+        newest = {run: 0 for run, _ in again}
+        for (run, _), observation in live.items():
+            newest[run] = max(newest[run], observation.window_end_ns)
+        further = {key: o for key, o in again.items() if key not in live}
+        behind = all(o.window_end_ns > newest[run] for (run, _), o in further.items())
+        return behind and again == {**live, **further}
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return what the reader of a result must know about the bag."""
+        texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
+        texts += losses_in_words(session_losses(self.verdicts))
+        texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
+        if self.recorded and not self.same_as_recorded:
+            texts.append("the observations captured again differ from those captured live")
+        return tuple(texts)
+
+
+def read_recording(
+    path: Path,
+    source: Source = "streams",
+    *,
+    configuration: Configuration | None = None,
+    topics: Topics | None = None,
+    progress: Progress | None = None,
+) -> Recording:
+    """Read a bag and capture its observations again, or take the recorded ones.
+
+    Without ``configuration`` the one in the bag is used: the attachment, else the text on the
+    ``plan`` topic. Raises BagError when the bag cannot be read or holds no configuration.
+    Memory does not grow with the size of the bag.
+    """
+    files = bag_files(path)
+    topics = topics or Topics()
+    if configuration is None:
+        configuration = find_configuration(files, topics)
+    calibration = catalogue.prepare(configuration)
+    topics.renamed = {**configuration.topics.renamed(), **topics.renamed}
+    feeder = StreamFeeder(
+        calibration.capture,
+        configuration.cell.joint,
+        StepFinder(calibration.plan, configuration.capture),
+        configuration.topics,
+    )
+    recorded: list[Observation] = []
+    scans: list[Scan] = []
+    decoders: Decoders = {}
+    run = "0"
+    for scan, block in read_blocks(files, progress):
+        if block is None:
+            scans.append(scan)
+            continue
+        before, run = run, scan.metadata.get(names.RUN, {}).get("number", run)
+        if run != before:
+            feeder.begin_run(int(run))
+        parts = topics.split(block, scan.channels, decoders)
+        for part in parts:
+            if part.role == names.OBSERVATION:
+                recorded += (records.observation(m) for _, m in part.messages(block))
+        if source == "streams":
+            feeder.feed(block, parts)
+    verdicts = tuple(scan.verdict() for scan in scans)
+    if not any(verdict.messages for verdict in verdicts):
+        raise BagError(f"the bag {path} holds no messages")
+    return Recording(
+        calibration=calibration,
+        source=source,
+        observations=tuple(feeder.observations if source == "streams" else recorded),
+        recorded=tuple(recorded),
+        verdicts=verdicts,
+        counts=feeder.counts if source == "streams" else {},
+        broken={c.topic: d.broken for c, d in decoders.items() if d.broken},
+        sha256={file.name: sha256_of(file) for file in files},
+        attachments={n: a.data for scan in scans for n, a in scan.attachments.items()},
+    )
+
+
+def find_configuration(files: tuple[Path, ...], topics: Topics) -> Configuration:
+    """Return the configuration that a bag was recorded with; reads no further than needed."""
+    for file in files:
+        scan = scan_file(file)
+        for text in _configuration_texts(scan, topics):
+            source = f"{file.name}: {names.CONFIGURATION}"
+            return parse_configuration(text, source, OFFLINE_GROUPS)
+    raise BagError(
+        f"{files[0].parent if len(files) > 1 else files[0]} holds no configuration: neither the "
+        f"attachment {names.CONFIGURATION} nor a message on the topic {names.PLAN}; "
+        "give the set-up (--setup)"
+    )
+
+
+def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
+    decoders: Decoders = {}
+    for block in scan.blocks():
+        if names.CONFIGURATION in scan.attachments:
+            break
+        for part in topics.split(block, scan.channels, decoders):
+            if part.role == names.PLAN:
+                yield from (message.configuration for _, message in part.messages(block))
+    if names.CONFIGURATION in scan.attachments:
+        yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")

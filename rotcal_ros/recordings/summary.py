@@ -1,0 +1,74 @@
+"""What is in a bag, told without decoding its messages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
+from rotcal_ros.bags.verdict import FileVerdict, session_losses
+from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
+from rotcal_ros.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The files of a bag, the names of what is attached, and its configuration if there is."""
+
+    files: tuple[FileVerdict, ...]
+    attachments: tuple[str, ...]
+    configuration: Configuration | None
+
+    @property
+    def start_ns(self) -> int | None:
+        """Log time of the first message."""
+        return min((f.start_ns for f in self.files if f.start_ns is not None), default=None)
+
+    @property
+    def end_ns(self) -> int | None:
+        """Log time of the last message."""
+        return max((f.end_ns for f in self.files if f.end_ns is not None), default=None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the machine-readable form."""
+        start, end = self.start_ns, self.end_ns
+        topics: dict[str, dict[str, Any]] = {}
+        for file in self.files:
+            for name, topic in file.topics.items():
+                entry = topics.setdefault(
+                    name, {"type": topic.type_name, "messages": 0, "lost": 0}
+                )
+                entry["messages"] += topic.messages
+                entry["lost"] += topic.lost
+        return {
+            "files": [file.to_dict() for file in self.files],
+            "start_ns": start,
+            "end_ns": end,
+            "duration_s": 0.0 if start is None or end is None else (end - start) / 1e9,
+            "topics": topics,
+            "attachments": list(self.attachments),
+            "method": self.configuration.method.name if self.configuration else None,
+            "plan_id": self.configuration.plan_id if self.configuration else None,
+            "losses_recorded": session_losses(self.files),
+        }
+
+
+def describe(path: Path, progress: Progress | None = None) -> Summary:
+    """Read a bag to its end and return its summary; raises BagError when it cannot be read."""
+    verdicts: list[FileVerdict] = []
+    attachments: dict[str, bytes] = {}
+    for scan, block in read_blocks(bag_files(path), progress):
+        if block is None:
+            verdicts.append(scan.verdict())
+            attachments |= {name: a.data for name, a in scan.attachments.items()}
+    return Summary(tuple(verdicts), tuple(attachments), _configuration(attachments))
+
+
+def _configuration(attachments: dict[str, bytes]) -> Configuration | None:
+    text = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
+    try:
+        return parse_configuration(text, names.CONFIGURATION)
+    except ConfigurationError:
+        return None

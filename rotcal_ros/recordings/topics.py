@@ -1,0 +1,80 @@
+"""Which topic of a bag plays which role in the cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rotcal_ros.arrays import Ints
+from rotcal_ros.bags import names
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.errors import BagError
+
+
+@dataclass(frozen=True)
+class Part:
+    """The messages of one role in a block: their rows, ascending, and how to decode them."""
+
+    role: str
+    rows: Ints
+    decoder: Decoder
+
+    def messages(self, block: Block) -> Iterator[tuple[int, Any]]:
+        """Yield (row, message), leaving out what cannot be decoded."""
+        for row in self.rows.tolist():
+            message = self.decoder.message(block.payload(row))
+            if message is not None:
+                yield row, message
+
+
+@dataclass
+class Topics:
+    """Finds the topics of one cell.
+
+    A topic plays the role that its last name says (``/cell/tracer_length``), below
+    ``namespace`` when that is given; ``renamed`` maps roles to topics with other names.
+    """
+
+    namespace: str = ""
+    renamed: Mapping[str, str] = field(default_factory=dict)
+    _taken: dict[str, str] = field(default_factory=dict, repr=False)
+
+    def role(self, topic: str) -> str | None:
+        """Return the role of ``topic``; raises BagError when two topics want the same one."""
+        for role, other in self.renamed.items():
+            if topic.strip("/") == other.strip("/"):
+                return role
+        namespace, _, role = topic.strip("/").rpartition("/")
+        wanted = self.namespace.strip("/")
+        if role not in names.ROLES or role in self.renamed or (wanted and namespace != wanted):
+            return None
+        if self._taken.setdefault(role, topic) != topic:
+            raise BagError(
+                f"two topics of the bag are called {role}: {self._taken[role]} and {topic}; "
+                "say which cell is meant (--namespace)"
+            )
+        return role
+
+    def split(
+        self,
+        block: Block,
+        channels: Mapping[int, ChannelDefinition],
+        decoders: dict[ChannelDefinition, Decoder],
+    ) -> list[Part]:
+        """Return the parts of a block that matter to the cell."""
+        parts = []
+        numbers = block.headers["channel"]
+        for number in np.unique(numbers).tolist():
+            channel = channels[number]
+            role = self.role(channel.topic)
+            if role is None:
+                continue
+            if channel not in decoders:
+                decoders[channel] = Decoder(channel)
+            parts.append(Part(role, np.flatnonzero(numbers == number), decoders[channel]))
+        return parts

@@ -1,0 +1,114 @@
+"""Finding out where an interrupted session stands, to go on from there."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from rotcal_ros.bags.reader import bag_files
+from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue.continuation import Continuation, continued
+from rotcal_ros.cli.console import progress_bar, say
+from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.files import FolderLock, write_atomically
+from rotcal_ros.recordings.replay import Recording, read_recording
+from rotcal_ros.sessions.session import BAG, Session, checked_calibration
+
+LOCK_TIMEOUT_S: Final = 40.0
+"""Nodes whose ``rotcal run`` was killed end by themselves, and close their bag, within this."""
+_POLL_S: Final = 0.2
+
+
+def resume_session(source: Path, folder: Path, changes: Sequence[str]) -> Session:
+    """Return the session that continues the one in ``folder``; its raw streams say what is left.
+
+    Raises ConfigurationError when there is no such session, it is finished, or it was configured
+    otherwise; BagError when another process still works there.
+    """
+    folder = folder.absolute()
+    calibration = checked_calibration(source, changes)
+    _check_folder(folder, calibration)
+    _wait_for_lock(folder)
+    bag = folder / BAG
+    if not bag.is_dir():
+        return _opened(Session(calibration, folder))
+    files = _files(bag)
+    recording = _recording(bag, calibration) if files else None
+    settings = calibration.configuration.planner
+    continuation = continued(
+        calibration.plan,
+        calibration.configuration.plan_id,
+        max(1, len(files)),  # no earlier run can have this number: each wrote a file at least
+        recording.observations if recording is not None else (),
+        max_attempts=settings.max_attempts,
+        join_steps=settings.join_steps if calibration.method.joins_runs else 0,
+    )
+    session = _opened(Session(calibration, folder, continuation))
+    write_atomically(session.continuation_file, continuation.to_json())
+    _tell(calibration, continuation)
+    return session
+
+
+def _check_folder(folder: Path, calibration: Calibration) -> None:
+    known = folder / "configuration.yaml"
+    if not known.is_file():
+        raise ConfigurationError(f"{folder} holds no session: {known.name} is missing")
+    if (folder / "result.json").exists():
+        raise ConfigurationError(
+            f"the calibration in {folder} is finished: its result.json is there"
+        )
+    if known.read_text(encoding="utf-8") != calibration.configuration.text:
+        raise ConfigurationError(
+            f"{calibration.configuration.source} differs from {known}: an interrupted plan is "
+            f"continued as it was begun; use 'rotcal run {known} --resume {folder}'"
+        )
+
+
+def _wait_for_lock(folder: Path) -> None:
+    """Wait until the last node of the interrupted run has ended."""
+    deadline = time.monotonic() + LOCK_TIMEOUT_S
+    while time.monotonic() < deadline:
+        with suppress(BagError):
+            return FolderLock(folder).release()
+        time.sleep(_POLL_S)
+    FolderLock(folder).release()
+    return None
+
+
+def _files(bag: Path) -> tuple[Path, ...]:
+    with suppress(BagError):
+        return bag_files(bag)
+    return ()
+
+
+def _recording(bag: Path, calibration: Calibration) -> Recording | None:
+    """Read what was recorded; None when the recorder died before the first message."""
+    with progress_bar() as bar:
+        task = bar.add_task("reading what is there", total=None)
+        try:
+            recording = read_recording(
+                bag,
+                configuration=calibration.configuration,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+        except BagError as error:
+            say(f"nothing to go on from: {error}")
+            return None
+    for warning in recording.warnings():
+        say(f"warning: {warning}")
+    return recording
+
+
+def _opened(session: Session) -> Session:
+    session.log_folder.mkdir(exist_ok=True)
+    return session
+
+
+def _tell(calibration: Calibration, continuation: Continuation) -> None:
+    total, missing = len(calibration.plan.steps), len(continuation.steps)
+    missing -= len(continuation.again)
+    again = f"; {len(continuation.again)} done steps are measured again" * bool(continuation.again)
+    say(f"run {continuation.run}: {missing} of {total} steps are left{again}")
