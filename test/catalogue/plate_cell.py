@@ -30,9 +30,7 @@ def simulated_cell(calibration):
 def measure(calibration, *, steps=None, order=iter, turn_s=0.5):
     """Return the observations of all steps; ``order`` reorders the records of every turn."""
     cell = simulated_cell(calibration)
-    capture = Capture(
-        calibration.plan, calibration.configuration.capture
-    )
+    capture = calibration.capture()
     observations = []
     for step in calibration.plan.steps[:steps]:
         command = step.command(0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.capture import Capture, CaptureSettings
-from rotcal_ros.catalogue import METHODS, prepare
+from rotcal_ros.catalogue import find_method, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem, write_points
@@ -31,7 +31,7 @@ def measured(configuration):
     """Return the calibration, its accepted observations, and the true ECC."""
     calibration = prepare(configuration)
     cell = SimulatedCell(configuration.simulation)
-    capture = Capture(calibration.plan, configuration.capture)
+    capture = calibration.capture()
     observations = []
     for step in calibration.plan.steps:
         command = step.command(0)
@@ -66,7 +66,7 @@ def test_the_configurations_are_what_they_say():
     real = prepare(read_configuration(CONFIG / "plane_mirror.yaml"))
     assert "simulation" not in real.configuration.groups
     assert len(real.plan.pauses) == 6
-    assert "tracer_length" not in METHODS["plane_mirror"].topics
+    assert "tracer_length" not in find_method("plane_mirror").topics
 
 
 def test_the_demonstration_is_solved_to_the_truth():
