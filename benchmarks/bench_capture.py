@@ -14,9 +14,10 @@ import numpy as np
 
 from rotcal_ros.capture import Capture, CaptureSettings, Record
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
+from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.observations import Observation, TracerSample
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 
 SETTINGS = CaptureSettings()
 REPEATS = 5
@@ -36,7 +37,7 @@ class Row:
 def recorded() -> tuple[Plan, list[Record]]:
     """Return a plan of 48 steps and all records of measuring it once, in order of arrival."""
     plan = tracer_plan(TracerPlanSettings(table_positions=6, box_points=(2, 2, 2)))
-    cell, capture, records = SimulatedCell(SimulationSettings()), Capture(plan, SETTINGS), []
+    cell, capture, records = SimulatedCell(TracerSimulationSettings()), Capture(plan, SETTINGS), []
     for step in plan.steps:
         cell.order_table(step.command(0))
         cell.order_probe(step.command(0))

@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.sessions.session import changed
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 
 DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"
 SMALL = (

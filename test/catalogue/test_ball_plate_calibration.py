@@ -8,10 +8,10 @@ import pytest
 from plate_cell import measure, simulated_cell, small
 
 from rotcal_ros.catalogue.ball_plate.calibration import gauge, problem
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError, PlanError
 from rotcal_ros.evaluation.ways import evaluate, in_words, ways
 from rotcal_ros.observations import PointKind
-from rotcal_ros.components import COMPONENTS
 from rotcal_ros.sessions.session import changed
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.catalogue import find_method, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.errors import ConfigurationError, DataError, PlanError
@@ -14,7 +13,7 @@ from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem, write_points
 from rotcal_ros.methods.plane_mirror.problem import problem_from_observations
 from rotcal_ros.observations import PointKind
 from rotcal_ros.sessions.session import changed
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.tables import read_measurements
 from rotcal_ros.units import ARCSEC
 

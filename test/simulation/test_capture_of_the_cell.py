@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.capture import Capture, CaptureSettings
+from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.catalogue.tracer.calibration import TracerSolverSettings
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 
 CONFIG = Path(__file__).parents[2] / "config"
 ATTEMPTS = 3

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.settings import load
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.positioning import true_runs
 from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import SimulatedTable, correction, truth
@@ -68,7 +69,7 @@ def test_iso_runs_of_the_true_angle():
         "table": {"ecc": ECC, "backlash_arcsec": 3.0, "repeatability_arcsec": 0.5},
         "seed": 7,
     }
-    settings = load(SimulationSettings, raw, "simulation")
+    settings = load(TracerSimulationSettings, raw, "simulation")
     targets = np.arange(0, 360, 30) * DEGREE
     up, down = true_runs(settings, targets, 400)
     exact = 20.0 * np.cos(targets)
@@ -91,7 +92,7 @@ def test_a_control_table_that_does_not_fit_is_refused(wrong):
 
 def external(**more):
     raw = {"table": {"external": True}, **more}
-    return load(SimulationSettings, raw, "simulation")
+    return load(TracerSimulationSettings, raw, "simulation")
 
 
 def test_an_external_table_moves_at_life_speed_only():
