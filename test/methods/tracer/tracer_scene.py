@@ -27,6 +27,7 @@ class Scene:
             "targets": self.targets,
             "target_std": target_std,
             "table_angles": self.angles,
+            "variant": "station",
         }
         return TracerProblem(**{**rows, **options})
 
