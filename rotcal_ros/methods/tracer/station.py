@@ -167,9 +167,9 @@ def adjust_stations(grid: Grid, start: Floats) -> Adjustment:
     state, settled = locate_stations(grid.targets, grid.length, weights, start)
     distance, unit = ranges(state[:, :3], grid.targets)
     design = np.concatenate([unit, -np.ones((*distance.shape, 1))], axis=2)
-    check_station_rank(design * grid.used[:, :, None], grid.station_ids)
+    check_station_rank(design * grid.used[:, :, None], grid.position_ids)
     if not settled.all():
-        worst = grid.station_ids[np.flatnonzero(~settled)[0]]
+        worst = grid.position_ids[np.flatnonzero(~settled)[0]]
         raise DataError(
             f"station {worst} does not settle in {MAX_ITERATIONS} iterations: its lengths do not "
             "fit the targets; check the order of the targets and the sign of the lengths"
