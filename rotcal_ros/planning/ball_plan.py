@@ -42,7 +42,7 @@ class BallPlan:
     """
 
     grid: int
-    table_index: Ints
+    position: Ints
     ball_step: Ints
     table_angle: Floats
     lead_in: float
@@ -53,7 +53,7 @@ class BallPlan:
     @property
     def cmm_index(self) -> Ints:
         """CMM position of every row."""
-        return (self.table_index + self.ball_step) % self.grid
+        return (self.position + self.ball_step) % self.grid
 
 
 def plan_measurement(
@@ -96,7 +96,7 @@ def plan_measurement(
     directions = np.sign(moves[moves != 0.0])
     return BallPlan(
         grid=grid,
-        table_index=turns % grid,
+        position=turns % grid,
         ball_step=ball,
         table_angle=angle,
         lead_in=lead_in,

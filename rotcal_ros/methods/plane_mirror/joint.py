@@ -55,7 +55,7 @@ class Mirror:
 class Together:
     """What is adjusted together, the same in every step: groups, nests, and how they weigh.
 
-    ``nest_weight`` (Q, 3, 3) are inverse covariances (1/m^2), ``tilt_std`` is the table's tilt (rad).
+    ``nest_weight`` (Q, 3, 3) are inverse covariances (1/m^2), ``tilt_std`` (rad) is the table's.
     """
 
     pairs: Pairs
