@@ -26,7 +26,7 @@ def test_shipped_plates_are_readable_and_separable(path):
     found = separability(plate.grid, np.array(plate.ball_steps))
     assert found.separable != plate.separate_groups
     assert plate.material
-    assert len(plate.nominal_centres) == len(plate.ball_steps)
+    assert plate.places.shape == (plate.grid, 3)
 
 
 def test_all_six_plates_are_shipped():
@@ -88,4 +88,4 @@ def test_a_plate_file_may_state_the_noise_of_a_centre(tmp_path):
 
 def test_plate_defaults():
     plate = Plate(grid=12, ball_steps=(0, 1, 5), circle_radius_m=RADIUS, ball_diameter_m=0.02)
-    np.testing.assert_allclose(plate.nominal_centres[0], [RADIUS, 0, 0])
+    np.testing.assert_allclose(plate.places[0], [RADIUS, 0, 0])

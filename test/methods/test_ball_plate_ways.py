@@ -11,8 +11,7 @@ from plate_data import PAPER_PLATE, RADIUS, simulated
 from scipy.optimize import lsq_linear
 
 from rotcal_ros.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.closed_form import closed_form
+from rotcal_ros.methods.ball_plate import closed_form, model
 from rotcal_ros.methods.ball_plate.dense import design_matrix, solve_dense
 from rotcal_ros.methods.ball_plate.estimate import least_squares
 from rotcal_ros.methods.ball_plate.gaps import gap_cells, solve_with_gaps

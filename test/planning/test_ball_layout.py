@@ -12,7 +12,6 @@ from rotcal_ros.methods.ball_plate import BallPlateProblem
 from rotcal_ros.methods.ball_plate.dense import solve_dense
 from rotcal_ros.planning.ball_layout import (
     best_layout,
-    canonical,
     count_layouts,
     predicted_std,
     rank_subsets,
@@ -85,6 +84,12 @@ def test_exhaustive_search_finds_what_brute_force_finds(grid, count, gap):
     assert np.diff(steps, append=steps[0] + grid).min() >= gap
     assert found.evaluated < 0.6 * np.sum(gaps >= gap)  # the symmetry is used
     assert found.gap > 0.0
+
+
+def canonical(grid, steps):
+    """The smallest of all rotations and reflections of a layout."""
+    turned = [np.sort((sign * (steps - start)) % grid) for sign in (1, -1) for start in steps]
+    return min(turned, key=lambda layout: tuple(layout))
 
 
 def test_symmetric_layouts_have_one_canonical_form_and_one_variance():

@@ -32,16 +32,14 @@ def solve(problem: PlaneMirrorProblem) -> Result:
 
     Raises DataError, GeometryError (see :mod:`~rotcal_ros.methods.plane_mirror.screening`).
     """
-    screened = prepare(problem)
+    screened, residuals = prepare(problem), empty_residuals(problem)
     prepared = screened.prepared
-    residuals = empty_residuals(problem)
     outcome = outcome_of(prepared, residuals)
     screening.check_size(problem, prepared.angles, outcome.deviations)
     sigma0 = float(np.sqrt(outcome.chi_square / outcome.dof)) if outcome.dof else 1.0
     covariance, warnings = _judge(problem, outcome, sigma0)
-    repeats, differing = screening.repeats(
-        prepared.angles, outcome.deviations, covariance, problem.significance
-    )
+    curve = prepared.angles, outcome.deviations, covariance
+    repeats, differing = screening.repeats(*curve, problem.significance)
     warnings = [*screened.warnings, *warnings, *differing]
     steps = np.diff(np.eye(len(prepared.angles)), axis=0)
     step_covariance = steps @ covariance @ steps.T
