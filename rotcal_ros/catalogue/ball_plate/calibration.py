@@ -33,12 +33,12 @@ def trials(
 
     Raises ConfigurationError when neither the set-up nor the residuals tell the noise.
     """
-    made = ball_plate.plate_trials(_chosen(configuration, plan, observations))
-    if not np.max(made.std) > 1e-12:
+    prepared = ball_plate.plate_trials(_chosen(configuration, plan, observations))
+    if not np.max(prepared.std) > 1e-12:
         raise ConfigurationError(
             f"{configuration.source}: exact centres tell no noise; state solver.sigma_centre_m"
         )
-    return made
+    return prepared
 
 
 def _chosen(

@@ -129,8 +129,8 @@ def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
     n = len(problem.centres)
     turn = rotations(problem.angles)[problem.position]
     cross = cross_unit(problem.angles)[problem.cmm_index]
-    one = np.broadcast_to(np.eye(3), (n, 3, 3))
-    coefficients = np.concatenate([turn, one, cross, one, cross, one], axis=2)
+    identity = np.broadcast_to(np.eye(3), (n, 3, 3))
+    coefficients = np.concatenate([turn, identity, cross, identity, cross, identity], axis=2)
     starts = np.stack(
         [
             at.plate + 3 * np.searchsorted(problem.balls, problem.ball_step),
@@ -151,7 +151,7 @@ def constraint_matrix(problem: BallPlateProblem) -> Floats:
     at = offsets(problem)
     angles = problem.angles
     matrix = np.zeros((N_CONSTRAINTS, at.total))
-    one = np.eye(3)
+    identity = np.eye(3)
     cross = cross_unit(angles[problem.cmm_positions])
     across = angles[problem.cmm_positions]
     radial = np.stack([np.cos(across), np.sin(across), np.zeros_like(across)], axis=1)
@@ -160,10 +160,10 @@ def constraint_matrix(problem: BallPlateProblem) -> Floats:
     cmm = slice(at.cmm, at.rotation)
     rotation = slice(at.rotation, at.translation)
     translation = slice(at.translation, at.axis_rotation)
-    matrix[0:3, cmm] = np.tile(one, len(problem.cmm_positions))  # Eq. 15, left
+    matrix[0:3, cmm] = np.tile(identity, len(problem.cmm_positions))  # Eq. 15, left
     matrix[3:6, cmm] = -np.hstack(list(cross))  # Eq. 15, right
     matrix[6, cmm] = radial.ravel()  # Eq. 16
-    matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(one, problem.grid)  # Eq. 17
+    matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, problem.grid)  # Eq. 17
     matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
     matrix[17, : at.cmm] = ball[:, :, 1].ravel()  # Eq. 19, tangential
     matrix[18, 2 : at.cmm : 3] = 1.0  # Eq. 19, axial
@@ -179,20 +179,20 @@ def null_space(problem: BallPlateProblem) -> Floats:
     """
     at = offsets(problem)
     space = np.zeros((at.total, N_CONSTRAINTS))
-    one = np.eye(3)
+    identity = np.eye(3)
     turn = rotations(problem.angles).reshape(-1, 3)
-    all_cmm = np.tile(one, (len(problem.cmm_positions), 1))
+    all_cmm = np.tile(identity, (len(problem.cmm_positions), 1))
     ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.cmm_positions]
     cross_ball = cross_unit(ball_angles).reshape(-1, 3)
     cross_cmm = cross_unit(cmm_angles).reshape(-1, 3)
     plate, cmm = slice(at.plate, at.cmm), slice(at.cmm, at.rotation)
     rotation, translation = slice(at.rotation, at.translation), slice(at.translation, -6)
-    space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(one, (len(ball_angles), 1))
+    space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(identity, (len(ball_angles), 1))
     space[rotation, 3:6], space[plate, 3:6] = turn, -cross_ball
-    space[translation, 6:9], space[cmm, 6:9] = np.tile(one, (problem.grid, 1)), -all_cmm
-    space[rotation, 9:12], space[cmm, 9:12] = np.tile(one, (problem.grid, 1)), -cross_cmm
-    space[at.axis_shift :, 12:15], space[cmm, 12:15] = one, -all_cmm
-    space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = one, -cross_cmm
+    space[translation, 6:9], space[cmm, 6:9] = np.tile(identity, (problem.grid, 1)), -all_cmm
+    space[rotation, 9:12], space[cmm, 9:12] = np.tile(identity, (problem.grid, 1)), -cross_cmm
+    space[at.axis_shift :, 12:15], space[cmm, 12:15] = identity, -all_cmm
+    space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = identity, -cross_cmm
     space[plate, 18] = -rotations(ball_angles)[:, :, 0].ravel()
     space[cmm, 18] = rotations(cmm_angles)[:, :, 0].ravel()
     return space
