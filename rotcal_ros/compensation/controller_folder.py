@@ -18,11 +18,16 @@ from typing import Final, Protocol, TypeVar
 
 from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.errors import ControllerError
+from rotcal_ros.files import sync_folder, write_atomically
 
 T = TypeVar("T")
 
 STATE_FOLDER: Final = ".rotcal"
 """Below the controller's folder: lock, journal, and the tables that were there before."""
+
+
+ENCODING: Final = "latin-1"
+"""Takes every byte, so that a foreign file is kept and put back as it was."""
 
 
 class ControllerStore(Protocol):
@@ -94,7 +99,7 @@ class ControllerFolder:
         for name in names:
             path = self.folder / name
             if path.exists():
-                found[name] = path.read_bytes().decode("latin-1")
+                found[name] = path.read_bytes().decode(ENCODING)
         return found
 
     def _write(self, files: Mapping[str, str | None]) -> None:
@@ -102,18 +107,9 @@ class ControllerFolder:
             path = self.folder / name
             if text is None:
                 path.unlink(missing_ok=True)
-                continue
-            part = self.folder / f".{name}.part"
-            with part.open("wb") as stream:
-                stream.write(text.encode("latin-1"))
-                stream.flush()
-                os.fsync(stream.fileno())
-            part.replace(path)
-        descriptor = os.open(self.folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+            else:
+                write_atomically(path, text, ENCODING)
+        sync_folder(self.folder)
 
     def _answered(self, action: Callable[[], T], what: str) -> T:
         """Return what ``action`` returns; ControllerError when it fails or takes too long."""

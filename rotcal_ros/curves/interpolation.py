@@ -7,7 +7,7 @@ angles, and covariance = W @ C @ W.T. Angles are radians.
 from __future__ import annotations
 
 from math import pi
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -16,22 +16,18 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import DEGREE
 
-Interpolation = Literal["spline", "linear"]
-
 TURN: Final = 2.0 * pi
 SAME_ANGLE: Final = 1e-9
 """rad; angles closer than this are the same table position."""
 
 
-def interpolation_matrix(
-    nodes: Floats, at: Floats, period: float, kind: Interpolation = "spline"
-) -> Floats:
-    """Return W (m, n) with values(at) = W @ values(nodes): it passes through every node.
+def interpolation_matrix(nodes: Floats, at: Floats, period: float) -> Floats:
+    """Return W (m, n) with values(at) = W @ values(nodes): the cubic spline through every node.
 
     ``nodes`` (n,) ascend. With ``period`` > 0 they lie within one period and the curve closes;
-    "spline" is then the periodic cubic spline. With ``period`` 0 they cover an arc and the
+    two nodes are joined by straight lines then. With ``period`` 0 they cover an arc and the
     spline ends "not-a-knot"; angles outside of the arc raise DataError, for nothing was
-    measured there. "linear" joins the nodes by straight lines.
+    measured there.
     """
     at = np.atleast_1d(np.asarray(at, dtype=np.float64))
     if period > 0.0:
@@ -42,11 +38,9 @@ def interpolation_matrix(
     else:
         refuse_outside(nodes, at)
         knots, unit, boundary = nodes, np.eye(len(nodes)), "not-a-knot"
-    if kind == "spline" and len(nodes) >= (3 if period > 0.0 else 2):
-        return np.asarray(CubicSpline(knots, unit, bc_type=boundary)(at), dtype=np.float64)
-    cell = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
-    share = ((at - knots[cell]) / (knots[cell + 1] - knots[cell]))[:, None]
-    return np.asarray((1.0 - share) * unit[cell] + share * unit[cell + 1], dtype=np.float64)
+    if period > 0.0 and len(nodes) < 3:
+        return np.column_stack([np.interp(at, knots, column) for column in unit.T])
+    return np.asarray(CubicSpline(knots, unit, bc_type=boundary)(at), dtype=np.float64)
 
 
 def row_angles(nodes: Floats, period: float, spacing: float) -> Floats:

@@ -1,4 +1,4 @@
-"""Limits and damage: refused before anything is written, and said when anything is read."""
+"""Limits and damage: refused before anything is written, and reported when anything is read."""
 
 from datetime import datetime, timezone
 
@@ -8,7 +8,7 @@ from compensation_examples import TAU, even, result_of, wavy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.compensation.controllers import CONTROLLERS, controller, make_settings
+from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import BagError, ConfigurationError
@@ -57,13 +57,24 @@ def test_tables_counted_from_the_machine_zero_must_be_zero_there(name):
 
 
 def test_settings_of_the_wrong_name_type_or_range_are_refused():
-    with pytest.raises(ConfigurationError, match="controller 'haas' is not known"):
-        controller("haas")
-    with pytest.raises(ConfigurationError, match="no setting 'turn'"):
-        make_settings("linuxcnc", {"turn": 2})
-    with pytest.raises(ConfigurationError, match="turns is '2', expected int"):
-        make_settings("linuxcnc", {"turns": "2"})
+    with pytest.raises(ConfigurationError, match="unknown controller 'haas'"):
+        make_controller("haas")
+    with pytest.raises(ConfigurationError, match="did you mean 'fanuc'"):
+        make_controller("fanux")
+    with pytest.raises(
+        ConfigurationError, match="linuxcnc: unknown setting 'turn'; did you mean 'turns'"
+    ):
+        make_controller("linuxcnc", {"turn": 2})
+    with pytest.raises(ConfigurationError, match=r"linuxcnc\.turns: expected int .*, found '2'"):
+        make_controller("linuxcnc", {"turns": "2"})
     for name, values in [
+        ("linuxcnc", {"joint": 16}),
+        ("sinumerik", {"measuring_system": 2}),
+        ("fanuc", {"reference_slot": 200}),
+        ("fanuc", {"axis_number": 33}),
+        ("fanuc", {"detection_unit_deg": 1.0}),
+        ("twincat", {"max_points": 0}),
+        ("pmac", {"counts_per_turn": 359}),
         ("linuxcnc", {"file_type": 2}),
         ("linuxcnc", {"turns": 0}),
         ("sinumerik", {"tables": "leak"}),
@@ -74,27 +85,24 @@ def test_settings_of_the_wrong_name_type_or_range_are_refused():
         ("pmac", {"motor": 0}),
     ]:
         with pytest.raises(ConfigurationError, match=name):
-            make_settings(name, values)
+            make_controller(name, values)
     with pytest.raises(ConfigurationError, match="axis name"):
-        make_settings("sinumerik", {"axis_name": "C1\n$MN"})
+        make_controller("sinumerik", {"axis_name": "C1\n$MN"})
 
 
 # Damaged files: the reader says what and where, whatever was done to them.
 
 
 GOOD_FILES = {
-    name: CONTROLLERS[name].write(
-        table_from_result(result_of(even(12), wavy(even(12)))), make_settings(name, {}), "t"
-    )
-    for name in CONTROLLERS
+    name: make_controller(name).write(table_from_result(result_of(even(12), wavy(even(12)))), "t")
+    for name in controller_names()
 }
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", controller_names())
 @settings(max_examples=50, deadline=None)
 @given(data=st.data())
 def test_damaged_files_raise_our_error_or_read_as_numbers(name, data):
-    kind, made = controller(name), make_settings(name, {})
     files = dict(GOOD_FILES[name])
     victim = data.draw(st.sampled_from(sorted(files)))
     lines = files[victim].splitlines()
@@ -118,16 +126,16 @@ def test_damaged_files_raise_our_error_or_read_as_numbers(name, data):
         lines[row] = texts[damage]
     files[victim] = "\n".join(lines) + "\n"
     try:
-        said = kind.read(files, made)
+        rule = make_controller(name).read(files)
     except BagError:
         return
-    assert np.all(np.isfinite(kind.correction(said, np.linspace(0, TAU, 50), Approach.POSITIVE)))
+    assert np.all(np.isfinite(rule.correction(np.linspace(0, TAU, 50), Approach.POSITIVE)))
 
 
 def test_unreadable_rows_name_the_place():
-    kind, made = controller("csv"), make_settings("csv", {})
+    controller = make_controller("csv")
     head = "angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec"
     with pytest.raises(BagError, match=r"t\.csv, row 2: found 'x', expected a number"):
-        kind.read({"t.csv": f"{head}\n0,0,0,0\n90,x,0,0\n"}, made)
+        controller.read({"t.csv": f"{head}\n0,0,0,0\n90,x,0,0\n"})
     with pytest.raises(BagError, match="row 2: the position does not ascend"):
-        kind.read({"t.csv": f"{head}\n0,0,0,0\n0,1,0,0\n"}, made)
+        controller.read({"t.csv": f"{head}\n0,0,0,0\n0,1,0,0\n"})
