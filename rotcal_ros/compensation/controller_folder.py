@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Final, TypeVar
 
 from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.errors import ControllerError
@@ -24,30 +24,15 @@ T = TypeVar("T")
 
 STATE_FOLDER: Final = ".rotcal"
 """Below the controller's folder: lock, journal, and the tables that were there before."""
-
-
 ENCODING: Final = "latin-1"
 """Takes every byte, so that a foreign file is kept and put back as it was."""
 
 
-class ControllerStore(Protocol):
-    """What a controller offers; every method may raise ControllerError."""
-
-    def lock(self) -> None:
-        """Become the only one who feeds this controller, until :meth:`close`."""
-
-    def close(self) -> None:
-        """Let others feed the controller."""
-
-    def read(self, names: Iterable[str]) -> dict[str, str]:
-        """Return those of the files that there are."""
-
-    def write(self, files: Mapping[str, str | None]) -> None:
-        """Replace the files, each of them whole; None takes a file away."""
-
-
 class ControllerFolder:
-    """A :class:`ControllerStore` in a folder; ``timeout_s`` limits every access."""
+    """The folder of one controller; ``timeout_s`` limits every access.
+
+    Every method raises ControllerError when the folder does not answer.
+    """
 
     def __init__(self, folder: Path, timeout_s: float) -> None:
         self.folder = folder
@@ -55,12 +40,12 @@ class ControllerFolder:
         self._lock: int | None = None
 
     def lock(self) -> None:
-        """Lock the folder; the lock ends with this process at the latest."""
+        """Become the only one who feeds this controller, until :meth:`close` or the end."""
         if self._lock is None:
             self._lock = self._answered(self._take_lock, "lock")
 
     def close(self) -> None:
-        """Unlock the folder."""
+        """Let others feed the controller."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None

@@ -11,11 +11,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.controller_folder import (
-    STATE_FOLDER,
-    ControllerFolder,
-    ControllerStore,
-)
+from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.journal import Entry, Journal
@@ -60,7 +56,7 @@ class Feed:
         settings: BridgeSettings,
         axis: str,
         now_ns: Callable[[], int],
-        store: ControllerStore | None = None,
+        store: ControllerFolder | None = None,
     ) -> None:
         self.settings, self.axis = settings, axis
         self._now_ns = now_ns
