@@ -46,7 +46,7 @@ class Heidenhain(Controller):
 
     backlash: str = setting(
         ABSOLUTE,
-        doc="whether BACKLASH holds errors or their difference to the other direction",
+        doc="BACKLASH holds errors, or differences to the other direction",
         choices=(ABSOLUTE, "difference"),
     )
 
