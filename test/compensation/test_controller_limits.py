@@ -139,3 +139,41 @@ def test_unreadable_rows_name_the_place():
         controller.read({"t.csv": f"{head}\n0,0,0,0\n90,x,0,0\n"})
     with pytest.raises(BagError, match="row 2: the position does not ascend"):
         controller.read({"t.csv": f"{head}\n0,0,0,0\n0,1,0,0\n"})
+
+
+def cec_table(index, direction, points):
+    step = 360.0 / (points - 1)
+    lines = [f"$AN_CEC[{index},{k}]=0.0" for k in range(points)]
+    values = {"STEP": step, "MIN": 0.0, "MAX": 360.0, "DIRECTION": direction, "IS_MODULO": 1}
+    return lines + [f"$AN_CEC_{name}[{index}]={value}" for name, value in values.items()]
+
+
+COM = ["BEGIN t.COM", "NR AXISPOS BACKLASH C", "0 0 0 0", "1 90 0 0.01", "2 180 0 0", "3 360 0 0"]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "files", "text"),
+    [
+        ("heidenhain", {}, {"t.COM": [*COM, "[END]"]}, None),
+        ("heidenhain", {}, {"t.COM": [*COM[:3], "1 200 0 0", *COM[4:], "[END]"]}, "that ascend"),
+        ("heidenhain", {}, {"t.COM": [*COM[:3], "1 360 0 0", "[END]"]}, None),
+        ("heidenhain", {}, {"t.COM": [*COM[:-1], "3 350 0 0", "[END]"]}, "from 0 to 360"),
+        ("heidenhain", {}, {"t.COM": [*COM[:-1], "3 360 0 0.01", "[END]"]}, "does not close"),
+        ("fagor", {}, {"t.txt": []}, "from 0 to 360"),
+        ("fagor", {}, {"t.txt": ["P001 C 0 EC 0 EC 1", "P002 C 360 EC 0 EC 2"]}, "1.0 at 0 and 2"),
+        ("sinumerik", {"tables": "cec"}, {"t.ini": [(0, 1, 9), (1, -1, 9)]}, None),
+        ("sinumerik", {"tables": "cec"}, {"t.ini": [(0, 1, 9), (1, -1, 5)]}, "5 values for 9"),
+    ],
+)
+def test_a_table_that_is_no_whole_turn_is_refused(name, values, files, text):
+    """The unharmed ones, without ``text``, show that only the damage is refused."""
+    if name == "sinumerik":
+        files = {"t.ini": [line for given in files["t.ini"] for line in cec_table(*given)]}
+    files = {file: "".join(f"{line}\n" for line in lines) for file, lines in files.items()}
+    files |= {"t.CMA": "0 * t\n"} if name == "heidenhain" else {}
+    controller = make_controller(name, values)
+    if text is None:
+        assert controller.read(files).correction(0.0, Approach.POSITIVE) == 0.0
+        return
+    with pytest.raises(BagError, match=text):
+        controller.read(files)
