@@ -23,7 +23,7 @@ EVERY_TURN: Final = (-TURN, 2.0 * TURN)
 
 @dataclass(frozen=True)
 class Facts:
-    """What people are told about a controller, in words; every export repeats it."""
+    """A controller in words, for people; every export repeats it."""
 
     title: str
     sign: str

@@ -46,7 +46,7 @@ def resample(
 def averaged(table: CompensationTable) -> CompensationTable:
     """Return the mean of both directions, zero at the reference angle.
 
-    For controls with one column. What it cannot remove is said in the warnings.
+    For controls with one column. The warnings state what it cannot remove.
     """
     if not table.directional:
         return table

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -112,6 +112,17 @@ def test_fanuc_slots_by_hand():
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("before", "after"), [("N10060P1;", "N10060P2;"), ("N10061P-3;", "N10061P-4;")]
+)
+def test_fanuc_slots_that_do_not_close_are_refused(before, after):
+    table = table_from_result(result_of(even(4), np.deg2rad([0, 0.005, -0.003, 0.001])))
+    files, controller = example("fanuc", table, reference_slot=60)
+    assert before in files["x.txt"]
+    with pytest.raises(BagError, match="steps of a turn add up"):
+        controller.read({"x.txt": files["x.txt"].replace(before, after)})
+
+
 def test_fanuc_step_above_seven_is_refused_with_the_numbers():
     table = table_from_result(result_of(even(4), np.deg2rad([0, 0.005, -0.003, 0.001])))
     with pytest.raises(
@@ -147,7 +158,9 @@ def test_pmac_by_hand():
 def test_heidenhain_and_fagor_hold_errors():
     files, controller = example("heidenhain")
     assert "1 90.00000 0.00300 0.00500" in files["x.COM"]
-    assert "0 * x" in files["x.CMA"]
+    assert files["x.CMA"] == "BEGIN x.CMA\nNR ACTIVE C1\n0 * x\n[END]\n"
+    assert files["x.COM"].startswith("BEGIN x.COM\nNR AXISPOS BACKLASH C1\n0 ")
+    assert files["x.COM"].endswith("\n[END]\n")
     np.testing.assert_allclose(applied(files, controller, 90, UP), -0.005)
     files, controller = example("fagor")
     assert files["x.txt"].splitlines()[1] == "P002 C1 90.0000 EC1 0.0050 EC1 0.0030"
@@ -248,16 +261,29 @@ def test_second_order_is_simulated_and_stated():
 
 
 @pytest.mark.parametrize(
-    ("name", "rounding_arcsec"),
-    [("twincat", 0.18), ("fagor", 0.18), ("heidenhain", 0.036), ("csv", 0.5e-6)],
+    ("name", "value_arcsec", "angle_arcsec"),
+    [
+        ("twincat", 0.18, 0.0),
+        ("fagor", 0.18, 0.36),
+        ("heidenhain", 0.036, 0.036),
+        ("csv", 0.5e-6, 3.6e-6),
+    ],
 )
-def test_rounding_is_half_a_step(name, rounding_arcsec):
-    """Heidenhain's reverse value may be the difference of two rounded ones: a whole step."""
+def test_rounding_is_half_a_step_and_what_the_angle_moves(name, value_arcsec, angle_arcsec):
+    """Angles are rounded too: that many arcsec times the steepest slope of the curve.
+
+    A value of Heidenhain's way back may be the sum of two rounded ones.
+    """
     angles = even(36)
     table = table_from_result(result_of(angles, wavy(angles)))
     done = export(table, name)
     rounding = done.residual.rounding / ARCSEC
-    assert rounding == pytest.approx(rounding_arcsec, rel=2e-3)
+    fine = even(36_000)
+    slope = np.max(np.abs(np.diff(wavy(fine)))) / (fine[1] - fine[0])
+    expected = value_arcsec + slope * angle_arcsec
+    # the spline through 36 rows and the margin of the sampling: the slope to a few percent
+    allowed = 0.05 * slope * angle_arcsec + 1e-12
+    assert rounding == pytest.approx(expected, rel=0, abs=allowed)
     written = make_controller(name).read(done.files).correction(angles, UP)
     off = np.max(np.abs(written - table.correction_forward)) / ARCSEC
     assert 0.2 * rounding < off <= rounding * (1.0 + 1e-9)
