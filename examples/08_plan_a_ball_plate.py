@@ -1,4 +1,4 @@
-"""Where should eight balls stand on a 10 degree grid, and what will they promise?"""
+"""Where eight balls should stand on a 10 degree grid, and what they promise."""
 
 import numpy as np
 

@@ -40,7 +40,7 @@ _MODULES = {
 """Name -> the module that it is."""
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}
 
-__all__ = sorted([*_PLACES, *_MODULES])  # noqa: PLE0605
+__all__ = sorted([*_PLACES, *_MODULES])
 
 
 def __getattr__(name):

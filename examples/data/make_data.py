@@ -96,9 +96,7 @@ def plane_mirror(folder):
          o.target, *o.mean)
         for o in observations
     ]  # fmt: skip
-    write_table(
-        folder / "tracker.csv", "position,tracker_station,kind,nest,x_m,y_m,z_m", rows
-    )
+    write_table(folder / "tracker.csv", "position,tracker_station,kind,nest,x_m,y_m,z_m", rows)
 
 
 def runs(folder):

@@ -15,6 +15,7 @@ from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.results import Result
 
@@ -60,7 +61,8 @@ def correction(
     """Look the correction up (rad), in the shape of ``angle`` (rad): add it to the command.
 
     The periodic cubic spline through the rows of the table. ``approach`` is the side from which
-    the table comes. Raises DataError outside of a table that covers an arc only.
+    the table comes. Raises DataError outside of a table that covers an arc only,
+    ConfigurationError for another side.
 
     >>> import rotcal_ros as rc
     >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
@@ -68,8 +70,10 @@ def correction(
     >>> bool(rc.correction(table, command) == table.correction_forward[1])
     True
     """
-    side = Approach.NEGATIVE if approach == "negative" else Approach.POSITIVE
-    return Correction(table)(angle, side)
+    sides = {"positive": Approach.POSITIVE, "negative": Approach.NEGATIVE}
+    if approach not in sides:
+        raise ConfigurationError(f"approach {approach!r}: expected {' or '.join(sides)}")
+    return Correction(table)(angle, sides[approach])
 
 
 def write_controller_files(

@@ -1,4 +1,4 @@
-"""Is it true, how sure is it, and what would another plate give?"""
+"""Is it true, how sure is it, and what another plate would give."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def compare(
     component that is absent and for too few common angles.
 
     >>> import rotcal_ros as rc
-    >>> compared = rc.compare("examples/data/result_ball_plate.json", "examples/data/result_tracer.json")
+    >>> folder = "examples/data"
+    >>> compared = rc.compare(f"{folder}/result_tracer.json", f"{folder}/result_ball_plate.json")
     >>> compared.agree, compared.dof
     (True, 11)
     """
@@ -127,7 +128,7 @@ def plan_plate(
     >>> import rotcal_ros as rc
     >>> layout = rc.plan_plate(12, 6)
     >>> layout.steps, layout.optimal
-    ((0, 1, 2, 4, 5, 8), True)
+    ((0, 1, 3, 5, 8, 9), True)
     """
     steps = None if subset_of is None else list(subset_of)
     return best_layout(
@@ -135,9 +136,7 @@ def plan_plate(
     )
 
 
-def write_report(
-    recording: Recording, path: Name, truth: Mapping[str, Any] | None = None
-) -> Path:
+def write_report(recording: Recording, path: Name, truth: Mapping[str, Any] | None = None) -> Path:
     """Write the self-contained HTML report of a recording and return its path.
 
     ``truth`` is the content of the truth.json of a simulation, SI. Raises BagError when the page

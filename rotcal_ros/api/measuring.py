@@ -10,11 +10,14 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.capture.capture import Observations, Record
 from rotcal_ros.catalogue.calibration import prepare
 from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell
 
 _SLICE_S = 0.2
+_MOST_SLICES = 18_000
+"""One hour at a step: something is missing."""
 
 
 def capture_records(
@@ -45,8 +48,8 @@ def simulate_records(configuration: Configuration) -> Iterator[Record]:
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
-    >>> next(rc.simulate_records(configuration)).temperature_c
-    20.099...
+    >>> type(next(rc.simulate_records(configuration))).__name__
+    'TemperatureSample'
     """
     return (record for record, _ in _simulated(configuration))
 
@@ -107,9 +110,21 @@ def _simulated(configuration: Configuration) -> Iterator[tuple[Record, Observati
         cell.order_table(command)
         cell.order_probe(command)
         observed: Observations = ()
-        while not observed:
-            out = cell.advance(_SLICE_S)
-            for record in (*out.temperature, *out.table, *out.tracer, *out.probe):
+        for _ in range(_MOST_SLICES):
+            for record in _delivered(cell):
                 found = capture.feed(record)
                 observed += found
                 yield record, found
+            if observed:
+                break
+        else:
+            raise ConfigurationError(
+                f"{configuration.source}: the simulated cell does not finish step {step.index} "
+                "within an hour; an external table or silent instruments cannot be simulated alone"
+            )
+
+
+def _delivered(cell: SimulatedCell) -> tuple[Record, ...]:
+    """Let a little time pass and return what the instruments deliver in it."""
+    out = cell.advance(_SLICE_S)
+    return (*out.temperature, *out.table, *out.tracer, *out.probe)
