@@ -1,7 +1,7 @@
 """Calibrate a cell from a script over ROS 2: start, watch, answer for a person, use the result.
 
-ros2 launch rotcal_ros cell.launch.py simulated:=true
-python examples/11_calibrate_from_a_script.py [CONFIGURATION]
+First start a cell: ``ros2 launch rotcal_ros cell.launch.py simulated:=true``; the script takes the
+configuration as an argument.
 """
 
 import sys

@@ -50,7 +50,7 @@ def __getattr__(name):
     elif name in _MODULES:
         try:
             value = import_module(f"{__name__}.{_MODULES[name]}")
-        except ModuleNotFoundError as error:
+        except ImportError as error:
             raise AttributeError(
                 f"{__name__}.{name} needs ROS 2 with rclpy and rotcal_msgs ({error}): source a "
                 "workspace that holds them, or use the .venv of the repository"
