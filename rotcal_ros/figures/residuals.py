@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.figures import Figure, style
@@ -48,7 +47,7 @@ def residuals(result: Result) -> str:
 
 
 def _scatter_residuals(
-    ax: Axes,
+    ax: style.Axes,
     index: Ints,
     residual: Floats,
     used: Bools,

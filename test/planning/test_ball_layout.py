@@ -1,6 +1,7 @@
 """Layout search against the solver's own covariances and brute force."""
 
 from contextlib import suppress
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -14,7 +15,6 @@ from rotcal_ros.methods.ball_plate.dense import solve_dense
 from rotcal_ros.planning.ball_layout import (
     best_layout,
     count_layouts,
-    predicted_std,
     rank_subsets,
     rate,
 )
@@ -135,7 +135,8 @@ def test_predicted_standard_deviations_of_the_paper_plate():
     assert round(2e6 * std["ECC"], 3) == 0.163
     assert round(2e6 * std["EAC"], 3) == 0.231
     assert round(2e6 * std["EXC"], 3) == 0.030
-    assert predicted_std((1.0, 4.0, 9.0, 16.0), 1.0, 0.5)["EBC"] == pytest.approx(6.0)
+    layout = replace(rate(72, PAPER_PLATE), variances=(1.0, 4.0, 9.0, 16.0))
+    assert layout.predicted_std(1.0, 0.5)["EBC"] == pytest.approx(6.0)
 
 
 def test_weights_move_the_optimum_towards_what_is_asked():

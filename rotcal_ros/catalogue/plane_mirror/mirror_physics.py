@@ -13,12 +13,15 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.catalogue.plane_mirror.layout import mirror_frame, reflector_places
+from rotcal_ros.catalogue.plane_mirror.layout import reflector_places
 from rotcal_ros.errors import PlanError
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, TrackerNoise
 from rotcal_ros.observations import PointKind
 from rotcal_ros.units import DEGREE
+
+Pose = tuple[Floats, Floats]
+"""Middle of the glass (3,), and the columns u, v, n of the mirror's frame (3, 3)."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,42 @@ class FlatMirror:
 
     def frame(self) -> Floats:
         """Return the columns u (sideways), v (upwards), n (out of the glass) at angle 0."""
-        return mirror_frame(self.azimuth, self.lean)
+        ca, sa = np.cos(self.azimuth), np.sin(self.azimuth)
+        cl, sl = np.cos(self.lean), np.sin(self.lean)
+        n = np.array([cl * ca, cl * sa, sl])
+        u = np.array([-sa, ca, 0.0])
+        return np.column_stack([u, np.cross(n, u), n])
+
+    def pose(self, rotation: Floats, shift: Floats | float = 0.0) -> Pose:
+        """Return where the table holds the mirror at its own ``rotation`` and ``shift``."""
+        return rotation @ np.array(self.centre) + shift, rotation @ self.frame()
+
+    def image(self, pose: Pose, station: TrackerStation, place: Floats, where: str) -> Floats:
+        """Return the image (3,) of the reflector at ``place``, seen from ``station``; world frame.
+
+        It lies behind the plane that touches the glass, which is at ``pose``, at the spot which
+        the beam strikes. Raises PlanError, with ``where`` in its text, when the beam misses it.
+        """
+        (centre, frame), tracker = pose, np.array(station.place)
+        touch, normal = centre, frame[:, 2]
+        for _ in range(5):  # the spot moves by nanometres once the plane touches the glass
+            image = place - 2.0 * ((place - touch) @ normal) * normal
+            beam = image - tracker
+            spot = tracker + beam * (((touch - tracker) @ normal) / (beam @ normal))
+            u, v = (spot - centre) @ frame[:, :2] * 2.0 / np.array([self.width, self.height])
+            if abs(u) > 1.0 or abs(v) > 1.0 or beam @ normal >= 0.0:
+                raise PlanError(
+                    f"{where}: the beam misses the mirror (at {u:.2f}, {v:.2f} of its half "
+                    "edges); move the tracker or the reflector, or take a larger mirror"
+                )
+            height = self.sag * (u**2 + v**2) + self.twist * u * v
+            slope_u = (2.0 * self.sag * u + self.twist * v) * 2.0 / self.width
+            slope_v = (2.0 * self.sag * v + self.twist * u) * 2.0 / self.height
+            normal = frame @ np.array([-slope_u, -slope_v, 1.0])
+            normal = normal / np.linalg.norm(normal)
+            foot = centre + frame[:, :2] @ ((spot - centre) @ frame[:, :2])
+            touch = foot + height * frame[:, 2]
+        return image
 
 
 @dataclass(frozen=True)
@@ -155,13 +193,15 @@ def look(
     stand = cell.stations[station]
     if kind is PointKind.NEST:
         return stand.seen(cell.nests[nest - 1])
-    place = _put_up(cell, stand, *_mirror_pose(cell, angle, np.zeros(6)))[nest - 1]
+    mirror = cell.mirror
+    there = mirror.pose(*table_pose(angle, np.zeros(6)))
+    edge = min(mirror.width, mirror.height)
+    place = reflector_places(stand.place, *there, cell.reflectors, cell.reach, edge)[nest - 1]
     if kind is PointKind.DIRECT:
         return stand.seen(place)
     actual = deviation if deviation is not None else np.zeros(6)
-    centre, frame = _mirror_pose(cell, angle, actual)
     where = f"table at {angle / DEGREE:g} deg, tracker station {station}"
-    return stand.seen(image(cell.mirror, centre, frame, stand, place, where))
+    return stand.seen(mirror.image(mirror.pose(*table_pose(angle, actual)), stand, place, where))
 
 
 def measure_direct(
@@ -220,50 +260,3 @@ def _problem(
         xyz = add_noise(xyz, noise, rng, 1)[0]
     position, station, kind, nest = np.array(rows, dtype=np.int64).T
     return PlaneMirrorProblem(angles, position, station, kind, nest, xyz, noise, **settings)
-
-
-def _mirror_pose(cell: MirrorCell, angle: float, deviation: Floats) -> tuple[Floats, Floats]:
-    rotation, shift = table_pose(angle, deviation)
-    return rotation @ np.array(cell.mirror.centre) + shift, rotation @ cell.mirror.frame()
-
-
-def _put_up(cell: MirrorCell, station: TrackerStation, centre: Floats, frame: Floats) -> Floats:
-    """Places (K, 3) that the tracker sees near the middle of the mirror."""
-    edge = min(cell.mirror.width, cell.mirror.height)
-    return reflector_places(station.place, centre, frame, cell.reflectors, cell.reach, edge)
-
-
-def image(
-    mirror: FlatMirror,
-    centre: Floats,
-    frame: Floats,
-    station: TrackerStation,
-    place: Floats,
-    where: str,
-) -> Floats:
-    """Return the image (3,) of the reflector at ``place`` as seen from ``station``, world frame.
-
-    It lies behind the plane that touches the glass at the spot which the beam strikes. The
-    mirror's middle is at ``centre``, ``frame`` holds its columns u, v, n. Raises PlanError,
-    with ``where`` in its text, when the beam misses the mirror.
-    """
-    tracker = np.array(station.place)
-    touch, normal = centre, frame[:, 2]
-    for _ in range(5):  # the spot moves by nanometres once the plane touches the glass
-        image = place - 2.0 * ((place - touch) @ normal) * normal
-        beam = image - tracker
-        spot = tracker + beam * (((touch - tracker) @ normal) / (beam @ normal))
-        u, v = (spot - centre) @ frame[:, :2] * 2.0 / np.array([mirror.width, mirror.height])
-        if abs(u) > 1.0 or abs(v) > 1.0 or beam @ normal >= 0.0:
-            raise PlanError(
-                f"{where}: the beam misses the mirror (at {u:.2f}, {v:.2f} of its half edges); "
-                "move the tracker or the reflector, or take a larger mirror"
-            )
-        height = mirror.sag * (u**2 + v**2) + mirror.twist * u * v
-        slope_u = (2.0 * mirror.sag * u + mirror.twist * v) * 2.0 / mirror.width
-        slope_v = (2.0 * mirror.sag * v + mirror.twist * u) * 2.0 / mirror.height
-        normal = frame @ np.array([-slope_u, -slope_v, 1.0])
-        normal = normal / np.linalg.norm(normal)
-        foot = centre + frame[:, :2] @ ((spot - centre) @ frame[:, :2])
-        touch = foot + height * frame[:, 2]
-    return image
