@@ -108,16 +108,6 @@ def best_layout(
     return found
 
 
-def rank_subsets(
-    grid: int, steps: list[int], n_balls: int, weights: tuple[float, ...] = WEIGHTS
-) -> tuple[Ints, Floats]:
-    """Rank all subsets of a plate: layouts (L, R) and variances (L, 4), the best first."""
-    layouts = np.array(list(combinations(sorted(steps), n_balls)), dtype=np.int64)
-    variances = mean_variances(grid, layouts)
-    order = np.argsort(_scores(variances, np.array(weights)), kind="stable")
-    return layouts[order], variances[order]
-
-
 def count_layouts(grid: int, n_balls: int, min_gap: int = 1) -> int:
     """Return how many layouts the exhaustive search enumerates (reflections counted twice)."""
     return sum(

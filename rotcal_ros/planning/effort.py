@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -105,6 +107,7 @@ def _fewest_positions(
     grid = layout.grid
     spread = spread_out(grid)
 
+    @cache
     def worst(count: int) -> float:
         try:
             std = unit_std(grid, np.array(layout.steps), spread[:count], radius)[component]
@@ -112,15 +115,7 @@ def _fewest_positions(
             return np.inf
         return float(std.max())
 
-    enough, reached = grid, worst(grid)
-    if reached > limit:
+    if worst(grid) > limit:
         return None
-    too_few = 3
-    while enough - too_few > 1:
-        middle = (enough + too_few) // 2
-        value = worst(middle)
-        if value <= limit:
-            enough, reached = middle, value
-        else:
-            too_few = middle
-    return tuple(int(k) for k in np.sort(spread[:enough])), reached
+    enough = bisect_left(range(grid), True, lo=4, key=lambda count: worst(count) <= limit)
+    return tuple(np.sort(spread[:enough]).tolist()), worst(enough)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.capture.points import mean_point, points
-from rotcal_ros.capture.rules import CaptureRules, Check
+from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Method, See, TableReader
 from rotcal_ros.catalogue.plane_mirror import calibration, table
@@ -45,11 +44,6 @@ def nominal(configuration: Configuration, plan: Plan) -> See:
     return see
 
 
-def checks(_plan: Plan) -> Sequence[Check]:
-    """Return what a point is held against."""
-    return (TrackerCheck(),)
-
-
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracker and plane mirror",
@@ -60,11 +54,8 @@ METHOD: Final = Method(
     simulation_settings=MirrorSimulationSettings,
     plan=plan,
     capture=CaptureRules(
-        {
-            kind: points(mean_point)
-            for kind in (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
-        },
-        checks,
+        {kind: points(mean_point) for kind in table.KINDS.values()},
+        lambda _plan: (TrackerCheck(),),
     ),
     solve=calibration.solve,
     trials=calibration.trials,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import dist
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.rules import CaptureRules, Check
+from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Method, See, TableReader
 from rotcal_ros.catalogue.tracer import calibration, table
@@ -35,11 +34,6 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
     return see
 
 
-def checks(plan: Plan) -> Sequence[Check]:
-    """Return what a length is held against."""
-    return (LengthCheck(plan),)
-
-
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracer, multi-station",
@@ -49,7 +43,7 @@ METHOD: Final = Method(
     solver_settings=TracerSolverSettings,
     simulation_settings=TracerSimulationSettings,
     plan=lambda configuration: tracer_plan(configuration.plan),
-    capture=CaptureRules({PointKind.REFLECTOR: decide_length}, checks),
+    capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=calibration.solve,
     joins_runs=True,
     trials=calibration.trials,
