@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Final, Protocol
+from abc import ABC, abstractmethod
+from typing import Final
 
 import numpy as np
 
@@ -15,39 +16,13 @@ Table = SimulatedTable | ExternalTable
 _NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
 
 
-class Instrument(Protocol):
-    """The machine beside the table with what it carries, on the cell's clock (ns)."""
+class Instrument(ABC):
+    """The machine beside the table with what it carries, on the cell's clock (ns).
 
-    rest_ns: int
-    """When the last ordered motion ends."""
-
-    @property
-    def frame(self) -> str:
-        """Frame of its points."""
-
-    @property
-    def streams_lengths(self) -> bool:
-        """Whether it delivers lengths besides points."""
-
-    @property
-    def pending(self) -> Command | None:
-        """The order that has not been reported yet."""
-
-    def order(self, now_ns: int, command: Command) -> None:
-        """Carry out ``command``."""
-
-    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
-        """Return the points that fall in ``after_ns`` < t <= ``now_ns``."""
-
-    def unasked(self, now_ns: int) -> ProbeSample:
-        """Return where it believes to be, as a point of kind UNKNOWN."""
-
-    def lengths(self, now_ns: int) -> tuple[TracerSample, ...]:
-        """Return the lengths since the call before; empty for an instrument without."""
-
-
-class PointInstrument:
-    """What instruments have in common that report points and, of themselves, no lengths."""
+    ``frame`` is that of its points, ``streams_lengths`` says whether it delivers lengths besides.
+    ``rest_ns`` is when the last ordered motion ends, ``pending`` the order that has not been
+    reported yet.
+    """
 
     frame = "machine"
     streams_lengths = False
@@ -57,6 +32,14 @@ class PointInstrument:
         self.pending: Command | None = None
         self._sequence = 0
 
+    @abstractmethod
+    def order(self, now_ns: int, command: Command) -> None:
+        """Carry out ``command``."""
+
+    @abstractmethod
+    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
+        """Return the points that fall in ``after_ns`` < t <= ``now_ns``."""
+
     def positions(self, stamps: Stamps) -> Floats:
         """Return where it believes to be (n, 3), m: by itself the origin of its frame."""
         return np.zeros((len(stamps), 3))
@@ -65,8 +48,8 @@ class PointInstrument:
         """Return where it believes to be, as a point of kind UNKNOWN."""
         return self._point(now_ns, _NO_ORDER, self.positions(np.array([now_ns]))[0], 0.0)
 
-    def lengths(self, _now_ns: int) -> tuple[TracerSample, ...]:
-        """Return nothing: only points are measured."""
+    def lengths(self, now_ns: int) -> tuple[TracerSample, ...]:
+        """Return the lengths since the call before; an instrument for points has none."""
         return ()
 
     def _point(

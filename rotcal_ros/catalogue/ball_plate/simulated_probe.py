@@ -12,7 +12,7 @@ from rotcal_ros.catalogue.ball_plate.simulation_settings import (
     TouchProbeSettings,
 )
 from rotcal_ros.observations import Command, PointKind, ProbeSample
-from rotcal_ros.simulation.instrument import PointInstrument, Table
+from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.motion import Limits, Motion
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.table import rotations
@@ -63,7 +63,7 @@ class MachineError:
         return error
 
 
-class SimulatedTouchProbe(PointInstrument):
+class SimulatedTouchProbe(Instrument):
     """A probe that travels to the ball at the ordered place and touches its upper half.
 
     It touches whatever ball is nearest to the order, once table and probe are at rest. Touch k

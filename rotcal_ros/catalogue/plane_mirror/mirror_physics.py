@@ -7,6 +7,7 @@ its origin at the head. The mirror has a size, leans, and is not quite flat.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -161,19 +162,13 @@ def measure(
     ``deviations`` (N, 6) are EXC, EYC, EZC (m), EAC, EBC, ECC (rad) of the table at each position.
     Without ``rng`` the points are exact. ``settings`` go to the problem.
     """
-    noise = noise if noise is not None else TrackerNoise()
-    rows: list[tuple[int, int, PointKind, int]] = []
-    points: list[Floats] = []
-    for s in range(len(cell.stations)):
-        for k in range(len(cell.nests)):
-            rows.append((-1, s, PointKind.NEST, k + 1))
-            points.append(look(cell, s, PointKind.NEST, k + 1))
-        for i in cell.visits[s]:
-            for k in range(cell.reflectors):
-                for kind in (PointKind.DIRECT, PointKind.MIRRORED):
-                    rows.append((i, s, kind, k + 1))
-                    points.append(look(cell, s, kind, k + 1, cell.angles[i], deviations[i]))
-    return _problem(cell.angles, rows, points, noise, rng, settings)
+
+    def see(s: int, i: int) -> Iterator[Seen]:
+        for k in range(1, cell.reflectors + 1):
+            for kind in (PointKind.DIRECT, PointKind.MIRRORED):
+                yield kind, k, look(cell, s, kind, k, cell.angles[i], deviations[i])
+
+    return _problem(cell, see, cell.nests, noise, rng, settings)
 
 
 def look(
@@ -216,19 +211,14 @@ def measure_direct(
 
     Every station measures its visits; for a full circle one station visits all positions.
     """
-    rows: list[tuple[int, int, PointKind, int]] = []
-    points: list[Floats] = []
-    for s, station in enumerate(cell.stations):
-        for k, nest in enumerate(cell.nests if len(cell.stations) > 1 else []):
-            rows.append((-1, s, PointKind.NEST, k + 1))
-            points.append(station.seen(nest))
-        for i in cell.visits[s]:
-            rotation, shift = table_pose(cell.angles[i], deviations[i])
-            for k, reflector in enumerate(reflectors):
-                rows.append((i, s, PointKind.DIRECT, k + 1))
-                points.append(station.seen(rotation @ reflector + shift))
-    noise = noise if noise is not None else TrackerNoise()
-    return _problem(cell.angles, rows, points, noise, rng, {"way": "direct", **settings})
+
+    def see(s: int, i: int) -> Iterator[Seen]:
+        rotation, shift = table_pose(cell.angles[i], deviations[i])
+        for k, reflector in enumerate(reflectors, start=1):
+            yield PointKind.DIRECT, k, cell.stations[s].seen(rotation @ reflector + shift)
+
+    nests = cell.nests if len(cell.stations) > 1 else cell.nests[:0]
+    return _problem(cell, see, nests, noise, rng, {"way": "direct", **settings})
 
 
 def add_noise(
@@ -247,16 +237,31 @@ def table_pose(angle: float, deviation: Floats) -> tuple[Floats, Floats]:
     return rotation_from_vector([deviation[3], deviation[4], 0.0]) @ turn, deviation[:3]
 
 
+Seen = tuple[PointKind, int, Floats]
+"""Kind and number of a point, and where the tracker sees it (3,)."""
+
+
 def _problem(
-    angles: Floats,
-    rows: list[tuple[int, int, PointKind, int]],
-    points: list[Floats],
-    noise: TrackerNoise,
+    cell: MirrorCell,
+    see: Callable[[int, int], Iterable[Seen]],
+    nests: Floats,
+    noise: TrackerNoise | None,
     rng: np.random.Generator | None,
     settings: dict[str, Any],
 ) -> PlaneMirrorProblem:
+    """Return all points: of each station the ``nests``, then what it sees at each position."""
+    noise = noise if noise is not None else TrackerNoise()
+    rows, points = [], []
+    for s, station in enumerate(cell.stations):
+        for k, nest in enumerate(nests, start=1):
+            rows.append((-1, s, PointKind.NEST, k))
+            points.append(station.seen(nest))
+        for i in cell.visits[s]:
+            for kind, k, point in see(s, i):
+                rows.append((i, s, kind, k))
+                points.append(point)
     xyz = np.array(points)
     if rng is not None:
         xyz = add_noise(xyz, noise, rng, 1)[0]
     position, station, kind, nest = np.array(rows, dtype=np.int64).T
-    return PlaneMirrorProblem(angles, position, station, kind, nest, xyz, noise, **settings)
+    return PlaneMirrorProblem(cell.angles, position, station, kind, nest, xyz, noise, **settings)

@@ -6,7 +6,6 @@ share positions. Before each station a person moves the tracker.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from typing import Final
@@ -217,24 +216,18 @@ def _steps_of(
     settings: MirrorPlanSettings, angles: tuple[float, ...], stand: Stand, nests: tuple[Point, ...]
 ) -> list[Row]:
     """Return what is measured from one station: the nests, then position by position."""
-    first = stand.visit[0]
+    mirrored = [PointKind.MIRRORED] if settings.carries == MIRROR else []
     rows: list[Row] = [
-        (stand.number, first, PointKind.NEST, number, place)
+        (stand.number, stand.visit[0], PointKind.NEST, number, place)
         for number, place in enumerate(nests, start=1)
     ]
     for position in stand.visit:
         rows += [
             (stand.number, position, kind, number, place)
             for number, place in enumerate(_reflectors(settings, angles[position], stand), start=1)
-            for kind in _kinds(settings)
+            for kind in (PointKind.DIRECT, *mirrored)
         ]
     return rows
-
-
-def _kinds(settings: MirrorPlanSettings) -> Iterator[PointKind]:
-    yield PointKind.DIRECT
-    if settings.carries == MIRROR:
-        yield PointKind.MIRRORED
 
 
 def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tuple[Point, ...]:

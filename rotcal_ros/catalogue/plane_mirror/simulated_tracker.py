@@ -17,12 +17,12 @@ from rotcal_ros.errors import PlanError
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.plane_mirror.problem import TrackerNoise
 from rotcal_ros.observations import Command, PointKind, ProbeSample
-from rotcal_ros.simulation.instrument import PointInstrument, Table
+from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.units import DEGREE, MICROMETRE, MILLIMETRE, NANOSECOND
 
 
-class SimulatedTracker(PointInstrument):
+class SimulatedTracker(Instrument):
     """A laser tracker and the person who moves it, its nests and its reflectors.
 
     The person puts everything up a little beside the plan: the tracker at each station, each nest

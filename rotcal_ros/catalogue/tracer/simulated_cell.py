@@ -10,7 +10,7 @@ from rotcal_ros.arrays import Floats, Stamps
 from rotcal_ros.catalogue.tracer.simulated_tracer import SimulatedTracer
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.observations import Command, PointKind, ProbeSample, TracerSample
-from rotcal_ros.simulation.instrument import PointInstrument, Table
+from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.motion import Limits, Motion
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.temperature import SimulatedTemperature
@@ -18,7 +18,7 @@ from rotcal_ros.simulation.ticks import Ticks
 from rotcal_ros.units import DEGREE, MICROMETRE, NANOSECOND
 
 
-class TracerAndReflector(PointInstrument):
+class TracerAndReflector(Instrument):
     """A reflector on a probe that moves on straight lines, and the tracer that measures to it.
 
     The tracer rides on the table. The machine reports where it believes the probe to be: the
