@@ -87,11 +87,7 @@ class Capture:
         return self._takers[type(record)](record)
 
     def feed_tracer(
-        self,
-        stamp_ns: Stamps,
-        sequence: NDArray[Any],
-        length: NDArray[Any],
-        status: NDArray[Any],
+        self, stamp_ns: Stamps, sequence: NDArray[Any], length: NDArray[Any], status: NDArray[Any]
     ) -> Observations:
         """Take many tracer readings at once, all arrays (n,); same answer as one by one."""
         stamps = np.asarray(stamp_ns, dtype=np.int64)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import json_option, print_json, progress_bar
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.errors import PlanError
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
@@ -168,7 +169,7 @@ def effort(
             }
         )
     if as_json:
-        print_json({"component": component, "coverage": ways[0].coverage, "ways": rows})
+        print_json({"component": component, "coverage": COVERAGE_FACTOR, "ways": rows})
     else:
         _print_effort(component, limit, rows)
     return 0

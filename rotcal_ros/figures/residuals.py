@@ -46,12 +46,7 @@ def residuals(result: Result) -> str:
     return style.svg(left)
 
 
-def _scatter_residuals(
-    ax: style.Axes,
-    index: Ints,
-    residual: Floats,
-    used: Bools,
-) -> None:
+def _scatter_residuals(ax: style.Axes, index: Ints, residual: Floats, used: Bools) -> None:
     ax.scatter(
         index[used], residual[used] / MICROMETRE, s=7, color=style.BLUE, alpha=0.55, label="used"
     )

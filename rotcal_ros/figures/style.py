@@ -86,12 +86,7 @@ def whole_numbers(axis: Axis) -> None:
 
 
 def curve_with_band(
-    ax: Axes,
-    x: Floats,
-    y: Floats,
-    band: Floats,
-    label: str,
-    colour: str = BLUE,
+    ax: Axes, x: Floats, y: Floats, band: Floats, label: str, colour: str = BLUE
 ) -> None:
     """Draw measured points with their expanded uncertainty as a band."""
     ax.fill_between(x, y - band, y + band, color=colour, alpha=0.18, linewidth=0)

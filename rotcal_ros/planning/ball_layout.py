@@ -118,11 +118,7 @@ def count_layouts(grid: int, n_balls: int, min_gap: int = 1) -> int:
 
 
 def _checked(
-    grid: int,
-    n_balls: int,
-    min_gap: int,
-    subset_of: list[int] | None,
-    weights: tuple[float, ...],
+    grid: int, n_balls: int, min_gap: int, subset_of: list[int] | None, weights: tuple[float, ...]
 ) -> Floats:
     weight = np.array(weights, dtype=np.float64)
     if weight.shape != (4,) or not (weight >= 0.0).all() or not weight.any():
@@ -171,11 +167,7 @@ def _choices(values: Iterable[int], count: int) -> Iterator[Ints]:
 
 
 def _exhaustive(
-    grid: int,
-    batches: Iterator[Ints],
-    weights: Floats,
-    count: int,
-    progress: Progress | None,
+    grid: int, batches: Iterator[Ints], weights: Floats, count: int, progress: Progress | None
 ) -> Layout | None:
     """Look at all layouts."""
     best, seen = None, 0
