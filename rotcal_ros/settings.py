@@ -13,6 +13,7 @@ import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
+from operator import attrgetter
 from typing import Any, TypeVar
 
 from rotcal_ros.errors import ConfigurationError
@@ -83,7 +84,7 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
             if dataclasses.is_dataclass(hint_type):
                 loaded[name] = load(typing.cast(type, hint_type), values[name], place)
             else:
-                loaded[name] = _checked(values[name], hint_type, field.metadata["setting"], place)
+                loaded[name] = _checked(values[name], hint_type, _info(field, hint_type), place)
         elif field.default is MISSING and field.default_factory is MISSING:
             raise ConfigurationError(
                 f"{where}: setting {name!r} is missing ({field.metadata['setting'].description})"
@@ -100,14 +101,45 @@ def to_mapping(settings: Any) -> dict[str, Any]:
     }
 
 
-def walk(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, SettingInfo]]:
-    """Yield (dotted name, value, info) of every setting, groups flattened, for ROS parameters."""
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from walk(value, f"{prefix}{field.name}.")
+def declared(cls: type[Any], prefix: str = "") -> Iterator[tuple[str, Any, SettingInfo]]:
+    """Yield (dotted name, type hint, info) of every setting of a class, groups flattened."""
+    hints = typing.get_type_hints(cls)
+    for field in dataclasses.fields(cls):
+        hint = hints[field.name]
+        if dataclasses.is_dataclass(hint):
+            yield from declared(typing.cast(type, hint), f"{prefix}{field.name}.")
         else:
-            yield prefix + field.name, value, field.metadata["setting"]
+            yield prefix + field.name, hint, _info(field, hint)
+
+
+def walk(settings: Any) -> Iterator[tuple[str, Any, SettingInfo]]:
+    """Yield (dotted name, value, info) of every setting, groups flattened."""
+    for name, _, info in declared(type(settings)):
+        yield name, attrgetter(name)(settings), info
+
+
+def scalar_of(hint: Any) -> tuple[Any, bool]:
+    """Return the type of a setting's values (str for a Literal), and whether it is a list."""
+    present = _present(hint)
+    is_list = typing.get_origin(present) is tuple
+    kind = typing.get_args(present)[0] if is_list else present
+    return str if typing.get_origin(kind) is typing.Literal else kind, is_list
+
+
+def _present(hint: Any) -> Any:
+    """Return the type of a setting that is not None."""
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
+        return next(h for h in typing.get_args(hint) if h is not type(None))
+    return hint
+
+
+def _info(field: dataclasses.Field[Any], hint: Any) -> SettingInfo:
+    """Return what a field means; a Literal brings its own choices."""
+    info: SettingInfo = field.metadata["setting"]
+    present = _present(hint)
+    if typing.get_origin(present) is typing.Literal:
+        return dataclasses.replace(info, choices=typing.get_args(present))
+    return info
 
 
 def _plain(value: Any) -> Any:
@@ -116,27 +148,22 @@ def _plain(value: Any) -> Any:
 
 def _checked(value: Any, hint: Any, info: SettingInfo, place: str) -> Any:
     """Return ``value`` as the hinted type, or raise with place, finding and expectation."""
-    origin = typing.get_origin(hint)
-    if origin is types.UnionType or origin is typing.Union:
-        if value is None:
-            return None
-        hint = next(h for h in typing.get_args(hint) if h is not type(None))
-        origin = typing.get_origin(hint)
-    if origin is tuple:
-        if isinstance(value, str) or not isinstance(value, Sequence):
-            raise ConfigurationError(f"{place}: expected a list, found {value!r}")
-        arguments = typing.get_args(hint)
-        if Ellipsis not in arguments and len(value) != len(arguments):
-            raise ConfigurationError(
-                f"{place}: expected {len(arguments)} values, found {len(value)}: {value!r}"
-            )
-        return tuple(_scalar(v, arguments[0], info, f"{place}[{i}]") for i, v in enumerate(value))
-    return _scalar(value, hint, info, place)
+    if value is None and type(None) in typing.get_args(hint):
+        return None
+    kind, is_list = scalar_of(hint)
+    if not is_list:
+        return _scalar(value, kind, info, place)
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ConfigurationError(f"{place}: expected a list, found {value!r}")
+    arguments = typing.get_args(_present(hint))
+    if Ellipsis not in arguments and len(value) != len(arguments):
+        raise ConfigurationError(
+            f"{place}: expected {len(arguments)} values, found {len(value)}: {value!r}"
+        )
+    return tuple(_scalar(v, kind, info, f"{place}[{i}]") for i, v in enumerate(value))
 
 
 def _scalar(value: Any, kind: Any, info: SettingInfo, place: str) -> Any:
-    if typing.get_origin(kind) is typing.Literal:
-        kind = str
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     fits: bool = isinstance(value, kind) and not (kind is int and isinstance(value, bool))

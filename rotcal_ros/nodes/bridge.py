@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
-from rclpy.node import Node
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.srv import ApplyTable, GetCorrection
 from std_srvs.srv import Trigger
@@ -17,10 +15,9 @@ from rotcal_ros.compensation.feed import Applied, Feed
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.parameters import declare_settings
+from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import LATCHED
-from rotcal_ros.nodes.running import run_node
+from rotcal_ros.nodes.running import run
 from rotcal_ros.nodes.waiting import until
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.cell_settings import CellSettings
@@ -32,21 +29,20 @@ ANSWERS_PER_ACTION = 8
 """Accesses to the controller in one action at most; each has its own time limit."""
 
 
-class BridgeNode(Node):
+class BridgeNode(CellNode):
     """Talks to the controller in a thread of its own, so that the node beats meanwhile."""
 
     def __init__(self) -> None:
         super().__init__("bridge")
-        self._settings = declare_settings(self, "bridge", BridgeSettings)
-        cell = declare_settings(self, "cell", CellSettings)
+        self._settings = self.settings("bridge", BridgeSettings)
+        cell = self.settings("cell", CellSettings)
         self._feed = Feed(self._settings, cell.axis, lambda: self.get_clock().now().nanoseconds)
         self._correction: Correction | None = None
         self._state = "waiting for a table"
         self._facts: dict[str, Any] = {"controller": self._settings.controller, "axis": cell.axis}
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="feed")
-        self._health = Health(self, lambda: (self._state, self._facts))
         self.create_subscription(
-            CompensationTableMsg, "compensation_table", self._health.guarded(self._take), LATCHED
+            CompensationTableMsg, "compensation_table", self.health.guarded(self._take), LATCHED
         )
         self.create_service(ApplyTable, "apply", self._apply)
         self.create_service(Trigger, "restore", self._restore)
@@ -56,11 +52,6 @@ class BridgeNode(Node):
         """Leave the controller to others; what is being written is finished first."""
         self._worker.shutdown(wait=True, cancel_futures=True)
         self._feed.close()
-        self._health.leave()
-
-    def stopped(self) -> bool:
-        """Return True: there is nothing to finish."""
-        return True
 
     def _take(self, message: CompensationTableMsg) -> None:
         """Hold a table against the configuration and write its files; a bad one is told."""
@@ -144,14 +135,9 @@ class BridgeNode(Node):
         self.get_logger().info(state)
 
 
-def make() -> Node:
-    """Return the node."""
-    return BridgeNode()
-
-
-def main(args: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Run the bridge."""
-    sys.exit(run_node(make, args))
+    run(BridgeNode)
 
 
 if __name__ == "__main__":

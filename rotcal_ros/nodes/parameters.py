@@ -5,11 +5,10 @@ A settings dataclass of a configuration's group ``plan`` becomes parameters ``pl
 
 from __future__ import annotations
 
-import dataclasses
 import sys
-import types
 import typing
-from collections.abc import Iterator
+from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any, Final, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -17,10 +16,12 @@ from rclpy.exceptions import ParameterUninitializedException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rotcal_ros.settings import SettingInfo, load, to_mapping
+from rotcal_ros.settings import SettingInfo, declared, load, scalar_of
 
 T = TypeVar("T")
 
+OF_ROS: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
+"""Parameters, or the first parts of their names, that ROS itself gives to every node."""
 _TYPES: Final = {
     bool: (Parameter.Type.BOOL, Parameter.Type.BOOL_ARRAY),
     int: (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY),
@@ -29,24 +30,34 @@ _TYPES: Final = {
 }
 
 
-def declare_settings(node: Node, group: str, cls: type[T], *, read_only: bool = True) -> T:
+def take_given(node: Node) -> dict[str, Any]:
+    """Return what a node was given at its start, as nested groups, and leave it undeclared.
+
+    The node must have declared its parameters from what it was given.
+    """
+    given = {
+        name: parameter.value
+        for name, parameter in node.get_parameters_by_prefix("").items()
+        if name.partition(".")[0] not in OF_ROS
+    }
+    for name in given:
+        node.undeclare_parameter(name)
+    return _nested(given)
+
+
+def declare_settings(
+    node: Node, given: Mapping[str, Any], group: str, cls: type[T], *, read_only: bool = True
+) -> T:
     """Declare the settings ``cls`` as parameters ``group.*`` and return their values.
 
-    Overrides are checked by settings.load first, so that a wrong one gets the same
+    What was ``given`` is checked by settings.load, so that a wrong or misspelt one gets the same
     ConfigurationError text as in ``rotcal run``; it also takes 1 for 1.0.
     """
-    given: dict[str, Any] = {}
-    for name, _, info in _walk(cls):
-        loose = ParameterDescriptor(description=info.description, dynamic_typing=True)
-        value = node.declare_parameter(f"{group}.{name}", None, loose).value
-        node.undeclare_parameter(f"{group}.{name}")
-        if value is not None:
-            _put(given, name, value)
-    settings = load(cls, given, f"{node.get_name()}: parameters {group}")
-    for name, hint, info in _walk(cls):
+    settings = load(cls, given.get(group), f"{node.get_name()}: parameters {group}")
+    for name, hint, info in declared(cls):
         node.declare_parameter(
             f"{group}.{name}",
-            _default(_get(settings, name), hint),
+            _default(attrgetter(name)(settings), hint),
             _descriptor(info, hint, read_only),
             ignore_override=True,
         )
@@ -55,39 +66,33 @@ def declare_settings(node: Node, group: str, cls: type[T], *, read_only: bool = 
 
 def read_settings(node: Node, group: str, cls: type[T]) -> T:
     """Return the present values of parameters that :func:`declare_settings` declared."""
-    values: dict[str, Any] = {}
-    for name, _, _ in _walk(cls):
-        try:
-            value = node.get_parameter(f"{group}.{name}").value
-        except ParameterUninitializedException:
-            value = None
+    values = {name: _value(node, f"{group}.{name}", hint) for name, hint, _ in declared(cls)}
+    return load(cls, _nested(values), f"{node.get_name()}: parameters {group}")
+
+
+def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return groups of groups from dotted names; what is None is left out."""
+    found: dict[str, Any] = {}
+    for dotted, value in values.items():
+        *groups, name = dotted.split(".")
+        place = found
+        for group in groups:
+            place = place.setdefault(group, {})
         if value is not None:
-            _put(values, name, list(value) if not isinstance(value, str | int | float) else value)
-    return load(cls, values, f"{node.get_name()}: parameters {group}")
+            place[name] = value
+    return found
 
 
-def settings_mapping(node: Node, group: str, cls: type[Any]) -> dict[str, Any]:
-    """Return the present values as a group of a configuration, for its text."""
-    return to_mapping(read_settings(node, group, cls))
-
-
-def _walk(cls: type[Any], prefix: str = "") -> Iterator[tuple[str, Any, SettingInfo]]:
-    """Yield (dotted name, type hint, info) of every setting of ``cls``, groups flattened."""
-    hints = typing.get_type_hints(cls)
-    for field in dataclasses.fields(cls):
-        if dataclasses.is_dataclass(hints[field.name]):
-            yield from _walk(hints[field.name], f"{prefix}{field.name}.")
-        else:
-            yield prefix + field.name, hints[field.name], field.metadata["setting"]
-
-
-def _element(hint: Any) -> tuple[type, bool]:
-    """Return the scalar type of a hint and whether it is a list of them."""
-    if typing.get_origin(hint) in (types.UnionType, typing.Union):
-        hint = next(h for h in typing.get_args(hint) if h is not type(None))
-    if typing.get_origin(hint) is tuple:
-        return typing.get_args(hint)[0], True
-    return hint, False
+def _value(node: Node, name: str, hint: Any) -> Any:
+    """Return the value of a parameter; one without a value is an empty list, or None."""
+    try:
+        value = node.get_parameter(name).value
+    except ParameterUninitializedException:
+        value = None
+    if isinstance(value, str | int | float):
+        return value
+    is_list = typing.get_origin(hint) is tuple
+    return list(value or ()) if is_list or value is not None else None
 
 
 def _default(value: Any, hint: Any) -> Any:
@@ -95,7 +100,7 @@ def _default(value: Any, hint: Any) -> Any:
 
     rclpy takes an empty list for one of bytes, so that it counts as none.
     """
-    scalar, is_list = _element(hint)
+    scalar, is_list = scalar_of(hint)
     if value is None or value == ():
         return _TYPES[scalar][is_list]
     return list(value) if isinstance(value, tuple) else value
@@ -103,7 +108,7 @@ def _default(value: Any, hint: Any) -> Any:
 
 def _descriptor(info: SettingInfo, hint: Any, read_only: bool) -> ParameterDescriptor:
     """Describe a setting; ROS knows ranges of scalars only, all else is said in words."""
-    scalar, is_list = _element(hint)
+    scalar, is_list = scalar_of(hint)
     descriptor = ParameterDescriptor(description=info.description, read_only=read_only)
     words = []
     if info.choices:
@@ -128,16 +133,3 @@ def _limits(info: SettingInfo, open_ends: tuple[float, float]) -> dict[str, floa
         "from_value": low if info.minimum is None else info.minimum,
         "to_value": high if info.maximum is None else info.maximum,
     }
-
-
-def _put(mapping: dict[str, Any], dotted: str, value: Any) -> None:
-    *groups, name = dotted.split(".")
-    for group in groups:
-        mapping = mapping.setdefault(group, {})
-    mapping[name] = value
-
-
-def _get(settings: Any, dotted: str) -> Any:
-    for name in dotted.split("."):
-        settings = getattr(settings, name)
-    return settings
