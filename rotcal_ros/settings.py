@@ -1,37 +1,51 @@
 """Settings: typed, documented and range-checked fields of frozen dataclasses.
 
 One declaration serves everybody: the YAML reader checks against it, the ROS nodes declare their
-parameters from it (description, unit, range), and the documentation lists it.
+parameters from it (description, unit, range), and ``docs/settings.md`` is written from it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
-from operator import attrgetter
 from typing import Any, TypeVar
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.plugins import nearest
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """What a setting means: ``description`` with the unit, and its inclusive range.
-
-    ``choices`` of a setting that is a Literal are those of its type.
-    """
+    """What a setting means: ``description`` with the unit, and its inclusive range."""
 
     description: str
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """One setting as it was declared: ``name`` is dotted below its group.
+
+    ``kind`` is the type of a value, or of the elements of a list (``is_list``); a fixed ``length``
+    of a list is None where any number will do. ``default`` is MISSING for a setting that has to
+    be given.
+    """
+
+    name: str
+    kind: type
+    is_list: bool
+    length: int | None
+    optional: bool
+    default: Any
+    info: SettingInfo
 
 
 def setting(
@@ -45,10 +59,9 @@ def setting(
     """Declare a field of a settings dataclass.
 
     ``doc`` names the unit. Without a default the setting is required. A list setting is a
-    tuple; its range holds for every element.
+    tuple; its range holds for every element. The choices of a Literal are those of its type.
     """
-    info = SettingInfo(doc, minimum, maximum, tuple(choices))
-    metadata = {"setting": info}
+    metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices))}
     if default is MISSING:
         return dataclasses.field(metadata=metadata, kw_only=True)
     return dataclasses.field(default=default, metadata=metadata, kw_only=True)
@@ -73,22 +86,20 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
-            near = difflib.get_close_matches(str(name), fields, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(fields)}"
+            hint = nearest(str(name), fields)
             raise ConfigurationError(f"{where}: unknown setting {name!r}{hint}")
     loaded: dict[str, Any] = {}
     for name, field in fields.items():
         if name in values:
-            place = f"{where}.{name}"
-            hint_type = hints[name]
-            if dataclasses.is_dataclass(hint_type):
-                loaded[name] = load(typing.cast(type, hint_type), values[name], place)
+            place, hint = f"{where}.{name}", hints[name]
+            if dataclasses.is_dataclass(hint):
+                loaded[name] = load(typing.cast(type, hint), values[name], place)
             else:
-                loaded[name] = _checked(values[name], hint_type, _info(field, hint_type), place)
+                loaded[name] = _checked(values[name], _declaration(field, hint), place)
         elif field.default is MISSING and field.default_factory is MISSING:
-            raise ConfigurationError(
-                f"{where}: setting {name!r} is missing ({field.metadata['setting'].description})"
-            )
+            what = "a group of settings" if dataclasses.is_dataclass(hints[name]) else ""
+            what = what or field.metadata["setting"].description
+            raise ConfigurationError(f"{where}: setting {name!r} is missing ({what})")
     return cls(**loaded)
 
 
@@ -101,75 +112,60 @@ def to_mapping(settings: Any) -> dict[str, Any]:
     }
 
 
-def declared(cls: type[Any], prefix: str = "") -> Iterator[tuple[str, Any, SettingInfo]]:
-    """Yield (dotted name, type hint, info) of every setting of a class, groups flattened."""
+def declarations(cls: type[Any], prefix: str = "") -> Iterator[Declaration]:
+    """Yield every setting that ``cls`` declares, nested groups flattened."""
     hints = typing.get_type_hints(cls)
     for field in dataclasses.fields(cls):
-        hint = hints[field.name]
-        if dataclasses.is_dataclass(hint):
-            yield from declared(typing.cast(type, hint), f"{prefix}{field.name}.")
+        if dataclasses.is_dataclass(hints[field.name]):
+            yield from declarations(hints[field.name], f"{prefix}{field.name}.")
         else:
-            yield prefix + field.name, hint, _info(field, hint)
+            yield _declaration(field, hints[field.name], prefix)
 
 
-def walk(settings: Any) -> Iterator[tuple[str, Any, SettingInfo]]:
-    """Yield (dotted name, value, info) of every setting, groups flattened."""
-    for name, _, info in declared(type(settings)):
-        yield name, attrgetter(name)(settings), info
-
-
-def scalar_of(hint: Any) -> tuple[Any, bool]:
-    """Return the type of a setting's values (str for a Literal), and whether it is a list."""
-    present = _present(hint)
-    is_list = typing.get_origin(present) is tuple
-    kind = typing.get_args(present)[0] if is_list else present
-    return str if typing.get_origin(kind) is typing.Literal else kind, is_list
-
-
-def _present(hint: Any) -> Any:
-    """Return the type of a setting that is not None."""
-    if typing.get_origin(hint) in (types.UnionType, typing.Union):
-        return next(h for h in typing.get_args(hint) if h is not type(None))
-    return hint
-
-
-def _info(field: dataclasses.Field[Any], hint: Any) -> SettingInfo:
-    """Return what a field means; a Literal brings its own choices."""
+def _declaration(field: dataclasses.Field[Any], hint: Any, prefix: str = "") -> Declaration:
+    """Return what the field of a settings dataclass declares."""
     info: SettingInfo = field.metadata["setting"]
-    present = _present(hint)
-    if typing.get_origin(present) is typing.Literal:
-        return dataclasses.replace(info, choices=typing.get_args(present))
-    return info
+    optional = typing.get_origin(hint) in (types.UnionType, typing.Union)
+    if optional:
+        hint = next(h for h in typing.get_args(hint) if h is not types.NoneType)
+    length, is_list = None, typing.get_origin(hint) is tuple
+    if is_list:
+        arguments = typing.get_args(hint)
+        hint, length = arguments[0], None if Ellipsis in arguments else len(arguments)
+    if typing.get_origin(hint) is typing.Literal:
+        info = dataclasses.replace(info, choices=typing.get_args(hint))
+        hint = str
+    return Declaration(prefix + field.name, hint, is_list, length, optional, field.default, info)
 
 
 def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _checked(value: Any, hint: Any, info: SettingInfo, place: str) -> Any:
-    """Return ``value`` as the hinted type, or raise with place, finding and expectation."""
-    if value is None and type(None) in typing.get_args(hint):
+def _checked(value: Any, declared: Declaration, place: str) -> Any:
+    """Return ``value`` as the declared type, or raise with place, finding and expectation."""
+    if declared.optional and value is None:
         return None
-    kind, is_list = scalar_of(hint)
-    if not is_list:
-        return _scalar(value, kind, info, place)
+    if not declared.is_list:
+        return _scalar(value, declared, place)
     if isinstance(value, str) or not isinstance(value, Sequence):
         raise ConfigurationError(f"{place}: expected a list, found {value!r}")
-    arguments = typing.get_args(_present(hint))
-    if Ellipsis not in arguments and len(value) != len(arguments):
+    if declared.length not in (None, len(value)):
         raise ConfigurationError(
-            f"{place}: expected {len(arguments)} values, found {len(value)}: {value!r}"
+            f"{place}: expected {declared.length} values, found {len(value)}: {value!r}"
         )
-    return tuple(_scalar(v, kind, info, f"{place}[{i}]") for i, v in enumerate(value))
+    return tuple(_scalar(v, declared, f"{place}[{i}]") for i, v in enumerate(value))
 
 
-def _scalar(value: Any, kind: Any, info: SettingInfo, place: str) -> Any:
+def _scalar(value: Any, declared: Declaration, place: str) -> Any:
+    kind, info = declared.kind, declared.info
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
-    fits: bool = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
+    fits = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
     if not fits:
         raise ConfigurationError(
             f"{place}: expected {kind.__name__} ({info.description}), found {value!r}"
+            f"{_number_hint(value, kind)}"
         )
     if kind is float and not math.isfinite(value):
         raise ConfigurationError(f"{place}: expected a finite number, found {value!r}")
@@ -180,5 +176,17 @@ def _scalar(value: Any, kind: Any, info: SettingInfo, place: str) -> Any:
             f"{place}: {value!r} is out of range {bounds} ({info.description})"
         )
     if info.choices and value not in info.choices:
-        raise ConfigurationError(f"{place}: {value!r} is none of {', '.join(info.choices)}")
+        hint = nearest(str(value), info.choices)
+        raise ConfigurationError(f"{place}: {value!r} is none of {', '.join(info.choices)}{hint}")
     return value
+
+
+def _number_hint(value: Any, kind: type) -> str:
+    """Return a hint at YAML's rule for numbers: 5e-8 without a point is a text there."""
+    if kind is not float or not isinstance(value, str):
+        return ""
+    try:
+        number = float(value)
+    except ValueError:
+        return ""
+    return f"; for YAML a number with an exponent has a point: {number!r}" if number else ""

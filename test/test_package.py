@@ -3,17 +3,35 @@
 import ast
 import re
 import runpy
+import sys
 from configparser import ConfigParser
 from importlib import metadata, util
 from pathlib import Path
 
 import pytest
+import yaml
 from catkin_pkg.package import parse_package
 
 import rotcal_ros
 
 ROOT = Path(__file__).parents[1]
 MANIFESTS = [ROOT / "package.xml", ROOT / "msg_defs" / "package.xml"]
+ROSDEP_KEYS = {
+    "click": "python3-click",
+    "jinja2": "python3-jinja2",
+    "lz4": "mcap-ros2-support",  # comes with mcap
+    "markupsafe": "python3-jinja2",  # comes with jinja2
+    "matplotlib": "python3-matplotlib",
+    "mcap": "mcap-ros2-support",  # there is no key for mcap alone
+    "numpy": "python3-numpy",
+    "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "yaml": "python3-yaml",
+    "zstandard": "mcap-ros2-support",  # comes with mcap
+}
+OF_THE_CONTROLLER = {"hal", "linuxcnc"}
+RECORDED_BY_NAME = {"geometry_msgs", "lifecycle_msgs"}  # types that the recorder meets as text
 MAX_LINES = 400
 TEXT_FILES = sorted(
     path
@@ -83,12 +101,23 @@ def test_every_command_leads_to_a_function():
         assert function in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
 
 
-def test_every_data_file_of_the_package_is_installed(monkeypatch):
+@pytest.fixture
+def setup_py(monkeypatch):
+    """Return what setup.py gives to setup(), and its names."""
     monkeypatch.chdir(ROOT)
-    setup = {}
-    monkeypatch.setattr("setuptools.setup", lambda **arguments: setup.update(arguments))
-    runpy.run_path("setup.py")
-    patterns = setup["package_data"][""]
+    given = {}
+    monkeypatch.setattr("setuptools.setup", lambda **arguments: given.update(arguments))
+    return runpy.run_path("setup.py") | given
+
+
+def test_every_shared_folder_exists_and_is_installed(setup_py):
+    shared = {f"share/rotcal_ros/{folder}": ROOT / folder for folder in setup_py["SHARED"]}
+    assert [folder for folder in shared.values() if not folder.is_dir()] == []
+    assert shared.keys() <= {destination for destination, _files in setup_py["data_files"]}
+
+
+def test_every_data_file_of_the_package_is_installed(setup_py):
+    patterns = setup_py["package_data"][""]
     data = [
         path.relative_to(ROOT)
         for path in (ROOT / "rotcal_ros").rglob("*")
@@ -106,22 +135,33 @@ def test_ros_run_finds_the_executables():
     assert (ROOT / "resource" / "rotcal_ros").is_file()
 
 
-def test_the_manifest_names_every_ros_package_that_is_imported():
+def test_the_manifest_names_what_is_imported_and_nothing_else(setup_py):
+    optional = {*setup_py["extras_require"]["many"], *OF_THE_CONTROLLER}
     imported = {
         name.split(".")[0]
-        for path in (ROOT / "rotcal_ros" / "nodes").glob("*.py")
+        for folder in ("rotcal_ros", "launch")
+        for path in (ROOT / folder).rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text()))
         for name in (
             [alias.name for alias in node.names]
             if isinstance(node, ast.Import)
             else [node.module]
-            if isinstance(node, ast.ImportFrom) and node.module
+            if isinstance(node, ast.ImportFrom) and node.module and not node.level
             else []
         )
     }
-    of_ros = {n for n in imported if re.search(r"^(rclpy|.*_msgs|.*_interfaces|.*_srvs)$", n)}
-    assert "rclpy" in of_ros
-    assert of_ros <= {dependency.name for dependency in parse_package(MANIFESTS[0]).exec_depends}
+    foreign = imported - set(sys.stdlib_module_names) - optional - {"rotcal_ros"}
+    needed = {ROSDEP_KEYS.get(name, name) for name in foreign}
+    assert needed & RECORDED_BY_NAME == set()
+    named = {dependency.name for dependency in parse_package(MANIFESTS[0]).exec_depends}
+    assert named == needed | RECORDED_BY_NAME
+
+
+def test_the_hooks_are_the_linters_of_make_lint():
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
+    recipe = (ROOT / "Makefile").read_text().split("\nlint:")[1].split("\n\n")[0]
+    linters = [line.strip().replace("$(BIN)", ".venv/bin") for line in recipe.splitlines()[1:]]
+    assert [hook["entry"] for hook in hooks] == linters
 
 
 def test_every_interface_is_built():
@@ -136,15 +176,6 @@ def test_every_interface_is_built():
         for path in (ROOT / "msg_defs" / kind).iterdir()
     }
     assert listed == found
-
-
-@pytest.mark.parametrize(
-    "page", [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")], ids=lambda p: p.name
-)
-def test_every_link_of_the_documentation_leads_somewhere(page):
-    links = re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text())
-    local = [link for link in links if "://" not in link]
-    assert [link for link in local if not (page.parent / link).exists()] == []
 
 
 @pytest.mark.parametrize("path", TEXT_FILES, ids=lambda path: str(path.relative_to(ROOT)))

@@ -6,12 +6,12 @@ the report.
 
 from pathlib import Path
 
-from rotcal_ros.capture import Capture, CaptureSettings
+from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.catalogue.plane_mirror.figures import ways
 from rotcal_ros.observations import Observation
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 
 HERE = Path(__file__).parent
 STEP_S = 0.1

@@ -6,7 +6,6 @@ A settings dataclass of a configuration's group ``plan`` becomes parameters ``pl
 from __future__ import annotations
 
 import sys
-import typing
 from collections.abc import Mapping
 from operator import attrgetter
 from typing import Any, Final, TypeVar
@@ -16,7 +15,7 @@ from rclpy.exceptions import ParameterUninitializedException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rotcal_ros.settings import SettingInfo, declared, load, scalar_of
+from rotcal_ros.settings import Declaration, SettingInfo, declarations, load
 
 T = TypeVar("T")
 
@@ -54,11 +53,11 @@ def declare_settings(
     ConfigurationError text as in ``rotcal run``; it also takes 1 for 1.0.
     """
     settings = load(cls, given.get(group), f"{node.get_name()}: parameters {group}")
-    for name, hint, info in declared(cls):
+    for declared in declarations(cls):
         node.declare_parameter(
-            f"{group}.{name}",
-            _default(attrgetter(name)(settings), hint),
-            _descriptor(info, hint, read_only),
+            f"{group}.{declared.name}",
+            _default(attrgetter(declared.name)(settings), declared),
+            _descriptor(declared, read_only),
             ignore_override=True,
         )
     return settings
@@ -66,7 +65,7 @@ def declare_settings(
 
 def read_settings(node: Node, group: str, cls: type[T]) -> T:
     """Return the present values of parameters that :func:`declare_settings` declared."""
-    values = {name: _value(node, f"{group}.{name}", hint) for name, hint, _ in declared(cls)}
+    values = {d.name: _value(node, group, d) for d in declarations(cls)}
     return load(cls, _nested(values), f"{node.get_name()}: parameters {group}")
 
 
@@ -83,41 +82,39 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _value(node: Node, name: str, hint: Any) -> Any:
+def _value(node: Node, group: str, declared: Declaration) -> Any:
     """Return the value of a parameter; one without a value is an empty list, or None."""
     try:
-        value = node.get_parameter(name).value
+        value = node.get_parameter(f"{group}.{declared.name}").value
     except ParameterUninitializedException:
         value = None
-    if isinstance(value, str | int | float):
-        return value
-    is_list = typing.get_origin(hint) is tuple
-    return list(value or ()) if is_list or value is not None else None
+    if declared.is_list and not (declared.optional and value is None):
+        return list(value or ())
+    return value
 
 
-def _default(value: Any, hint: Any) -> Any:
+def _default(value: Any, declared: Declaration) -> Any:
     """Return what gives a parameter its type as well: a value, or a mere type for none.
 
     rclpy takes an empty list for one of bytes, so that it counts as none.
     """
-    scalar, is_list = scalar_of(hint)
     if value is None or value == ():
-        return _TYPES[scalar][is_list]
-    return list(value) if isinstance(value, tuple) else value
+        return _TYPES[declared.kind][declared.is_list]
+    return list(value) if declared.is_list else value
 
 
-def _descriptor(info: SettingInfo, hint: Any, read_only: bool) -> ParameterDescriptor:
+def _descriptor(declared: Declaration, read_only: bool) -> ParameterDescriptor:
     """Describe a setting; ROS knows ranges of scalars only, all else is said in words."""
-    scalar, is_list = scalar_of(hint)
+    info = declared.info
     descriptor = ParameterDescriptor(description=info.description, read_only=read_only)
     words = []
     if info.choices:
         words.append(f"one of: {', '.join(info.choices)}")
     low, high = info.minimum, info.maximum
     if low is not None or high is not None:
-        if is_list or scalar not in (int, float):
+        if declared.is_list or declared.kind not in (int, float):
             words.append(f"every value from {low} to {high}")
-        elif scalar is float:
+        elif declared.kind is float:
             limits = (-sys.float_info.max, sys.float_info.max)
             descriptor.floating_point_range = [FloatingPointRange(**_limits(info, limits))]
         else:

@@ -14,7 +14,6 @@ from rotcal_ros import catalogue
 from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
-from rotcal_ros.capture import Capture, CaptureSettings
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.observations import (
     Command,
@@ -25,7 +24,6 @@ from rotcal_ros.observations import (
     TracerSample,
 )
 from rotcal_ros.simulation.cell import SimulatedCell
-from rotcal_ros.simulation.settings import SimulationSettings
 
 MSG_DEFS = Path(__file__).parents[2] / "msg_defs"
 START_NS = 1_700_000_000_000_000_000
@@ -152,6 +150,7 @@ def _observation(r: Observation) -> list[tuple[str, bytes]]:
         temperature=float("nan") if r.temperature_c is None else r.temperature_c,
         n_samples=r.n_samples, n_used=r.n_used, accepted=r.accepted, reason=r.reason,
         window_start=time_message(r.window_start_ns), window_end=time_message(r.window_end_ns),
+        run=r.run,
     )  # fmt: skip
     return [(names.OBSERVATION, data)]
 
@@ -177,8 +176,8 @@ class Run:
 def simulate(configuration_text: str = CONFIGURATION) -> Run:
     """Run a small calibration on the simulated cell, capturing live, one record at a time."""
     configuration = parse_configuration(configuration_text)
-    plan = catalogue.prepare(configuration).plan
-    capture = Capture(plan, configuration.capture)
+    calibration = catalogue.prepare(configuration)
+    plan, capture = calibration.plan, calibration.capture()
     cell = SimulatedCell(configuration.simulation, START_NS)
     run = Run()
 

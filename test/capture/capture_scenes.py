@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rotcal_ros.capture import Capture, CaptureSettings, Record
+from rotcal_ros.capture import Capture, CaptureRules, CaptureSettings, Record
+from rotcal_ros.catalogue import find_method
 from rotcal_ros.observations import (
     Approach,
     LengthStatus,
@@ -22,6 +23,12 @@ from rotcal_ros.planning.plan import Plan, Step
 
 MS = 1_000_000
 SECOND = 1000 * MS
+METHODS = [find_method(n) for n in ("tracer_multistation", "ball_plate", "plane_mirror")]
+RULES = CaptureRules(
+    decide={kind: way for method in METHODS for kind, way in method.capture.decide.items()},
+    checks=lambda plan: [check for method in METHODS for check in method.capture.checks(plan)],
+)
+"""Those of all methods, as if one plan could hold steps of every kind."""
 ANGLES = (0.0, 0.5, 1.0)
 TARGETS = ((0.0, 0.0, 1.0), (0.2, 0.0, 1.0), (0.2, 0.3, 1.1))
 SETTINGS = CaptureSettings(
@@ -129,7 +136,7 @@ def probe_sample(step: Step, stamp_ns: int, attempt: int = 0, point: int = 0) ->
 def replay(
     plan: Plan, records: Iterable[Record], settings: CaptureSettings = SETTINGS
 ) -> tuple[Observation, ...]:
-    capture = Capture(plan, settings)
+    capture = Capture(plan, settings, RULES)
     return tuple(o for record in records for o in capture.feed(record))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from capture_scenes import (
     MS,
+    RULES,
     SECOND,
     SETTINGS,
     Scene,
@@ -173,7 +174,7 @@ def test_any_interleaving_gives_the_same_bits(seed, burst):
 @given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([3, 50, 3000]))
 def test_blocks_of_readings_give_the_same_bits(seed, size):
     rng = np.random.default_rng(seed)
-    capture, found, block = Capture(PLAN, SETTINGS), [], []
+    capture, found, block = Capture(PLAN, SETTINGS, RULES), [], []
 
     def feed_block():
         if block:
@@ -210,7 +211,7 @@ def test_positions_told_unasked_change_nothing():
 @given(seed=st.integers(0, 2**32 - 1))
 def test_asking_for_counts_changes_nothing(seed):
     rng = np.random.default_rng(seed)
-    capture, found = Capture(PLAN, SETTINGS), []
+    capture, found = Capture(PLAN, SETTINGS, RULES), []
     for record in SCENE.by_stamp():
         found.extend(capture.feed(record))
         if rng.integers(30) == 0:
@@ -220,7 +221,7 @@ def test_asking_for_counts_changes_nothing(seed):
 
 @pytest.mark.parametrize("asking", [False, True])
 def test_decided_as_soon_as_the_streams_have_passed_the_window(asking):
-    capture = Capture(PLAN, SETTINGS)
+    capture = Capture(PLAN, SETTINGS, RULES)
     for record in make_scene(PLAN, 1).by_stamp():
         found = capture.feed(record)
         if asking:
@@ -233,7 +234,7 @@ def test_decided_as_soon_as_the_streams_have_passed_the_window(asking):
 
 @pytest.mark.parametrize("silent", ["tracer", "table"])
 def test_a_silent_stream_is_noticed_by_the_others(silent):
-    capture = Capture(PLAN, replace(SETTINGS, clock_tolerance_s=0.4))
+    capture = Capture(PLAN, replace(SETTINGS, clock_tolerance_s=0.4), RULES)
     scene = make_scene(PLAN, 1)
     scene.edit(silent, lambda _: None, 100 * MS, SECOND)
     for record in scene.by_stamp():
@@ -246,7 +247,7 @@ def test_a_silent_stream_is_noticed_by_the_others(silent):
 
 def test_memory_is_bounded(monkeypatch):
     monkeypatch.setattr(streams_module, "CAPACITY", 2000)
-    capture = Capture(PLAN, SETTINGS)
+    capture = Capture(PLAN, SETTINGS, RULES)
     scene = make_scene(PLAN, 9)
     found = [o for record in scene.by_stamp() for o in capture.feed(record)]
     assert all(o.accepted for o in found)
@@ -265,11 +266,11 @@ def test_a_window_that_memory_has_let_go_is_rejected(monkeypatch):
 
 def test_settling_that_leaves_no_time_is_a_wrong_configuration():
     with pytest.raises(ConfigurationError, match="leaves no time for a window"):
-        Capture(PLAN, CaptureSettings(settle_time_s=30.0, step_timeout_s=30.0))
+        Capture(PLAN, CaptureSettings(settle_time_s=30.0, step_timeout_s=30.0), RULES)
 
 
 def test_waiting_for_names_the_stream():
-    capture = Capture(PLAN, SETTINGS)
+    capture = Capture(PLAN, SETTINGS, RULES)
     scene = make_scene(PLAN, 1)
     assert capture.waiting_for == ""
     for record in [*scene.temperature, *scene.table, scene.probe[0]]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from capture_scenes import (
     MS,
+    RULES,
     SECOND,
     SETTINGS,
     length_of,
@@ -31,7 +32,7 @@ def reasons_of(scene, settings=SETTINGS):
 
 
 def counts_of(records, settings=SETTINGS):
-    capture = Capture(PLAN, settings)
+    capture = Capture(PLAN, settings, RULES)
     for record in records:
         capture.feed(record)
     return capture.counts
@@ -225,7 +226,7 @@ def test_another_clock_never_gives_an_observation(name, shift_s):
 
 
 def test_a_temperature_that_never_comes_is_told():
-    capture = Capture(PLAN, IMPATIENT)
+    capture = Capture(PLAN, IMPATIENT, RULES)
     records = [r for r in make_scene(PLAN, 5).by_stamp() if not hasattr(r, "sensor")]
     found = [o for record in records for o in capture.feed(record)]
     assert found
@@ -318,7 +319,7 @@ def test_probe_stamps_going_backwards():
 
 
 def test_steps_that_are_not_in_the_plan_are_counted_and_told():
-    capture = Capture(PLAN, SETTINGS)
+    capture = Capture(PLAN, SETTINGS, RULES)
     capture.feed(replace(probe_sample(PLAN.steps[0], 0), step=9))
     capture.feed(replace(PLAN.steps[0].command(0), step=12))
     capture.feed(replace(PLAN.steps[0].command(0), table_angle=0.1))
@@ -339,7 +340,7 @@ def test_an_answer_to_an_earlier_attempt_is_a_duplicate():
 
 
 def test_a_flood_of_attempts_is_bounded():
-    capture = Capture(PLAN, SETTINGS)
+    capture = Capture(PLAN, SETTINGS, RULES)
     found = []
     for attempt in range(500):
         found += capture.feed(probe_sample(PLAN.steps[0], attempt * MS, attempt=attempt))
@@ -349,4 +350,4 @@ def test_a_flood_of_attempts_is_bounded():
 
 def test_defaults_are_in_range():
     settings = CaptureSettings()
-    assert Capture(PLAN, settings).counts["tracer"] == {"received": 0}
+    assert Capture(PLAN, settings, RULES).counts["tracer"] == {"received": 0}

@@ -2,11 +2,9 @@
 
 from pathlib import Path
 
-from rotcal_ros.capture import Capture, CaptureSettings
-from rotcal_ros.catalogue import prepare
+from rotcal_ros.catalogue import changed, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.sessions.session import changed
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 
 DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"
 SMALL = (
@@ -30,9 +28,7 @@ def simulated_cell(calibration):
 def measure(calibration, *, steps=None, order=iter, turn_s=0.5):
     """Return the observations of all steps; ``order`` reorders the records of every turn."""
     cell = simulated_cell(calibration)
-    capture = Capture(
-        calibration.plan, calibration.configuration.capture
-    )
+    capture = calibration.capture()
     observations = []
     for step in calibration.plan.steps[:steps]:
         command = step.command(0)

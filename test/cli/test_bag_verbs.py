@@ -65,7 +65,7 @@ def stand_in(verdict: str) -> Any:
 @pytest.fixture
 def solver(monkeypatch: pytest.MonkeyPatch) -> Any:
     def install(verdict: str) -> None:
-        method = catalogue.METHODS["tracer_multistation"]
+        method = catalogue.find_method("tracer_multistation")
         changed = dataclasses.replace(method, solve=stand_in(verdict))
         monkeypatch.setitem(catalogue.METHODS, method.name, changed)
 

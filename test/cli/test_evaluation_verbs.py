@@ -10,7 +10,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from rotcal_ros.catalogue import METHODS
+from rotcal_ros.catalogue import find_method
 from rotcal_ros.catalogue.configuration import dump_configuration
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.results import Result
@@ -238,8 +238,8 @@ def test_uncertainty_in_words(configuration):
 
 
 def test_uncertainty_of_a_method_without_trials(configuration, monkeypatch):
-    bare = METHODS["tracer_multistation"].__class__(
-        **{**vars(METHODS["tracer_multistation"]), "trials": None}
+    bare = find_method("tracer_multistation").__class__(
+        **{**vars(find_method("tracer_multistation")), "trials": None}
     )
     monkeypatch.setitem(METHODS, "tracer_multistation", bare)
     ran = run("uncertainty", configuration, "--trials", 10)

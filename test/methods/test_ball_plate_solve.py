@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from plate_data import PAPER_PLATE, RADIUS, grid_rows, in_cmm_order, rotate_z, simulated
 
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import DataError, ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate import BallPlateProblem, select, solve
 from rotcal_ros.methods.ball_plate.spectral import solve_spectral
-from rotcal_ros.components import COMPONENTS
 from rotcal_ros.results import Result
 
 

@@ -9,19 +9,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.catalogue.tracer.simulation_settings import FaultSettings
+from rotcal_ros.catalogue.tracer.simulation_settings import (
+    FaultSettings,
+    SimulatedProbeSettings,
+    SimulatedTracerSettings,
+    TracerSimulationSettings,
+)
 from rotcal_ros.observations import Approach, Command, LengthStatus, PointKind
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
-from rotcal_ros.simulation.settings import (AngularHarmonics, ProbeSettings, TableSettings, TemperatureSettings, TracerSettings)
+from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.settings import AngularHarmonics, TableSettings, TemperatureSettings
 
 SECOND = 1_000_000_000
-QUIET_PROBE = ProbeSettings(
+QUIET_PROBE = SimulatedProbeSettings(
     systematic_um=0.0, repeatability_um=0.0, following_um=0.0, settling_um=0.0, speed_m_s=2.0
 )
-FAULTY = SimulationSettings(
+FAULTY = TracerSimulationSettings(
     table=TableSettings(ecc=AngularHarmonics(amplitudes_arcsec=(4.0,)), repeatability_arcsec=0.5),
-    tracer=TracerSettings(rate_hz=300.0),
-    probe=ProbeSettings(speed_m_s=1.0),
+    tracer=SimulatedTracerSettings(rate_hz=300.0),
+    probe=SimulatedProbeSettings(speed_m_s=1.0),
     temperature=TemperatureSettings(rate_hz=7.0, length_um_per_m_k=1.0),
     faults=FaultSettings(
         blocked_from_deg=20.0,
@@ -77,7 +82,7 @@ def test_same_seed_same_data_another_seed_other_data():
 
 
 def test_rates_and_stamps():
-    tracer, table, _, temperature = run(SimulationSettings(), [SECOND], {}, start_ns=5)
+    tracer, table, _, temperature = run(TracerSimulationSettings(), [SECOND], {}, start_ns=5)
     assert [s.stamp_ns for s in tracer[:3]] == [5, 1_000_005, 2_000_005]
     assert (len(tracer), len(table), len(temperature)) == (1001, 101, 2)
     assert [s.sequence for s in tracer] == list(range(1001))
@@ -86,8 +91,10 @@ def test_rates_and_stamps():
 def test_noise_grows_with_the_distance():
     std = []
     for height in (1.0, 3.0):
-        cell_settings = SimulationSettings(
-            tracer=TracerSettings(noise_um=0.3, noise_um_per_m=0.2, mount_m=(0.0, 0.0, 0.0)),
+        cell_settings = TracerSimulationSettings(
+            tracer=SimulatedTracerSettings(
+                noise_um=0.3, noise_um_per_m=0.2, mount_m=(0.0, 0.0, 0.0)
+            ),
             probe=replace(QUIET_PROBE, initial_position_m=(0.0, 0.0, height)),
         )
         lengths = [s.length for s in run(cell_settings, [20 * SECOND], {})[0]]
@@ -97,9 +104,9 @@ def test_noise_grows_with_the_distance():
 
 
 def test_reading_is_the_distance_less_the_dead_distance():
-    cell_settings = SimulationSettings(
+    cell_settings = TracerSimulationSettings(
         table=TableSettings(settling_arcsec=0.0),
-        tracer=TracerSettings(noise_um=0.0, noise_um_per_m=0.0, mount_m=(0.05, 0.0, 0.1)),
+        tracer=SimulatedTracerSettings(noise_um=0.0, noise_um_per_m=0.0, mount_m=(0.05, 0.0, 0.1)),
         probe=QUIET_PROBE,
     )
     orders = {0: command(angle=np.pi / 2, position=(0.2, 0.3, 0.9))}
@@ -142,8 +149,8 @@ def test_probe_errors():
     """The reflector misses the reported place: the same at each visit, and a little anew."""
     cell_settings = replace(
         FAULTY,
-        tracer=TracerSettings(rate_hz=1.0),
-        probe=ProbeSettings(systematic_um=3.0, repeatability_um=0.1, speed_m_s=10.0),
+        tracer=SimulatedTracerSettings(rate_hz=1.0),
+        probe=SimulatedProbeSettings(systematic_um=3.0, repeatability_um=0.1, speed_m_s=10.0),
     )
     cell = SimulatedCell(cell_settings)
     missed, follows = [], []
@@ -152,7 +159,7 @@ def test_probe_errors():
         order = command(number, target=target, position=(0.001 * target, number % 3 * 1.0, 1.0))
         cell.order_probe(order)
         (sample,) = cell.advance(20.0).probe
-        actual = cell._reflector.positions(np.array([cell.now_ns]))[0]
+        actual = cell.instrument.positions(np.array([cell.now_ns]))[0]
         missed.append((actual - sample.position) * 1e6)
         follows.append((np.array(sample.position) - order.position) * 1e6)
     missed = np.array(missed).reshape(100, 3, 3)
@@ -195,7 +202,7 @@ def test_spikes_dropouts_and_bad_numbers_come_at_their_rates():
         dropout_samples=7,
         non_finite_probability=0.005,
     )
-    cell_settings = SimulationSettings(probe=QUIET_PROBE, faults=faults)
+    cell_settings = TracerSimulationSettings(probe=QUIET_PROBE, faults=faults)
     tracer = run(cell_settings, [100 * SECOND], {})[0]
     lengths = np.array([s.length for s in tracer])
     bad = np.isnan(lengths)
@@ -217,8 +224,8 @@ def test_temperature_and_its_effect():
         length_um_per_m_k=2.0,
         dead_distance_um_per_k=5.0,
     )
-    cell_settings = SimulationSettings(
-        tracer=TracerSettings(noise_um=0, noise_um_per_m=0, mount_m=(0.0, 0.0, 0.0)),
+    cell_settings = TracerSimulationSettings(
+        tracer=SimulatedTracerSettings(noise_um=0, noise_um_per_m=0, mount_m=(0.0, 0.0, 0.0)),
         probe=replace(QUIET_PROBE, initial_position_m=(0.0, 0.0, 1.5)),
         temperature=temperature,
     )
@@ -229,7 +236,7 @@ def test_temperature_and_its_effect():
 
 
 def test_busy_while_moving_settling_and_a_little_longer():
-    cell = SimulatedCell(SimulationSettings(hold_s=1.0))
+    cell = SimulatedCell(TracerSimulationSettings(hold_s=1.0))
     cell.advance(5.0)
     assert not cell.busy
     cell.order_table(command(angle=np.deg2rad(20.0)))  # 0.5 s up, 0.5 s cruise, 0.5 s down

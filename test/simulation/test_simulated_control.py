@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.settings import load
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.positioning import true_runs
 from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import SimulatedTable, correction, truth
@@ -68,7 +69,7 @@ def test_iso_runs_of_the_true_angle():
         "table": {"ecc": ECC, "backlash_arcsec": 3.0, "repeatability_arcsec": 0.5},
         "seed": 7,
     }
-    settings = load(SimulationSettings, raw, "simulation")
+    settings = load(TracerSimulationSettings, raw, "simulation")
     targets = np.arange(0, 360, 30) * DEGREE
     up, down = true_runs(settings, targets, 400)
     exact = 20.0 * np.cos(targets)
@@ -91,7 +92,7 @@ def test_a_control_table_that_does_not_fit_is_refused(wrong):
 
 def external(**more):
     raw = {"table": {"external": True}, **more}
-    return load(SimulationSettings, raw, "simulation")
+    return load(TracerSimulationSettings, raw, "simulation")
 
 
 def test_an_external_table_moves_at_life_speed_only():
@@ -113,7 +114,7 @@ def test_the_cell_follows_a_table_that_others_move_and_never_gets_ahead_of_it():
         expected = np.linalg.norm(target - station) - cell.settings.tracer.dead_distance_m
         assert output.tracer[-1].length == pytest.approx(expected, abs=5e-6)
     # Half way in time is half way in angle.
-    distance = cell.distances(np.array([1_500_000_000]))[0]
+    distance = cell.instrument.distances(np.array([1_500_000_000]))[0]
     quarter = np.array([-mount[1], mount[0], mount[2]])
     assert distance == pytest.approx(np.linalg.norm(target - quarter), rel=1e-12)
     late = cell.follow_table(1_700_000_000, 1.0)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError
-from rotcal_ros.methods.tracer import (TracerProblem, solve)
+from rotcal_ros.methods.tracer import TracerProblem, solve
 from rotcal_ros.methods.tracer.screening import critical_value
+from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.units import ARCSEC
 
 SCENE = simulate(seed=1)

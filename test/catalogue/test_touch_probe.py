@@ -7,15 +7,17 @@ import pytest
 
 from rotcal_ros.catalogue.ball_plate.simulated_probe import MachineError, plate_balls, upper_half
 from rotcal_ros.catalogue.ball_plate.simulation_settings import (
+    TOUCH_PROBE,
+    PlateSimulationSettings,
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
 from rotcal_ros.observations import Approach, Command, PointKind
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
-from rotcal_ros.simulation.settings import TOUCH_PROBE, LinearHarmonics, TableSettings
+from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.simulation.settings import LinearHarmonics, TableSettings
 from rotcal_ros.units import ARCSEC
 
-EXACT = SimulationSettings(
+EXACT = PlateSimulationSettings(
     instrument=TOUCH_PROBE,
     table=TableSettings(settling_arcsec=0.0, exc=LinearHarmonics(amplitudes_um=(3.0,))),
     plate=SimulatedPlateSettings(grid=12, ball_steps=(0, 3, 5), manufacture_um=0.0),

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from rotcal_ros.catalogue.plane_mirror.simulation_settings import (
+    MirrorSimulationSettings,
     SimulatedMirrorSettings,
     TrackerSettings,
 )
 from rotcal_ros.observations import Approach, Command, PointKind
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.settings import AngularHarmonics, TableSettings
 from rotcal_ros.units import DEGREE
 
@@ -26,7 +27,7 @@ EXACT = TrackerSettings(
 )
 TABLE = TableSettings(ecc=AngularHarmonics(amplitudes_arcsec=(20.0,), phases_deg=(30.0,)))
 MIRROR = SimulatedMirrorSettings(centre_m=(0.05, 0.0, 0.35), lean_deg=0.0)
-SETTINGS = SimulationSettings(
+SETTINGS = MirrorSimulationSettings(
     instrument="tracker",
     tracker=EXACT,
     mirror=MIRROR,

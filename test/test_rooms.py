@@ -1,0 +1,67 @@
+"""The table of rooms in CONTRIBUTING and the import contracts tell one story."""
+
+import re
+from pathlib import Path
+
+import grimp
+import pytest
+from importlinter.api import read_configuration
+
+ROOT = Path(__file__).parents[1]
+CONTRACTS = read_configuration(str(ROOT / "pyproject.toml"))["contracts_options"]
+LAYERS = next(contract["layers"] for contract in CONTRACTS if contract["type"] == "layers")
+
+
+def names(text: str, separators: str = ",") -> list[str]:
+    return [name.strip().strip("`") for name in re.split(f"[{separators}]", text)]
+
+
+def table() -> dict[str, list[str]]:
+    """Return what each room of the table knows, in the table's order."""
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    rows = text.split("| room | knows | holds |\n")[1].split("\n\n")[0].splitlines()[1:]
+    cells = [row.strip("| ").split("|") for row in rows]
+    assert all(len(row) == 3 and row[2].strip() for row in cells)
+    return {room: names(knows) for rooms, knows, _holds in cells for room in names(rooms)}
+
+
+def allowed() -> dict[str, set[str]]:
+    """Return what each room may know by the layers: all below, and beside it where ":" joins."""
+    found: dict[str, set[str]] = {}
+    below: set[str] = set()
+    for layer in reversed(LAYERS):
+        rooms = names(layer, "|:")
+        for room in rooms:
+            found[room] = below | (set(rooms) - {room} if ":" in layer else set())
+        below = below | set(rooms)
+    return found
+
+
+def test_the_layers_hold_every_room():
+    rooms = {
+        path.stem
+        for path in (ROOT / "rotcal_ros").iterdir()
+        if (path.suffix == ".py" and path.stem != "__init__") or (path / "__init__.py").is_file()
+    }
+    assert rooms == set(allowed())
+
+
+def test_the_table_holds_the_rooms_in_the_order_of_the_layers():
+    assert list(table()) == [room for layer in LAYERS for room in names(layer, "|:")]
+
+
+@pytest.mark.parametrize("room", table())
+def test_the_table_says_nothing_that_the_contract_forbids(room):
+    knows = table()[room]
+    assert knows in (["nothing"], ["all below"]) or set(knows) <= allowed()[room]
+
+
+def test_the_table_names_every_room_that_a_room_imports():
+    graph = grimp.build_graph("rotcal_ros", cache_dir=None)
+    for room in table():
+        graph.squash_module(f"rotcal_ros.{room}")
+    for room, knows in table().items():
+        imported = graph.find_modules_directly_imported_by(f"rotcal_ros.{room}")
+        found = {name.split(".")[1] for name in imported - {"rotcal_ros"}}
+        unnamed = found - {room, *knows, *names(LAYERS[-1], "|:")}
+        assert knows == ["all below"] or not unnamed, room
