@@ -10,6 +10,7 @@ from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.srv import ApplyTable, GetCorrection
 from std_srvs.srv import Trigger
 
+from rotcal_ros import messages
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Applied, Feed
 from rotcal_ros.compensation.lookup import Correction
@@ -60,7 +61,7 @@ class BridgeNode(CellNode):
         self._facts |= {"table_hash": message.table_hash, "verdict": message.verdict}
         try:
             table = conversions.compensation_table(message)
-            files = self._feed.take(table, conversions.stamp_ns(message.header.stamp))
+            files = self._feed.take(table, messages.stamp_ns(message.header.stamp))
             self._correction = Correction(table)
         except (RotcalError, OSError) as error:
             self._note(f"table refused: {error}")

@@ -12,19 +12,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-import rclpy
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
@@ -32,13 +27,13 @@ from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.nodes.goal_reports import Feedback, Outcome, feedback_of, outcome_of
 from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.peer import Peer
 from rotcal_ros.nodes.running import use_middleware
 
 CANCEL_TIMEOUT_S: Final = 15.0
 ANSWER_TIMEOUT_S: Final = 10.0
 PLANNER_TIMEOUT_S: Final = 5.0
 """Silence of the planner after which nothing is expected of it; a script is in no hurry."""
-_TURN_S: Final = 0.1
 _GRACE_S: Final = 0.5
 """Time for a result that is on its way when the planner has left."""
 
@@ -63,13 +58,8 @@ class Calibrator:
         self, namespace: str = "/cell", *, name: str = "calibrator", args: Sequence[str] = ()
     ) -> None:
         use_middleware()
-        self._context = Context()
-        rclpy.init(
-            args=[*args], context=self._context, signal_handler_options=SignalHandlerOptions.NO
-        )
-        self.node = Node(name, namespace=namespace, context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
+        self._peer = Peer(name, namespace, args)
+        self.node = self._peer.node
         self._action = ActionClient(self.node, Calibrate, "calibrate")
         self._resume = self.node.create_client(Trigger, "resume")
         self._health = Health(self.node, None, timeout_s=PLANNER_TIMEOUT_S)
@@ -86,7 +76,7 @@ class Calibrator:
 
     def is_ready(self, timeout_s: float = 0.1) -> bool:
         """Wait for the planner; return whether it is there."""
-        return self._until(
+        return self._peer.work_until(
             lambda: self._action.server_is_ready() and bool(self.planner_state), timeout_s
         )
 
@@ -121,7 +111,7 @@ class Calibrator:
     def is_done(self, timeout_s: float = 0.1) -> bool:
         """Wait for the next feedback or the end; return whether the calibration has ended."""
         before = self._feedback
-        self._until(lambda: self._ended() or self._feedback is not before, timeout_s)
+        self._peer.work_until(lambda: self._ended() or self._feedback is not before, timeout_s)
         return self._outcome is not None
 
     def feedback(self) -> Feedback | None:
@@ -142,7 +132,7 @@ class Calibrator:
 
     def result(self, timeout_s: float = math.inf) -> Outcome:
         """Wait for the end of the calibration and return how it ended."""
-        if not self._until(self._ended, timeout_s):
+        if not self._peer.work_until(self._ended, timeout_s):
             raise CalibratorError(
                 f"no result within {timeout_s:g} s: the planner is {self.planner_state}"
             )
@@ -151,9 +141,7 @@ class Calibrator:
 
     def close(self) -> None:
         """Leave the cell; a calibration that runs goes on."""
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
+        self._peer.close()
 
     def __enter__(self) -> Calibrator:
         return self
@@ -185,7 +173,7 @@ class Calibrator:
         """Return how the goal ended, be it that its planner is lost."""
         silent = bool(self._health.missing(["planner"]))
         if silent:
-            self._until(self._answer.done, _GRACE_S)
+            self._peer.work_until(self._answer.done, _GRACE_S)
         if self._answer.done():
             answer = self._answer.result()
             canceled = answer.status == GoalStatus.STATUS_CANCELED
@@ -203,21 +191,11 @@ class Calibrator:
 
     def _wait(self, future: Any) -> Any:
         """Return the answer of the planner to a request."""
-        if not self._until(future.done, ANSWER_TIMEOUT_S):
+        if not self._peer.work_until(future.done, ANSWER_TIMEOUT_S):
             raise CalibratorError(
                 f"no answer from the planner; it is {self.planner_state or 'silent'}"
             )
         return future.result()
-
-    def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Work until ``condition``; False after the time-out."""
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            left = deadline - time.monotonic()
-            self._executor.spin_once(timeout_sec=max(0.0, min(left, _TURN_S)))
-            if left <= 0.0:
-                return condition()
-        return True
 
 
 def _text_of(configuration: Path | str | Configuration) -> str:

@@ -12,6 +12,7 @@ from rotcal_msgs.msg import CalibrationPlan, ProbePoint, TracerLength
 from rotcal_msgs.msg import Observation as ObservationMsg
 from sensor_msgs.msg import JointState, Temperature
 
+from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
 from rotcal_ros.nodes import conversions, frames
@@ -66,19 +67,19 @@ class CaptureNode(CellNode):
         InstrumentSubscription(self, kind, topic, self.health.guarded(handle))
 
     def _tracer(self, message: TracerLength) -> tuple[Record, bool]:
-        sample = conversions.tracer_sample(message)
+        sample = messages.tracer_sample(message)
         return sample, sample.status == LengthStatus.OK and math.isfinite(sample.length)
 
     def _table(self, message: JointState) -> tuple[Record | None, bool]:
-        sample = conversions.table_sample(message, self._joint)
+        sample = messages.table_sample(message, self._joint)
         return sample, sample is not None and math.isfinite(sample.angle)
 
     def _probe(self, message: ProbePoint) -> tuple[Record, bool]:
-        sample = conversions.probe_sample(message)
+        sample = messages.probe_sample(message)
         return sample, all(map(math.isfinite, sample.position))
 
     def _temperature(self, message: Temperature) -> tuple[Record, bool]:
-        sample = conversions.temperature_sample(message)
+        sample = messages.temperature_sample(message)
         return sample, math.isfinite(sample.temperature_c)
 
     def _feed(self, record: Record) -> None:

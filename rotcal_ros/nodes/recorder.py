@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,10 +11,7 @@ from rotcal_msgs.msg import RecordedObservation
 from rotcal_msgs.srv import StartRecording, StopRecording
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.reader import session_files
 from rotcal_ros.bags.recorder_settings import RecorderSettings
-from rotcal_ros.bags.rosbag2_metadata import FileInfo
-from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
@@ -26,10 +22,10 @@ from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.receipts import PendingReceipts
 from rotcal_ros.nodes.recording import Attachment, Messages, Note, Receipt, Recording
 from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.session_bags import SessionBags
 from rotcal_ros.nodes.silence import Silences
 from rotcal_ros.nodes.versions import versions_json
 from rotcal_ros.nodes.waiting import until
-from rotcal_ros.session_folder import SessionFolder
 
 CLOSE_TIMEOUT_S: Final = 15.0
 
@@ -40,7 +36,7 @@ class RecorderNode(CellNode):
     def __init__(self) -> None:
         super().__init__("recorder")
         self._settings = self.settings("recorder", RecorderSettings)
-        self._earlier = self._earlier_files()
+        self._bags = SessionBags(self._settings)
         self._recording: Recording | None = None
         self._silences = Silences(self._settings.silence_s)
         self._pending = PendingReceipts()
@@ -127,30 +123,14 @@ class RecorderNode(CellNode):
             response.message = str(error)
         return response
 
-    def _session_folder(self, session: str) -> SessionFolder:
-        return SessionFolder((Path(self._settings.folder).expanduser() / session).absolute())
-
-    def _earlier_files(self) -> tuple[FileInfo, ...] | None:
-        """Read the files that this run continues; None when it begins a session."""
-        if not self._settings.run:
-            return None
-        folder = self._session_folder(self._settings.session).bag
-        return session_files(folder) if any(folder.glob("*.mcap")) else ()
-
     def _open(self, request: StartRecording.Request) -> Path:
         if (open_one := self._writing()) is not None:
             raise BagError(f"the recorder is writing {open_one.file}; stop it first")
-        settings = self._settings
-        now = datetime.now(timezone.utc)
-        session = settings.session or f"{now:%Y%m%dT%H%M%SZ}_{request.plan_id[:8]}"
-        folder = self._session_folder(session)
-        writer = BagWriter(folder.bag, settings.writer, earlier=self._earlier)
-        self._earlier = None
-        writer.note(names.RUN, {"number": settings.run})
+        folder, writer = self._bags.open(request.plan_id)
         self._pending.begin()
         self._listener.forget_losses()
         self._silences.begin(time.monotonic())
-        self._recording = Recording(writer, settings.queue_bytes, self._confirm)
+        self._recording = Recording(writer, self._settings.queue_bytes, self._confirm)
         for name, media_type, text in (
             (names.CONFIGURATION, "application/yaml", request.configuration),
             (names.VERSIONS, "application/json", versions_json()),

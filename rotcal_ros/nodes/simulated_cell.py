@@ -8,6 +8,7 @@ from typing import Any, Final
 from rotcal_msgs.msg import ProbePoint, TracerLength
 from sensor_msgs.msg import JointState, Temperature
 
+from rotcal_ros import messages
 from rotcal_ros.catalogue.method import DEFAULT, find_method
 from rotcal_ros.nodes import conversions, frames
 from rotcal_ros.nodes.cell_node import CellNode
@@ -59,7 +60,7 @@ class SimulatedCellNode(CellNode):
 
     def _follow(self, message: JointState) -> None:
         """Take the actual angle of a table that another program moves; its clock is ours."""
-        stamp_ns = conversions.stamp_ns(message.header.stamp)
+        stamp_ns = messages.stamp_ns(message.header.stamp)
         self._publish(self._cell.follow_table(stamp_ns, message.position[0]))
 
     def _turn(self) -> None:

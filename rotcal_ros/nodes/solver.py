@@ -10,6 +10,7 @@ from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
 
+from rotcal_ros import messages
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
@@ -79,7 +80,7 @@ class SolverNode(CellNode):
 
     def _take(self, message: ObservationMsg) -> None:
         if self._calibration is not None and message.accepted:
-            observation = conversions.observation(message)
+            observation = messages.observation(message)
             self._observations[observation.run, observation.step] = observation
 
     def _preliminary(self) -> None:
