@@ -42,9 +42,7 @@ class BridgeNode(CellNode):
         self._state = "waiting for a table"
         self._facts: dict[str, Any] = {"controller": self._settings.controller, "axis": cell.axis}
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="feed")
-        self.create_subscription(
-            CompensationTableMsg, "compensation_table", self.health.guarded(self._take), LATCHED
-        )
+        self.listen(CompensationTableMsg, "compensation_table", self._take, LATCHED)
         self.create_service(ApplyTable, "apply", self._apply)
         self.create_service(Trigger, "restore", self._restore)
         self.create_service(GetCorrection, "get_correction", self._look_up)
@@ -55,7 +53,7 @@ class BridgeNode(CellNode):
         self._feed.close()
 
     def _take(self, message: CompensationTableMsg) -> None:
-        """Hold a table against the configuration and write its files; a bad one is told."""
+        """Hold a table against the configuration and write its files; a bad one is refused."""
         self._correction = None
         self._facts = {k: self._facts[k] for k in ("controller", "axis")}
         self._facts |= {"table_hash": message.table_hash, "verdict": message.verdict}
@@ -134,6 +132,9 @@ class BridgeNode(CellNode):
     def _note(self, state: str) -> None:
         self._state = state
         self.get_logger().info(state)
+
+    def _report(self) -> tuple[str, dict[str, Any]]:
+        return self._state, self._facts
 
 
 def main() -> None:

@@ -42,9 +42,7 @@ class CaptureNode(CellNode):
         self._heard_s: dict[str, float] = {}
         self._verdicts: Counter[str] = Counter()
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
-        self.create_subscription(
-            CalibrationPlan, names.PLAN, self.health.guarded(self._take_plan), LATCHED
-        )
+        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
         self._listen(TracerLength, names.TRACER_LENGTH, self._tracer)
         self._listen(JointState, names.JOINT_STATES, self._table)
         self._listen(ProbePoint, names.PROBE_POINT, self._probe)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-from rclpy.node import Node
 from rotcal_msgs.msg import (
     CalibrationPlan,
     DeviationArray,
@@ -20,6 +17,7 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.observations import Command, Observation
 
@@ -30,7 +28,7 @@ Attempt = tuple[int, int]
 class CellLinks:
     """Publishers, subscriptions and clients, and what came in for the steps so far."""
 
-    def __init__(self, node: Node, guarded: Callable[[Callable[..., Any]], Any]) -> None:
+    def __init__(self, node: CellNode) -> None:
         self._node = node
         self.observations: dict[Attempt, Observation] = {}
         self.receipts: dict[Attempt, int] = {}
@@ -44,7 +42,7 @@ class CellLinks:
             (RecordedObservation, "observation_recorded", self._recorded, EVENT),
             (DeviationArray, "deviations", self._solved, LATCHED),
         ):
-            node.create_subscription(kind, topic, guarded(callback), qos)
+            node.listen(kind, topic, callback, qos)
         self.start_recording = node.create_client(StartRecording, "start_recording")
         self.stop_recording = node.create_client(StopRecording, "stop_recording")
         self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.health import Health, Values
 from rotcal_ros.nodes.parameters import declare_settings, take_given
@@ -12,7 +15,7 @@ from rotcal_ros.nodes.parameters import declare_settings, take_given
 T = TypeVar("T")
 
 
-class CellNode(Node):
+class CellNode(Node, ABC):
     """A node of the cell. ``given`` holds the parameters it was started with, in groups."""
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -23,6 +26,16 @@ class CellNode(Node):
     def settings(self, group: str, cls: type[T], *, read_only: bool = True) -> T:
         """Declare a group of settings as parameters and return their values."""
         return declare_settings(self, self.given, group, cls, read_only=read_only)
+
+    def listen(
+        self, kind: type, topic: str, handle: Callable[[Any], None], qos: QoSProfile
+    ) -> None:
+        """Subscribe to a topic; an exception in ``handle`` is counted and logged."""
+        self.create_subscription(kind, topic, self.health.guarded(handle), qos)
+
+    def every(self, period_s: float, work: Callable[[], None]) -> None:
+        """Do ``work`` regularly; an exception in it is counted and logged."""
+        self.create_timer(period_s, self.health.guarded(work))
 
     def begin_stop(self) -> None:
         """Begin to end: give up running work, close files."""
@@ -35,9 +48,9 @@ class CellNode(Node):
         """Return whether the work is done without being told to end."""
         return False
 
+    @abstractmethod
     def _report(self) -> tuple[str, Values]:
         """Return the state in words and values; asked for every beat."""
-        raise NotImplementedError
 
     def _node_lost(self, name: str) -> None:
         """Hear that another node fell silent."""

@@ -13,6 +13,7 @@ from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.nodes import conversions, frames, preflight
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.nodes.person_asked import PersonAsked
+from rotcal_ros.nodes.plan_message import run_name
 from rotcal_ros.nodes.session_recording import SessionRecording
 from rotcal_ros.nodes.step_measuring import StepMeasuring
 
@@ -56,22 +57,19 @@ class GoalRun:
 
     async def _announce(self) -> None:
         """Publish the plan and wait until everybody has taken it."""
-        links = self.watch.links
-        now_ns = links.now_ns()
+        links, health = self.watch.links, self.watch.health
         configuration = self._calibration.configuration
-        links.announce(
-            CalibrationPlan(
-                header=conversions.header(now_ns, frames.TABLE),
-                plan_id=configuration.plan_id,
-                method=configuration.method.name,
-                configuration=configuration.text,
-                total_steps=len(self._calibration.plan.steps),
-                start_index=self._continuation.start_index,
-                run=self._continuation.run,
-            )
+        message = CalibrationPlan(
+            header=conversions.header(links.now_ns(), frames.TABLE),
+            plan_id=configuration.plan_id,
+            method=configuration.method.name,
+            configuration=configuration.text,
+            total_steps=len(self._calibration.plan.steps),
+            start_index=self._continuation.start_index,
+            run=self._continuation.run,
         )
-        run = f"{configuration.plan_id}@{now_ns}"
-        health = self.watch.health
+        links.announce(message)
+        run = run_name(message)
         await self.watch.have(lambda: preflight.missing_plan(health, run), Codes.NODE_LOST)
 
     async def _measure(self) -> None:

@@ -17,6 +17,7 @@ from typing import Any, Final
 from rotcal_msgs.msg import TableAngle
 from sensor_msgs.msg import JointState
 
+from rotcal_ros.bags import names
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.nodes import conversions, frames
 from rotcal_ros.nodes.cell_node import CellNode
@@ -47,14 +48,13 @@ class LinuxCncDriver(CellNode):
         self._complaints = 0
         self._last: TableSample | None = None
         self._motor_deg = 0.0
-        self._positions = self.create_publisher(JointState, "joint_states", STREAM)
+        self._positions = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
         self._actual = self.create_publisher(JointState, "table_actual", STREAM)
         self._agent = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
         Thread(target=self._read, name="agent", daemon=True).start()
-        guarded = self.health.guarded
-        self.create_subscription(TableAngle, "table_angle", guarded(self._obey), EVENT)
+        self.listen(TableAngle, names.TABLE_ANGLE, self._obey, EVENT)
 
     def begin_stop(self) -> None:
         """End the agent; LinuxCNC goes on, unless the agent's command started it."""
@@ -81,32 +81,32 @@ class LinuxCncDriver(CellNode):
         self._state = f"step {message.step}, attempt {message.attempt}"
 
     def _read(self) -> None:
-        """Publish what the agent says; publishing is safe from any thread."""
+        """Publish what the agent reports; publishing is safe from any thread."""
         assert self._agent.stdout is not None
         for line in self._agent.stdout:
-            said = json.loads(line)
-            if "event" in said:
-                self._state = str(said["event"])
+            reading = json.loads(line)
+            if "event" in reading:
+                self._state = str(reading["event"])
                 continue
-            self._complain(said["errors"])
-            self._publish(said)
+            self._complain(reading["errors"])
+            self._publish(reading)
 
     def _complain(self, errors: Sequence[str]) -> None:
         for error in errors:
             self._complaints += 1
             self.get_logger().error(f"LinuxCNC: {error}")
 
-    def _publish(self, said: Mapping[str, Any]) -> None:
+    def _publish(self, reading: Mapping[str, Any]) -> None:
         """Publish the joint's angle; its speed is the motor's, which the correction moves too."""
-        stamp_ns, angle = said["stamp_ns"], said["angle_deg"] * DEGREE
+        stamp_ns, angle = reading["stamp_ns"], reading["angle_deg"] * DEGREE
         speed = 0.0
         if self._last is not None and stamp_ns > self._last.stamp_ns:
-            moved = (said["motor_deg"] - self._motor_deg) * DEGREE
+            moved = (reading["motor_deg"] - self._motor_deg) * DEGREE
             speed = moved / ((stamp_ns - self._last.stamp_ns) * NANOSECOND)
-        self._last, self._motor_deg = TableSample(stamp_ns, angle, speed), said["motor_deg"]
+        self._last, self._motor_deg = TableSample(stamp_ns, angle, speed), reading["motor_deg"]
         self._positions.publish(conversions.table_message(self._last, self._joint, frames.TABLE))
-        if said["actual_deg"] is not None:
-            actual = TableSample(stamp_ns, said["actual_deg"] * DEGREE, speed)
+        if reading["actual_deg"] is not None:
+            actual = TableSample(stamp_ns, reading["actual_deg"] * DEGREE, speed)
             self._actual.publish(conversions.table_message(actual, self._joint, frames.TABLE))
 
     def _report(self) -> tuple[str, dict[str, Any]]:

@@ -26,8 +26,7 @@ class OrderSubscription:
             (TableAngle, names.TABLE_ANGLE, self._orders.table_angle),
             (ProbeTarget, names.PROBE_TARGET, self._orders.probe_target),
         ):
-            handle = node.health.guarded(partial(self._take, take))
-            node.create_subscription(kind, topic, handle, EVENT)
+            node.listen(kind, topic, partial(self._take, take), EVENT)
 
     def _take(self, take: Callable[[Any], Command | None], message: Any) -> None:
         command = take(message)

@@ -41,7 +41,7 @@ class Planner(CellNode, LifecycleNode):
         self._shown_s = -math.inf
         self._configured = PlannerParameters(self)
         self._continuation = read_continuation(self)
-        self._links = CellLinks(self, self.health.guarded)
+        self._links = CellLinks(self)
         self.create_service(Trigger, "resume", self._resume)
         self._server = ActionServer(
             self,

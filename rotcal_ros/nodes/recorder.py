@@ -47,8 +47,8 @@ class RecorderNode(CellNode):
         self._windowed = [
             self.resolve_topic_name(name) for name in (names.TRACER_LENGTH, names.PROBE_POINT)
         ]
-        self._listener = Listener(self, self.health, self._take)
-        self.create_timer(GRAPH_PERIOD_S, self.health.guarded(self._note_losses))
+        self._listener = Listener(self, self._take)
+        self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def begin_stop(self) -> None:
         """Write what has arrived and close the bag."""

@@ -37,20 +37,18 @@ class SimulatedCellNode(CellNode):
         self._cell = SimulatedCell(settings, self.get_clock().now().nanoseconds)
         self._turned_s = time.monotonic()
         self._order_text = "no order yet"
-        guarded = self.health.guarded
         if self._cell.instrument.streams_lengths:
             self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
         self._probe_frame = self._cell.instrument.frame
         if settings.table.external:
-            follow = guarded(self._follow)
-            self.create_subscription(JointState, "table_actual", follow, STREAM)
+            self.listen(JointState, "table_actual", self._follow, STREAM)
         else:
             self._table = self.create_publisher(JointState, "joint_states", STREAM)
-            self.create_timer(PERIOD_S, guarded(self._turn))
+            self.every(PERIOD_S, self._turn)
         self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
         self._temperature = self.create_publisher(Temperature, "temperature", EVENT)
         OrderSubscription(self, self._obey)
-        self.create_timer(UNASKED_PERIOD_S, guarded(self._tell_position))
+        self.every(UNASKED_PERIOD_S, self._tell_position)
 
     def _obey(self, command: Command) -> None:
         """Begin both motions of an order together."""

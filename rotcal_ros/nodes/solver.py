@@ -11,6 +11,7 @@ from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
 
 from rotcal_ros import messages
+from rotcal_ros.bags import names
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
@@ -45,16 +46,15 @@ class SolverNode(CellNode):
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
         self._solving: Future[Result] | None = None
         self._solved_count = 0
-        guarded = self.health.guarded
         self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
-        self.create_subscription(CalibrationPlan, "plan", guarded(self._take_plan), LATCHED)
-        self.create_subscription(ObservationMsg, "observation", guarded(self._take), EVENT)
+        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
+        self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
         self.create_service(FinishCalibration, "finish_calibration", self._finish)
-        self.create_timer(period, guarded(self._preliminary))
+        self.every(period, self._preliminary)
 
     def begin_stop(self) -> None:
-        """Say goodbye; a running solution is not waited for."""
+        """Give up what is being solved."""
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     def _take_plan(self, message: CalibrationPlan) -> None:

@@ -32,6 +32,11 @@ class Example:
     inner: Inner = group(Inner)
 
 
+class ExampleNode(CellNode):
+    def _report(self):
+        return "idle", {}
+
+
 @pytest.fixture(scope="module")
 def context():
     with rclpy.init():
@@ -40,7 +45,7 @@ def context():
 
 def node(**overrides):
     values = [Parameter(f"g.{name.replace('__', '.')}", value=v) for name, v in overrides.items()]
-    return CellNode("example", parameter_overrides=values, start_parameter_services=False)
+    return ExampleNode("example", parameter_overrides=values, start_parameter_services=False)
 
 
 @pytest.mark.ros
