@@ -36,6 +36,8 @@ PLANNER_TIMEOUT_S: Final = 5.0
 """Silence of the planner after which nothing is expected of it; a script is in no hurry."""
 _GRACE_S: Final = 0.5
 """Time for a result that is on its way when the planner has left."""
+_ON_ITS_WAY_S: Final = 0.1
+"""Time for a feedback that is on its way when a pause has ended."""
 
 
 class CalibratorError(RotcalError):
@@ -115,7 +117,7 @@ class Calibrator:
         return self._outcome is not None
 
     def feedback(self) -> Feedback | None:
-        """Return the latest feedback that :meth:`is_done` met; None before the first."""
+        """Return the latest feedback; None before the first one after start or resume."""
         return self._feedback
 
     def cancel(self) -> None:
@@ -125,10 +127,15 @@ class Calibrator:
             self._handle.cancel_goal_async()
 
     def resume(self) -> None:
-        """Go on after a person's work is done; CalibratorError when nothing waits for it."""
+        """Go on after a person's work is done; CalibratorError when nothing waits for it.
+
+        What was fed back before is forgotten, so that no instruction is met twice.
+        """
         answer = self._wait(self._resume.call_async(Trigger.Request()))
         if not answer.success:
             raise CalibratorError(answer.message)
+        self._peer.work_until(lambda: False, _ON_ITS_WAY_S)
+        self._feedback = None
 
     def result(self, timeout_s: float = math.inf) -> Outcome:
         """Wait for the end of the calibration and return how it ended."""

@@ -6,7 +6,7 @@ from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import pytest
-from live_cell import SUITE
+from live_cell import DEMO, SUITE
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -107,6 +107,36 @@ def test_cancel_leaves_a_valid_bag_and_the_next_goal_is_taken(cell, calibrator):
     outcome = calibrator.result(LIMIT_S)
     assert outcome.error_code == BAD_CONFIGURATION
     assert "plan.table_positions: -5 is out of range" in outcome.error_msg
+
+
+def test_a_person_is_asked_once_for_every_work(cell, calibrator):
+    live = cell()
+    mirror = changed(
+        read_configuration(DEMO.with_name("plane_mirror_demo.yaml")),
+        (
+            "plan.table_positions=5",
+            "plan.positions_per_station=3",
+            "plan.reflectors=1",
+            "planner.preflight_timeout_s=30.0",
+            "simulation.tracker.station_azimuths_deg=[22.5, 67.5]",
+        ),
+    )
+    live.file.write_text(mirror.text)
+    live.start(*SUITE, "simulated_cell")
+    calibrator.wait_until_ready(LIMIT_S)
+    calibrator.start(mirror.text)
+    asked = []
+    while not calibrator.is_done():
+        feedback = calibrator.feedback()
+        if feedback is not None and feedback.instruction:
+            asked.append(feedback.instruction)
+            calibrator.resume()
+    outcome = calibrator.result()
+    assert (outcome.error_code, outcome.verdict) == (0, "ok"), outcome.error_msg
+    assert [text[:28] for text in asked] == [
+        "put the tracker at station 0",
+        "put the tracker at station 1",
+    ]
 
 
 def test_a_script_that_is_interrupted_stops_the_cell(cell):

@@ -4,7 +4,10 @@ import ast
 import runpy
 import subprocess
 import sys
+from importlib import import_module
+from inspect import isabstract, isclass
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -27,6 +30,17 @@ def test_every_node_is_a_module_with_a_main_and_every_such_module_is_listed():
     for name in EXECUTABLES:
         tree = ast.parse((ROOT / "rotcal_ros" / "nodes" / f"{name}.py").read_text())
         assert "main" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_every_node_reports_its_state(name):
+    pytest.importorskip("rclpy")
+    pytest.importorskip("rotcal_msgs")
+    module = import_module(f"rotcal_ros.nodes.{name}")
+    base = import_module("rotcal_ros.nodes.cell_node").CellNode
+    classes = [c for c in vars(module).values() if isclass(c) and issubclass(c, base)]
+    (node,) = (c for c in classes if c is not base)
+    assert not isabstract(node)
 
 
 def test_the_lists_fit_each_other():
@@ -56,11 +70,15 @@ def test_the_names_are_known_without_numpy():
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
-def test_the_launch_file_starts_what_is_listed():
-    pytest.importorskip("launch_ros")
-    launch = runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))
-    entities = launch["generate_launch_description"]().entities
-    started = [e.node_executable for e in entities if hasattr(e, "node_executable")]
+def test_the_launch_file_starts_what_is_listed(monkeypatch):
+    started = []
+    launch = MagicMock()
+    launch.actions.Node.side_effect = lambda **options: started.append(options["executable"])
+    for name in ("launch", "launch_ros"):
+        for module in ("", ".actions", ".conditions", ".substitutions"):
+            stub = launch.actions if name + module == "launch_ros.actions" else MagicMock()
+            monkeypatch.setitem(sys.modules, name + module, stub)
+    runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
     assert started == [*NODES, FURTHER_NODES["simulation"]]
 
 
