@@ -11,7 +11,7 @@ from live_cell import DEMO, SUITE
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.ros import Calibrator, CalibratorError, GoalRefusedError
