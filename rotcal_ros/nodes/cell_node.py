@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.health import Health, Values
-from rotcal_ros.nodes.parameters import declare_settings, take_given
+from rotcal_ros.nodes.parameters import declare_settings, given_parameters
 
 T = TypeVar("T")
 
@@ -19,8 +19,8 @@ class CellNode(Node, ABC):
     """A node of the cell. ``given`` holds the parameters it was started with, in groups."""
 
     def __init__(self, name: str, **options: Any) -> None:
-        super().__init__(name, automatically_declare_parameters_from_overrides=True, **options)
-        self.given = take_given(self)
+        super().__init__(name, **options)
+        self.given = given_parameters(self)
         self.health = Health(self, self._report, self._node_lost)
 
     def settings(self, group: str, cls: type[T], *, read_only: bool = True) -> T:

@@ -29,18 +29,14 @@ _TYPES: Final = {
 }
 
 
-def take_given(node: Node) -> dict[str, Any]:
-    """Return what a node was given at its start, as nested groups, and leave it undeclared.
-
-    The node must have declared its parameters from what it was given.
-    """
+def given_parameters(node: Node) -> dict[str, Any]:
+    """Return what a node was given at its start, as nested groups."""
+    # rclpy has no other way to see what is not declared yet; an empty list has no value there.
     given = {
-        name: parameter.value
-        for name, parameter in node.get_parameters_by_prefix("").items()
+        name: [] if parameter.value is None else parameter.value
+        for name, parameter in node._parameter_overrides.items()
         if name.partition(".")[0] not in OF_ROS
     }
-    for name in given:
-        node.undeclare_parameter(name)
     return _nested(given)
 
 

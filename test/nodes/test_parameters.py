@@ -89,6 +89,15 @@ def test_an_empty_list_stays_empty_and_what_ros_gives_a_node_stays(context):
 
 
 @pytest.mark.ros
+def test_an_empty_list_in_a_parameter_file_stays_empty(context, tmp_path):
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**: {ros__parameters: {g: {sizes_m: [], length_m: 3.0}}}")
+    made = ExampleNode("example", cli_args=["--ros-args", "--params-file", str(file)])
+    assert made.settings("g", Example) == Example(sizes_m=(), length_m=3.0)
+    made.destroy_node()
+
+
+@pytest.mark.ros
 def test_a_change_at_run_time_is_read_and_a_wrong_one_refused(context):
     made = node()
     made.settings("g", Example, read_only=False)
