@@ -13,6 +13,7 @@ from rotcal_msgs.srv import FinishCalibration
 from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue.calibration import RunStep
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions, frames
@@ -25,8 +26,6 @@ from rotcal_ros.nodes.waiting import until
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 
-RunStep = tuple[int, int]
-"""Number of the run, step."""
 ARRIVAL_TIMEOUT_S = 10.0
 SOLVE_TIMEOUT_S = 3600.0
 

@@ -200,7 +200,8 @@ def test_a_full_disk_ends_the_calibration_with_the_reason(cell):
 
 
 def test_a_wrong_parameter_is_one_clear_line(cell):
-    live = cell("simulation.time_scale=-1.0")
+    live = cell("simulation.time_scale=1.0")
+    live.file.write_text(live.file.read_text().replace("time_scale: 1.0", "time_scale: -1.0"))
     live.start("simulated_cell")
     wait_until(lambda: live.processes.ended(), "the node refuses its parameters")
     assert live.processes.ended() == {"simulated_cell": 2}
