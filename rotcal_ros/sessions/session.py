@@ -20,12 +20,11 @@ from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.files import FolderLock
 from rotcal_ros.middleware import middleware
+from rotcal_ros.node_names import FURTHER_NODES, NODES
 from rotcal_ros.sessions.domains import free_domain
 from rotcal_ros.sessions.processes import Processes
 
-NODES: Final = ("planner", "capture", "solver", "recorder")
 SIMULATION: Final = "simulation"
-FURTHER_NODES: Final = {"bridge": "bridge", SIMULATION: "simulated_cell"}
 CLIENT: Final = "client"
 BAG: Final = "bag"
 """Folder of the bag inside the session folder."""
