@@ -151,12 +151,12 @@ class GoalRun:
         left = deque(self._continuation.steps)
         while left:
             pause = self._calibration.plan.pause_before(left[0])
-            if pause is None:
-                await self._measure_step(left.popleft())
-            else:
+            if pause is not None:
                 await self._have_set_up(pause)
                 while left and left[0] <= pause.last:
                     left.popleft()
+            if pause is None or pause.last < pause.first:
+                await self._measure_step(left.popleft())
             progress.left = len(left)
         progress.step = progress.total
 
