@@ -160,6 +160,42 @@ def test_an_interrupted_plan_goes_on_in_the_same_mounting(rotcal, environment, t
     assert again.strip() == (folder / "result.json").read_text().strip()
 
 
+UNSHOWN = """
+from dataclasses import replace
+from rotcal_polygon.method import METHOD as POLYGON
+
+def plan(configuration):
+    whole = POLYGON.plan(configuration)
+    return replace(whole, pauses=tuple(replace(p, last=p.first - 1) for p in whole.pauses))
+
+METHOD = replace(POLYGON, name="unshown", plan=plan)
+"""
+
+
+@pytest.mark.ros
+def test_work_that_no_step_shows_is_asked_for_once(environment, tmp_path):
+    """Also: a method needs no more than a module and the entry point that names it."""
+    pytest.importorskip("rclpy")
+    (tmp_path / "unshown.py").write_text(UNSHOWN)
+    info = tmp_path / "unshown-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: unshown\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[rotcal_ros.methods]\nunshown = unshown:METHOD\n")
+    demo = tmp_path / "demo.yaml"
+    demo.write_text(DEMO.read_text().replace("method: polygon", "method: unshown"))
+    path = os.pathsep.join([str(tmp_path), environment["PYTHONPATH"]])
+    done = subprocess.run(
+        [sys.executable, "-m", "rotcal_ros.cli.main", "run", demo, "--output", tmp_path / "out"],
+        capture_output=True,
+        text=True,
+        timeout=DEADLINE_S,
+        cwd=ROOT,
+        env={**environment, "PYTHONPATH": path, "ROS_DOMAIN_ID": str(free_domain())},
+    )
+    assert done.returncode == 0, done.stderr
+    assert [done.stderr.count(f"mounting {m} of 3") for m in range(3)] == [1, 1, 1]
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

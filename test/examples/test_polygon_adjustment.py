@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rotcal_polygon.adjustment import PolygonProblem, adjust, separable, solve
 
+from rotcal_polygon.adjustment import PolygonProblem, adjust, separable, solve
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.units import ARCSEC
 
