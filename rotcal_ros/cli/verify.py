@@ -161,7 +161,7 @@ def _applied(made: ExportFiles) -> list[str]:
     from rotcal_ros.compensation import plain_csv
 
     files = {name: text for name, text in made.files.items() if name.endswith(".csv")}
-    rows = plain_csv.read(files, plain_csv.CsvSettings())
+    rows = plain_csv.PlainCsv().read(files)
     columns = {
         "angles_deg": rows.angle_deg,
         "forward_arcsec": rows.forward_arcsec,

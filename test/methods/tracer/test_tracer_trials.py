@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tracer_scene import low_ring, simulate
+from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.methods.tracer import solve, tracer_trials
 from rotcal_ros.methods.tracer.angles import table_motion
@@ -50,16 +50,42 @@ def test_trials_scatter_as_the_solver_states(options):
     assert np.all(np.abs(shift) <= 4.5 * result.std["ECC"] / np.sqrt(count) + 1e-15)
 
 
+def test_more_stations_than_targets():
+    """Then the targets, not the stations, are what is left of the network after reduction."""
+    scene = simulate(3, arc(24, 14.0), n=10, layout=low_ring, length_std=0.0)
+    task = scene.problem(variant="joint", datum="prior", target_std=2e-6)
+    trials = tracer_trials(task)
+    assert trials.network is not None
+    assert not trials.network.stations_kept
+    lengths, places, _ = trials.draw(np.random.default_rng(5), 2)
+    found = trials(np.random.default_rng(5), 2)
+    for length, targets, deviation in zip(lengths, places, found, strict=True):
+        answer = solve(replace(task, length=length.ravel(), targets=targets))
+        np.testing.assert_allclose(deviation, answer.deviations["ECC"], atol=5e-12)
+
+
+@pytest.mark.parametrize("options", VARIANTS[:2], ids=lambda o: "-".join(o.values()))
+def test_trials_of_a_fixed_datum_settle_without_help(options, monkeypatch):
+    """Solving a trial alone is the way out of a limber free network, and slow."""
+
+    def refuse(*_):
+        pytest.fail("a trial was solved alone")
+
+    monkeypatch.setattr("rotcal_ros.methods.tracer.trials.relax", refuse)
+    values = tracer_trials(problem(options, noisy=True))(np.random.default_rng(7), 200)
+    assert values.shape == (200, 11)
+
+
 def test_missing_lengths_and_pickling():
     task = problem({"variant": "joint"})
     keep = np.arange(len(task.length)) % 17 != 0
     rows = {name: getattr(task, name)[keep] for name in
-            ("station", "target", "length", "length_std")}  # fmt: skip
+            ("position", "target", "length", "length_std")}  # fmt: skip
     part = replace(task, **rows)
     trials = pickle.loads(pickle.dumps(tracer_trials(part)))
     lengths, places, _ = trials.draw(np.random.default_rng(1), 1)
     grid = trials.grid
-    answer = solve(replace(part, length=lengths[0][part.station, part.target], targets=places[0]))
+    answer = solve(replace(part, length=lengths[0][part.position, part.target], targets=places[0]))
     assert not grid.used.all()
     np.testing.assert_allclose(
         trials(np.random.default_rng(1), 1)[0], answer.deviations["ECC"], atol=2e-12
