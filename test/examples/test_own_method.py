@@ -11,13 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
 from rotcal_ros.evaluation.one_table import by_ball_plate
 from rotcal_ros.methods import ball_plate
 from rotcal_ros.sessions.domains import free_domain
 from rotcal_ros.settings import load
 from rotcal_ros.simulation.settings import TableSettings
-from rotcal_ros.simulation.table import deviations
+from rotcal_ros.simulation.table import SimulatedTable, deviations
 from rotcal_ros.units import ARCSEC, DEGREE
 
 ROOT = Path(__file__).parents[2]
@@ -85,6 +87,16 @@ def test_the_live_result_is_true_within_its_uncertainty(session):
     assert error[1:] @ whitened < 34.0  # chi-squared with 11: one run in 3000
     assert np.ptp(truth["deviations"]["ECC"]) > 100.0 * max(result["std"]["ECC"])
     assert result["dof"] == 3 * 13 - (2 * N - 1 + 2)
+
+
+@pytest.mark.ros
+def test_the_live_run_finds_the_faces_of_the_simulated_polygon(session):
+    details = json.loads((session / "result.json").read_text())["details"]
+    text = yaml.safe_load(DEMO.read_text())["/**"]["ros__parameters"]["simulation"]
+    settings = load(PolygonSimulationSettings, text, "simulation")
+    true = SimulatedAutocollimator(settings, SimulatedTable(settings.table, 1, 0), 0).face_errors
+    error = np.array(details["face_error_rad"]) - (true - true.mean())
+    assert np.abs(error / details["face_error_std_rad"]).max() < 4.5
 
 
 @pytest.mark.ros

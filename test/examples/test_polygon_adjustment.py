@@ -1,11 +1,15 @@
 """Cross calibration of table and polygon: signs, truth, uncertainty, what cannot be solved."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from rotcal_polygon.adjustment import PolygonProblem, adjust, separable, solve
+from rotcal_polygon.calibration import check
+from rotcal_polygon.plan import plan
+from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.units import ARCSEC
 
@@ -156,3 +160,19 @@ def test_a_position_without_reading_is_named():
     part = replace(problem, **{name: getattr(problem, name)[keep] for name in columns})
     with pytest.raises(ObservabilityError, match=r"positions \[7\] have no reading"):
         adjust(part)
+
+
+def test_the_newest_mounting_has_to_be_aligned_before_the_plan_goes_on():
+    settings = PolygonPlanSettings(first_faces=(0, 1), alignment_arcsec=60.0)
+    configuration = SimpleNamespace(plan=settings, solver=PolygonSolverSettings(), source="here")
+    planned = plan(configuration)
+    assert [(pause.first, pause.last) for pause in planned.pauses] == [(0, 0), (13, 13)]
+    first, second = (
+        planned.steps[index].observed((reading * ARCSEC, 0.0, 0.0))
+        for index, reading in ((0, 70.0), (13, -61.0))
+    )
+    assert check(configuration, planned, ()) == ()
+    (words,) = check(configuration, planned, (first, second))
+    assert words == "mounting 1 reads -61 arcsec at position 0, allowed 60"
+    good = planned.steps[13].observed((59.0 * ARCSEC, 0.0, 0.0))
+    assert check(configuration, planned, (first, good)) == ()
