@@ -79,12 +79,12 @@ class GoalRun:
         left = deque(self._continuation.steps)
         while left:
             pause = self._calibration.plan.pause_before(left[0])
-            if pause is None:
-                await self._steps.measure(left.popleft())
-            else:
+            if pause is not None:
                 await self.person.have_done(pause)
                 while left and left[0] <= pause.last:
                     left.popleft()
+            if pause is None or pause.last < pause.first:
+                await self._steps.measure(left.popleft())
             progress.left = len(left)
         progress.step = progress.total
 
