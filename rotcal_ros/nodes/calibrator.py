@@ -15,7 +15,6 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
 from action_msgs.msg import GoalStatus
@@ -153,12 +152,7 @@ class Calibrator:
     def __enter__(self) -> Calibrator:
         return self
 
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         with suppress(CalibratorError):
             if self._running():
                 self.cancel()
