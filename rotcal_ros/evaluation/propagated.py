@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.components import COMPONENTS, ROTATIONS
+from rotcal_ros.components import COMPONENTS, unit_of
 from rotcal_ros.evaluation.monte_carlo import Propagation, compare_with_linear
 from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.units import DEGREE
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,7 @@ class Propagated:
         """Where the trials contradict the solver, in units that people read."""
         texts: list[str] = []
         for k, (name, part) in enumerate(self.components.items()):
-            unit = ARCSEC if name in ROTATIONS else MICROMETRE
-            label = "arcsec" if unit == ARCSEC else "um"
+            unit, label = unit_of(name)
             at = slice(k * len(part.value), (k + 1) * len(part.value))
             texts += compare_with_linear(
                 _cut(self.spread, at, unit),

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from rotcal_ros.catalogue import Calibration, changed
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, TRANSLATIONS
+from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, MICROMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue import Method
@@ -108,15 +107,10 @@ def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
             f"freedom, verdict {result.verdict}"
         )
         for name in (name for name in COMPONENTS if name in result.deviations):
-            unit, label = _unit(name)
-            line = (
-                f"  {name}  U {COVERAGE_FACTOR * float(result.std[name].max()) / unit:.3f} {label}"
-            )
+            unit, label = unit_of(name)
+            expanded = COVERAGE_FACTOR * float(result.std[name].max()) / unit
+            line = f"  {name}  U {expanded:.3f} {label}"
             if name in evaluation.differences:
                 line += f", at most {evaluation.differences[name] / unit:.3f} from the first"
             lines.append(line)
     return lines
-
-
-def _unit(name: str) -> tuple[float, str]:
-    return (MICROMETRE, "um") if name in TRANSLATIONS else (ARCSEC, "arcsec")

@@ -11,12 +11,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
+from uuid import uuid4
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, sha256_of
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import BagError, ConfigurationError, RotcalError
+from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import Recording, read_recording
 from rotcal_ros.results import Result
 
@@ -210,7 +212,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, outcome: Outcome) -> None:
-    """Keep an outcome; two workers with the same bag write the same file."""
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
-        json.dump(asdict(outcome), file)
-    Path(file.name).replace(path)
+    """Keep an outcome; two workers with the same bag write it under names of their own."""
+    own = path.with_suffix(f".{uuid4().hex}")
+    write_atomically(own, json.dumps(asdict(outcome)))
+    own.replace(path)

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from rotcal_ros import __version__
 from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.figures import style
+from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.many import Outcome
+from rotcal_ros.report.template import environment
 
 
 def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
@@ -54,23 +55,18 @@ def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
 
 def write_overview(outcomes: Sequence[Outcome], configuration_text: str, path: Path) -> None:
     """Write the page: the trend of every component over time, and one row per bag."""
-    environment = Environment(
-        loader=PackageLoader("rotcal_ros.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    text = (
+        environment()
+        .get_template("overview.html.j2")
+        .render(
+            version=__version__,
+            rows=[_summary(outcome) for outcome in outcomes],
+            figures=[(name, _trend(outcomes, name)) for name in _components(outcomes)],
+            bad=sum(bool(outcome.error) for outcome in outcomes),
+            configuration_text=configuration_text,
+        )
     )
-    text = environment.get_template("overview.html.j2").render(
-        version=__version__,
-        rows=[_summary(outcome) for outcome in outcomes],
-        figures=[(name, _trend(outcomes, name)) for name in _components(outcomes)],
-        bad=sum(bool(outcome.error) for outcome in outcomes),
-        configuration_text=configuration_text,
-    )
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
+    write_atomically(path, text)
 
 
 def in_time(outcomes: Sequence[Outcome]) -> list[Outcome]:

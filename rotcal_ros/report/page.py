@@ -57,7 +57,7 @@ def render_report(report: ReportInput) -> str:
             rows=_deviation_rows(result),
             summary=_summary(result),
             extra=[*_evaluation_sections(result), *report.extra],
-            sections=_detail_sections(result.details),
+            sections=_detail_sections(result.all_details),
             attempts=[o for o in report.observations if not o.accepted],
         )
     )

@@ -4,33 +4,42 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any
+from pathlib import Path
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.recordings.replay import Recording
-from rotcal_ros.report.page import ReportInput
+from rotcal_ros.report.page import ReportInput, write_report
 from rotcal_ros.results import Result
 
 
-def report_of(
-    recording: Recording, result: Result, truth: Mapping[str, Any] | None = None
-) -> ReportInput:
-    """Return what the page shows of a recording and the result that was solved from it."""
+def write_recorded(
+    recording: Recording,
+    page: Path,
+    truth: Path | None = None,
+    extra: Sequence[tuple[str, str]] = (),
+) -> Result:
+    """Solve a recording, write the page about it, and return the result.
+
+    ``truth`` is the truth.json of a simulation, ``extra`` holds further sections as (title, HTML).
+    """
     configuration = recording.calibration.configuration
-    return ReportInput(
-        result=result,
+    report = ReportInput(
+        result=recording.solve(),
         title="Calibration of a rotary table",
         method_title=recording.calibration.method.title,
         observations=recording.observations,
         configuration_text=configuration.text,
         inputs=[*recording.sha256.items(), ("plan and configuration", configuration.plan_id)],
         versions={**_recorded_versions(recording.attachments), **_own_versions()},
-        truth=truth,
+        truth=None if truth is None else json.loads(truth.read_text(encoding="utf-8")),
         notes=recording.warnings(),
+        extra=extra,
     )
+    write_report(report, page)
+    return report.result
 
 
 def _own_versions() -> dict[str, str]:

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.compensation.controllers import CONTROLLERS
+from rotcal_ros.plugins import CONTROLLERS, names
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
@@ -44,7 +44,7 @@ def export(tmp_path):
     return run
 
 
-@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize("controller", names(CONTROLLERS))
 def test_every_controller_gets_its_files(export, tmp_path, controller):
     run = export("--to", controller, "--spacing", 10, "--accept-unverified", "--json")
     assert run.exit_code == 0, run.stderr
@@ -75,7 +75,7 @@ def test_all_that_was_measured_as_a_volumetric_table(export, tmp_path):
     ("arguments", "code", "words"),
     [
         (["--to", "fanuc", "--spacing", 10], 2, "--accept-unverified"),
-        (["--to", "bosch"], 2, "expected one of: linuxcnc"),
+        (["--to", "bosch"], 2, "unknown controller 'bosch'; known: csv"),
         (["--to", "linuxcnc", "--spacing", 1], 2, "360 rows x 1 turns"),
         (["--to", "sinumerik", "--spacing", 7], 2, "choose a spacing that divides 360"),
         (["--to", "csv", "--spacing", 0], 2, "spacing 0 deg"),
