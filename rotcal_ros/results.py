@@ -15,6 +15,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import DataError
 from rotcal_ros.units import DEGREE
 
@@ -91,6 +92,11 @@ class Result:
     residuals: Residuals | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     runs: RepeatedRuns | None = None
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the deviations that were measured, in the order of COMPONENTS."""
+        return tuple(name for name in COMPONENTS if name in self.deviations)
 
     @property
     def all_details(self) -> Mapping[str, Any]:

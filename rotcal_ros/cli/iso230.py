@@ -44,19 +44,12 @@ def command(source: Path, output: Path | None, as_json: bool) -> int:
 
 
 def _read(source: Path) -> BidirectionalRuns:
-    from rotcal_ros.errors import DataError
-    from rotcal_ros.evaluation.bidirectional import read_runs, runs_of
-    from rotcal_ros.recordings.sources import read_source, read_text
+    from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
+    from rotcal_ros.recordings.sources import read_result, read_text
 
     if source.suffix == ".csv":
         return read_runs(read_text(source), str(source))
-    runs = runs_of(read_source(source).result)
-    if runs is None:
-        raise DataError(
-            f"{source}: the result holds no repeated runs in both directions; measure with the "
-            "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional'"
-        )
-    return runs
+    return require_runs(read_result(source), str(source))
 
 
 def _draw(output: Path, runs: BidirectionalRuns, figures: Iso230) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -78,6 +77,7 @@ def _propagate(
     model: Model, trials: int, digits: int, seed: int, workers: int | None
 ) -> Propagation:
     from rotcal_ros.evaluation.monte_carlo import BLOCK, propagate
+    from rotcal_ros.recordings.workers import usable_cores
 
     with progress("trials") as shown:
         return propagate(
@@ -85,13 +85,7 @@ def _propagate(
             seed=seed,
             max_trials=trials,
             digits=digits,
-            workers=workers or _cores(),
+            workers=workers or usable_cores(),
             block=min(BLOCK, trials),
             progress=shown,
         )
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    usable: Any = getattr(os, "sched_getaffinity", None)
-    return len(usable(0)) if usable else os.cpu_count() or 1

@@ -70,6 +70,17 @@ def runs_of(result: Result) -> BidirectionalRuns | None:
     return BidirectionalRuns(runs.targets, runs.forward, runs.reverse)
 
 
+def require_runs(result: Result, source: str) -> BidirectionalRuns:
+    """Return the runs of a result; DataError, naming ``source``, when it holds none."""
+    runs = runs_of(result)
+    if runs is None:
+        raise DataError(
+            f"{source}: the result holds no repeated runs in both directions; measure with the "
+            "plan settings 'runs' (2 or more, the standard asks for 5) and 'bidirectional'"
+        )
+    return runs
+
+
 def _row(cells: list[str], where: str) -> tuple[tuple[float, str, str], float]:
     if len(cells) != len(HEADER):
         raise DataError(f"{where}: {len(cells)} columns, expected {len(HEADER)}")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.components import COMPONENTS, unit_of
+from rotcal_ros.components import unit_of
 from rotcal_ros.evaluation.monte_carlo import Propagation, compare_with_linear
 from rotcal_ros.results import Result
 from rotcal_ros.units import DEGREE
@@ -38,7 +38,7 @@ class Propagated:
     @cached_property
     def components(self) -> dict[str, Part]:
         """What solver and trials say about each component."""
-        names = [name for name in COMPONENTS if name in self.result.deviations]
+        names = self.result.components
         columns = (self.spread.mean, self.spread.std, self.spread.low, self.spread.high)
         split = [np.split(column, len(names)) for column in columns]
         return {

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from rotcal_ros.catalogue import Calibration, changed
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.results import Result
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def largest_differences(method: Method, first: Result, second: Result) -> dict[s
     if not len(here):
         return {}
     angles = first.angles[here]
-    names = [name for name in COMPONENTS if {name} <= first.deviations.keys() & second.deviations]
+    names = [name for name in first.components if name in second.deviations]
     left = method.gauge(angles, {name: first.deviations[name][here] for name in names})
     right = method.gauge(angles, {name: second.deviations[name][there] for name in names})
     return {name: float(np.abs(left[name] - right[name]).max()) for name in names}
@@ -106,7 +106,7 @@ def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
             f"{evaluation.name}: {result.n_observations} observations, {result.dof} degrees of "
             f"freedom, verdict {result.verdict}"
         )
-        for name in (name for name in COMPONENTS if name in result.deviations):
+        for name in result.components:
             unit, label = unit_of(name)
             expanded = COVERAGE_FACTOR * float(result.std[name].max()) / unit
             line = f"  {name}  U {expanded:.3f} {label}"

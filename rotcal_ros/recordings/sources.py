@@ -50,6 +50,11 @@ def read_source(path: Path) -> Source:
     return Source(result, {path.name: sha256(data).hexdigest()})
 
 
+def read_result(path: Path) -> Result:
+    """Return the result of :func:`read_source`."""
+    return read_source(path).result
+
+
 def read_text(path: Path) -> str:
     """Return the text of ``path``, a byte order mark left out; raises BagError."""
     try:
@@ -64,7 +69,7 @@ def read_curve(path: Path, component: str, polygon: MeasuredCurve | None) -> Mea
     ``polygon`` holds the face errors that are taken off reference tables.
     """
     if path.suffix != ".csv":
-        return measured_curve(read_source(path).result, component)
+        return measured_curve(read_result(path), component)
     if component != "ECC":
         raise DataError(f"{path}: a reference table holds ECC only, {component} was asked for")
     reading = read_reference(read_text(path), str(path))

@@ -93,8 +93,7 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
     }
     return [
         {**common, "component": name, "angle_rad": angle, "deviation": deviation, "std": std}
-        for name in COMPONENTS
-        if name in result.deviations
+        for name in result.components
         for angle, deviation, std in zip(
             result.angles.tolist(),
             result.deviations[name].tolist(),
@@ -113,10 +112,9 @@ def _summary(outcome: Outcome) -> dict[str, Any]:
     result = outcome.deviations()
     ranges = []
     if result is not None:
-        for name in COMPONENTS:
-            if name in result.deviations:
-                factor, unit = unit_of(name)
-                ranges.append(f"{name} {np.ptp(result.deviations[name]) / factor:.3g} {unit}")
+        for name in result.components:
+            factor, unit = unit_of(name)
+            ranges.append(f"{name} {np.ptp(result.deviations[name]) / factor:.3g} {unit}")
     return {
         "source": outcome.source,
         "table": outcome.table,

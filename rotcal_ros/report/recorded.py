@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
@@ -25,21 +27,28 @@ def write_recorded(
 
     ``truth`` is the truth.json of a simulation, ``extra`` holds further sections as (title, HTML).
     """
+    result = recording.solve()
+    injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
+    write_report(replace(report_of(recording, result, injected), extra=extra), page)
+    return result
+
+
+def report_of(
+    recording: Recording, result: Result, truth: Mapping[str, Any] | None = None
+) -> ReportInput:
+    """Return what the page shows of a recording and the result that was solved from it."""
     configuration = recording.calibration.configuration
-    report = ReportInput(
-        result=recording.solve(),
+    return ReportInput(
+        result=result,
         title="Calibration of a rotary table",
         method_title=recording.calibration.method.title,
         observations=recording.observations,
         configuration_text=configuration.text,
         inputs=[*recording.sha256.items(), ("plan and configuration", configuration.plan_id)],
         versions={**_recorded_versions(recording.attachments), **_own_versions()},
-        truth=None if truth is None else json.loads(truth.read_text(encoding="utf-8")),
+        truth=truth,
         notes=recording.warnings(),
-        extra=extra,
     )
-    write_report(report, page)
-    return report.result
 
 
 def _own_versions() -> dict[str, str]:

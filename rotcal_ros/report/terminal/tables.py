@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.evaluation.propagated import Propagated
@@ -17,7 +17,7 @@ from rotcal_ros.units import ARCSEC, DEGREE
 
 def print_result(result: Result) -> None:
     """Print deviations with their standard uncertainties, warnings and the verdict."""
-    names = [name for name in COMPONENTS if name in result.deviations]
+    names = result.components
     rows = []
     for i, angle in enumerate(result.angles):
         cells = []
