@@ -1,12 +1,14 @@
 # `make demo` and `make test` first make .venv with all they need; see README.md.
 PYTHON ?= python3
 BIN := .venv/bin
+SEED ?= 1
+SAMPLE ?= 400
 
 # A sourced ROS installation must not leak into .venv, which brings its own ROS.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test bench lint setup clean help
+.PHONY: demo resume test bench mutants lint setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, verify; in out/demo
 	@$(BIN)/rotcal run config/tracer_demo.yaml --output out/demo --keep-previous \
@@ -22,6 +24,11 @@ test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 
 bench: setup  ## compare speed with well-known alternatives, side by side
 	@$(BIN)/python benchmarks/run.py --json out/benchmarks.json
+
+mutants: setup  ## try small faults in the code: do the tests notice? SEED=1 SAMPLE=400
+	@$(BIN)/python -c 'import coverage, libcst, mutmut' 2>/dev/null || $(BIN)/pip install -q \
+		--disable-pip-version-check --no-build-isolation -c constraints.txt -e '.[mutants]'
+	@nice $(BIN)/python scripts/mutants.py --seed $(SEED) --sample $(SAMPLE) $(MUTANTS_ARGS)
 
 lint: setup  ## style, types, and which room may import which
 	$(BIN)/ruff check .

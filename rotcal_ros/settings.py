@@ -1,13 +1,12 @@
 """Settings: typed, documented and range-checked fields of frozen dataclasses.
 
 One declaration serves everybody: the YAML reader checks against it, the ROS nodes declare their
-parameters from it (description, unit, range), and the documentation lists it.
+parameters from it (description, unit, range), and ``docs/settings.md`` is written from it.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import types
 import typing
@@ -16,21 +15,37 @@ from dataclasses import MISSING, dataclass
 from typing import Any, TypeVar
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.plugins import nearest
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """What a setting means: ``description`` with the unit, and its inclusive range.
-
-    ``choices`` of a setting that is a Literal are those of its type.
-    """
+    """What a setting means: ``description`` with the unit, and its inclusive range."""
 
     description: str
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """One setting as it was declared: ``name`` is dotted below its group.
+
+    ``kind`` is the type of a value, or of the elements of a list (``is_list``); a fixed ``length``
+    of a list is None where any number will do. ``default`` is MISSING for a setting that has to
+    be given.
+    """
+
+    name: str
+    kind: type
+    is_list: bool
+    length: int | None
+    optional: bool
+    default: Any
+    info: SettingInfo
 
 
 def setting(
@@ -44,10 +59,9 @@ def setting(
     """Declare a field of a settings dataclass.
 
     ``doc`` names the unit. Without a default the setting is required. A list setting is a
-    tuple; its range holds for every element.
+    tuple; its range holds for every element. The choices of a Literal are those of its type.
     """
-    info = SettingInfo(doc, minimum, maximum, tuple(choices))
-    metadata = {"setting": info}
+    metadata = {"setting": SettingInfo(doc, minimum, maximum, tuple(choices))}
     if default is MISSING:
         return dataclasses.field(metadata=metadata, kw_only=True)
     return dataclasses.field(default=default, metadata=metadata, kw_only=True)
@@ -72,22 +86,20 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
-            near = difflib.get_close_matches(str(name), fields, n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(fields)}"
+            hint = nearest(str(name), fields)
             raise ConfigurationError(f"{where}: unknown setting {name!r}{hint}")
     loaded: dict[str, Any] = {}
     for name, field in fields.items():
         if name in values:
-            place = f"{where}.{name}"
-            hint_type = hints[name]
-            if dataclasses.is_dataclass(hint_type):
-                loaded[name] = load(typing.cast(type, hint_type), values[name], place)
+            place, hint = f"{where}.{name}", hints[name]
+            if dataclasses.is_dataclass(hint):
+                loaded[name] = load(typing.cast(type, hint), values[name], place)
             else:
-                loaded[name] = _checked(values[name], hint_type, field.metadata["setting"], place)
+                loaded[name] = _checked(values[name], _declaration(field, hint), place)
         elif field.default is MISSING and field.default_factory is MISSING:
-            raise ConfigurationError(
-                f"{where}: setting {name!r} is missing ({field.metadata['setting'].description})"
-            )
+            what = "a group of settings" if dataclasses.is_dataclass(hints[name]) else ""
+            what = what or field.metadata["setting"].description
+            raise ConfigurationError(f"{where}: setting {name!r} is missing ({what})")
     return cls(**loaded)
 
 
@@ -100,49 +112,60 @@ def to_mapping(settings: Any) -> dict[str, Any]:
     }
 
 
-def walk(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, SettingInfo]]:
-    """Yield (dotted name, value, info) of every setting, groups flattened, for ROS parameters."""
-    for field in dataclasses.fields(settings):
-        value = getattr(settings, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from walk(value, f"{prefix}{field.name}.")
+def declarations(cls: type[Any], prefix: str = "") -> Iterator[Declaration]:
+    """Yield every setting that ``cls`` declares, nested groups flattened."""
+    hints = typing.get_type_hints(cls)
+    for field in dataclasses.fields(cls):
+        if dataclasses.is_dataclass(hints[field.name]):
+            yield from declarations(hints[field.name], f"{prefix}{field.name}.")
         else:
-            yield prefix + field.name, value, field.metadata["setting"]
+            yield _declaration(field, hints[field.name], prefix)
+
+
+def _declaration(field: dataclasses.Field[Any], hint: Any, prefix: str = "") -> Declaration:
+    """Return what the field of a settings dataclass declares."""
+    info: SettingInfo = field.metadata["setting"]
+    optional = typing.get_origin(hint) in (types.UnionType, typing.Union)
+    if optional:
+        hint = next(h for h in typing.get_args(hint) if h is not types.NoneType)
+    length, is_list = None, typing.get_origin(hint) is tuple
+    if is_list:
+        arguments = typing.get_args(hint)
+        hint, length = arguments[0], None if Ellipsis in arguments else len(arguments)
+    if typing.get_origin(hint) is typing.Literal:
+        info = dataclasses.replace(info, choices=typing.get_args(hint))
+        hint = str
+    return Declaration(prefix + field.name, hint, is_list, length, optional, field.default, info)
 
 
 def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _checked(value: Any, hint: Any, info: SettingInfo, place: str) -> Any:
-    """Return ``value`` as the hinted type, or raise with place, finding and expectation."""
-    origin = typing.get_origin(hint)
-    if origin is types.UnionType or origin is typing.Union:
-        if value is None:
-            return None
-        hint = next(h for h in typing.get_args(hint) if h is not type(None))
-        origin = typing.get_origin(hint)
-    if origin is tuple:
-        if isinstance(value, str) or not isinstance(value, Sequence):
-            raise ConfigurationError(f"{place}: expected a list, found {value!r}")
-        arguments = typing.get_args(hint)
-        if Ellipsis not in arguments and len(value) != len(arguments):
-            raise ConfigurationError(
-                f"{place}: expected {len(arguments)} values, found {len(value)}: {value!r}"
-            )
-        return tuple(_scalar(v, arguments[0], info, f"{place}[{i}]") for i, v in enumerate(value))
-    return _scalar(value, hint, info, place)
+def _checked(value: Any, declared: Declaration, place: str) -> Any:
+    """Return ``value`` as the declared type, or raise with place, finding and expectation."""
+    if declared.optional and value is None:
+        return None
+    if not declared.is_list:
+        return _scalar(value, declared, place)
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise ConfigurationError(f"{place}: expected a list, found {value!r}")
+    if declared.length not in (None, len(value)):
+        raise ConfigurationError(
+            f"{place}: expected {declared.length} values, found {len(value)}: {value!r}"
+        )
+    return tuple(_scalar(v, declared, f"{place}[{i}]") for i, v in enumerate(value))
 
 
-def _scalar(value: Any, kind: Any, info: SettingInfo, place: str) -> Any:
-    if typing.get_origin(kind) is typing.Literal:
-        kind = str
+def _scalar(value: Any, declared: Declaration, place: str) -> Any:
+    kind, info = declared.kind, declared.info
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
-    fits: bool = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
+    fits = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
     if not fits:
         raise ConfigurationError(
             f"{place}: expected {kind.__name__} ({info.description}), found {value!r}"
+            f"{_number_hint(value, kind)}"
         )
     if kind is float and not math.isfinite(value):
         raise ConfigurationError(f"{place}: expected a finite number, found {value!r}")
@@ -153,5 +176,17 @@ def _scalar(value: Any, kind: Any, info: SettingInfo, place: str) -> Any:
             f"{place}: {value!r} is out of range {bounds} ({info.description})"
         )
     if info.choices and value not in info.choices:
-        raise ConfigurationError(f"{place}: {value!r} is none of {', '.join(info.choices)}")
+        hint = nearest(str(value), info.choices)
+        raise ConfigurationError(f"{place}: {value!r} is none of {', '.join(info.choices)}{hint}")
     return value
+
+
+def _number_hint(value: Any, kind: type) -> str:
+    """Return a hint at YAML's rule for numbers: 5e-8 without a point is a text there."""
+    if kind is not float or not isinstance(value, str):
+        return ""
+    try:
+        number = float(value)
+    except ValueError:
+        return ""
+    return f"; for YAML a number with an exponent has a point: {number!r}" if number else ""

@@ -66,20 +66,19 @@ class Table:
     header: Header
     lines: tuple[tuple[int, tuple[str, ...]], ...]
 
-    def rows(self, names: Header | None = None) -> list[Row]:
-        """Return the lines with their cells by column; ``names`` are other names for these.
+    def rows(self) -> list[Row]:
+        """Return the lines with their cells by column.
 
         Raises DataError for a line of another length, and for a table without lines.
         """
-        names = names or self.header
         rows = []
         for number, cells in self.lines:
-            if len(cells) != len(names):
+            if len(cells) != len(self.header):
                 raise DataError(
-                    f"{self.path}, row {number}: expected {len(names)} values "
+                    f"{self.path}, row {number}: expected {len(self.header)} values "
                     f"({','.join(self.header)}), found {len(cells)}"
                 )
-            row = dict(zip(names, cells, strict=True))
+            row = dict(zip(self.header, cells, strict=True))
             rows.append(Row(f"{self.path}, row {number}", row))
         if not rows:
             raise DataError(f"{self.path}: the table has a header but no rows")

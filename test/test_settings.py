@@ -1,11 +1,12 @@
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
+from typing import Literal
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import group, load, setting, to_mapping, walk
+from rotcal_ros.settings import declarations, group, load, setting, to_mapping
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,8 @@ class Outer:
     name: str = setting(doc="name of the cell")
     count: int = setting(3, doc="number", minimum=1)
     order: str = setting("a", doc="order", choices=("a", "b"))
+    way: Literal["up", "down"] = setting("up", doc="way")
+    limit_m: float | None = setting(None, doc="m, limit", minimum=0.0)
     centre_m: tuple[float, float, float] = setting((0.0, 0.0, 0.0), doc="m, centre")
     angles_deg: tuple[float, ...] = setting((), doc="deg, angles")
     inner: Inner = group(Inner)
@@ -39,6 +42,10 @@ def test_defaults_and_whole_numbers_for_floats() -> None:
         ({"name": "x", "count": 1.5}, "expected int"),
         ({"name": "x", "count": 0}, "out of range 1 to inf"),
         ({"name": "x", "order": "c"}, "none of a, b"),
+        ({"name": "x", "way": "dwon"}, "none of up, down; did you mean 'down'"),
+        ({"name": "x", "way": None}, "expected str"),
+        ({"name": "x", "limit_m": -1}, "out of range 0.0 to inf"),
+        ({"name": "x", "inner": {"rate_hz": "5e1"}}, r"has a point: 50\.0"),
         ({"name": "x", "centre_m": [1.0]}, "expected 3 values, found 1"),
         ({"name": "x", "angles_deg": [1.0, float("nan")]}, r"angles_deg\[1\]: expected a finite"),
         ({"name": "x", "inner": {"rate_hz": 0.0}}, r"here.inner.rate_hz: 0.0 is out of range"),
@@ -51,9 +58,17 @@ def test_refused(values: dict[str, object], text: str) -> None:
         load(Outer, values, "here")
 
 
-def test_walk_flattens_groups_for_ros_parameters() -> None:
-    names = [name for name, _, _ in walk(Outer(name="x"))]
-    assert names == ["name", "count", "order", "centre_m", "angles_deg", "inner.rate_hz"]
+def test_declarations_are_flat_and_complete() -> None:
+    found = {declared.name: declared for declared in declarations(Outer)}
+    assert list(found) == [
+        "name", "count", "order", "way", "limit_m", "centre_m", "angles_deg", "inner.rate_hz",
+    ]  # fmt: skip
+    assert found["name"].default is MISSING
+    assert found["way"].info.choices == ("up", "down")
+    assert (found["limit_m"].optional, found["limit_m"].kind) == (True, float)
+    assert (found["centre_m"].is_list, found["centre_m"].length) == (True, 3)
+    assert (found["angles_deg"].is_list, found["angles_deg"].length) == (True, None)
+    assert found["inner.rate_hz"].info.maximum == 1000.0
 
 
 @given(

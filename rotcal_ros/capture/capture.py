@@ -52,8 +52,9 @@ class Capture:
     time) behind another, equal streams give equal observations to the last bit. A stream that
     falls further behind rejects the attempt: it is silent, or stamped by another clock.
 
-    ``rules`` are those of the method; ``run`` is the number of the run that is captured. Nor does it matter how long before the first attempt the capture began to listen. Commands
-    are only compared with the plan: what counts is what the machine did.
+    ``rules`` are those of the method; ``run`` is the number of the run that is captured. Nor does
+    it matter how long before the first attempt the capture began to listen. Commands are only
+    compared with the plan: what counts is what the machine did.
     """
 
     def __init__(

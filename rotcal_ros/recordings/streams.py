@@ -59,7 +59,8 @@ class StreamFeeder:
 
     Tracer readings go in many at once, so they run ahead of the other streams, by one second
     of their stamps at most; the capture's answer does not depend on that. ``make`` returns a new
-    capture for the run with a number. ``joint`` names the table among the joint states; empty means the first.
+    capture for the run with a number. ``joint`` names the table among the joint states; empty
+    means the first.
     """
 
     def __init__(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from bag_samples import STORE, TYPES, Run
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from rotcal_ros.bags import names
@@ -100,10 +101,14 @@ def test_nothing_is_overwritten(run_bag: Path, tmp_path: Path) -> None:
 
 
 def test_sound_bag_keeps_sequence_and_times(run_bag: Path, tmp_path: Path) -> None:
-    repair(run_bag, tmp_path / "copy")
+    (verdict,) = repair(run_bag, tmp_path / "copy").before
     streams = []
     for folder in (run_bag, tmp_path / "copy"):
         with AnyReader([folder]) as reader:
             streams.append([(c.topic, t, bytes(d)) for c, t, d in reader.messages()])
     assert streams[0] == streams[1]
-    assert names.REPAIR == "rotcal_repair"
+    (copied,) = bag_files(tmp_path / "copy")
+    with copied.open("rb") as file:
+        notes = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+    assert notes["rotcal_repair"] == {"run_0.mcap": verdict.sentence()}
+    assert "complete" in verdict.sentence()

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from rotcal_ros.catalogue import prepare
+from rotcal_ros.catalogue import changed, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.sessions.session import changed
 from rotcal_ros.simulation import SimulatedCell
 
 DEMO = Path(__file__).parents[2] / "config" / "ball_plate_demo.yaml"

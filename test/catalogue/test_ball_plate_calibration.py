@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from plate_cell import measure, simulated_cell, small
 
+from rotcal_ros.catalogue import changed
 from rotcal_ros.catalogue.ball_plate.calibration import gauge, problem
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError, PlanError
 from rotcal_ros.evaluation.ways import evaluate, in_words, ways
 from rotcal_ros.observations import PointKind
-from rotcal_ros.sessions.session import changed
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def test_machine_and_plate_errors_are_those_injected(measured):
     machine = np.array(group["cmm_errors"])
     cell = simulated_cell(calibration)
     places = np.array(calibration.plan.targets)
-    injected = cell._machine._error(places)
+    injected = cell.instrument._error(places)
     angle = 2 * np.pi * np.arange(12) / 12
     # what Eq. 15 leaves of them: no shift, no rotation, no scale
     columns = [np.tile(e, (12, 1)) for e in np.eye(3)]

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue import find_method, prepare
+from rotcal_ros.catalogue import changed, find_method, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.measurements import read_measurements
+from rotcal_ros.catalogue.plane_mirror.table import write_points
 from rotcal_ros.errors import ConfigurationError, DataError, PlanError
-from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem, write_points
+from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.problem import problem_from_observations
 from rotcal_ros.observations import PointKind
-from rotcal_ros.sessions.session import changed
 from rotcal_ros.simulation import SimulatedCell
-from rotcal_ros.tables import read_measurements
 from rotcal_ros.units import ARCSEC
 
 CONFIG = Path(__file__).parents[2] / "config"
@@ -63,7 +63,7 @@ def test_the_configurations_are_what_they_say():
     assert (len(demo.table_angles), len(demo.pauses), len(demo.targets)) == (17, 6, 6)
     assert len(demo.steps) == 6 * 6 + 22 * 3 * 2
     real = prepare(read_configuration(CONFIG / "plane_mirror.yaml"))
-    assert "simulation" not in real.configuration.groups
+    assert not real.configuration.simulated
     assert len(real.plan.pauses) == 6
     assert "tracer_length" not in find_method("plane_mirror").topics
 

@@ -25,6 +25,14 @@ def export(table, name, spacing=None, **more):
 # Limits, before anything is written.
 
 
+@pytest.mark.parametrize("name", ["heidenhain", "fagor", "twincat", "fanuc", "pmac"])
+def test_an_arc_is_refused_where_tables_repeat_every_turn(name):
+    angles = np.deg2rad(np.arange(10.0, 160.0, 10.0))
+    table = table_from_result(result_of(angles, wavy(angles)))
+    with pytest.raises(ConfigurationError, match=r"covers only 10 \.\. 150 deg: measure the full"):
+        export(table, name)
+
+
 @pytest.mark.parametrize(
     ("name", "values", "rows", "text"),
     [

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from rotcal_ros.compensation.controllers import CONTROLLERS, controller, make_settings
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -114,6 +114,17 @@ def test_fanuc_slots_by_hand():
     np.testing.assert_allclose(got, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("before", "after"), [("N10060P1;", "N10060P2;"), ("N10061P-3;", "N10061P-4;")]
+)
+def test_fanuc_slots_that_do_not_close_are_refused(before, after):
+    table = table_from_result(result_of(even(4), np.deg2rad([0, 0.005, -0.003, 0.001])))
+    files, kind, made = example("fanuc", table, reference_slot=60)
+    assert before in files["x.txt"]
+    with pytest.raises(BagError):
+        kind.read({"x.txt": files["x.txt"].replace(before, after)}, made)
+
+
 def test_fanuc_step_above_seven_is_refused_with_the_numbers():
     table = table_from_result(result_of(even(4), np.deg2rad([0, 0.005, -0.003, 0.001])))
     with pytest.raises(
@@ -149,7 +160,9 @@ def test_pmac_by_hand():
 def test_heidenhain_and_fagor_hold_errors():
     files, kind, made = example("heidenhain")
     assert "1 90.00000 0.00300 0.00500" in files["x.COM"]
-    assert "0 * x" in files["x.CMA"]
+    assert files["x.CMA"] == "BEGIN x.CMA\nNR ACTIVE C1\n0 * x\n[END]\n"
+    assert files["x.COM"].startswith("BEGIN x.COM\nNR AXISPOS BACKLASH C1\n0 ")
+    assert files["x.COM"].endswith("\n[END]\n")
     np.testing.assert_allclose(applied(files, kind, made, 90, UP), -0.005)
     files, kind, made = example("fagor")
     assert files["x.txt"].splitlines()[1] == "P002 C1 90.0000 EC1 0.0050 EC1 0.0030"
@@ -250,13 +263,22 @@ def test_second_order_is_simulated_and_stated():
 
 
 @pytest.mark.parametrize(
-    ("name", "step_arcsec"), [("twincat", 0.36), ("fagor", 0.36), ("heidenhain", 0.036)]
+    ("name", "value_arcsec", "angle_arcsec"),
+    [("twincat", 0.18, 0.0), ("fagor", 0.18, 0.36), ("heidenhain", 0.036, 0.036)],
 )
-def test_rounding_is_half_a_step(name, step_arcsec):
+def test_rounding_is_half_a_step_and_what_the_angle_moves(name, value_arcsec, angle_arcsec):
+    """Angles are rounded too: that many arcsec times the steepest slope of the curve.
+
+    A value of Heidenhain's way back may be the sum of two rounded ones.
+    """
     angles = even(36)
     done = export(table_from_result(result_of(angles, wavy(angles))), name)
-    assert done.residual.rounding / ARCSEC == pytest.approx(step_arcsec / 2, rel=1.1, abs=0)
-    assert done.residual.rounding / ARCSEC >= step_arcsec / 2
+    fine = even(36_000)
+    slope = np.max(np.abs(np.diff(wavy(fine)))) / (fine[1] - fine[0])
+    expected = value_arcsec + slope * angle_arcsec
+    # the spline through 36 rows and the margin of the sampling: the slope to a few percent
+    allowed = 0.05 * slope * angle_arcsec + 1e-12
+    assert done.residual.rounding / ARCSEC == pytest.approx(expected, rel=0, abs=allowed)
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)

@@ -14,6 +14,7 @@ from rotcal_ros.units import ARCSEC
 
 BALLS = (0, 3, 4, 9, 14, 20)
 RUNS = 40
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

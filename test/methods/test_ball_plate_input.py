@@ -65,6 +65,15 @@ def test_bad_plates_are_refused(change, text):
         parse_plate({**GOOD, **change}, "plate.yaml")
 
 
+def test_balls_may_not_overlap_across_the_first_step():
+    """Steps 11 and 0 of 12 lie side by side: 2 r sin(15 deg) = 95.8 mm apart."""
+    apart = {**GOOD, "grid": 12, "ball_steps": [0, 5, 11], "ball_diameter_m": 0.095}
+    assert parse_plate(apart, "plate.yaml").ball_steps == (0, 5, 11)
+    text = "balls 1 grid steps apart are 0.0958 m apart, less than their diameter of 0.0970 m"
+    with pytest.raises(ConfigurationError, match=text):
+        parse_plate({**apart, "ball_diameter_m": 0.097}, "plate.yaml")
+
+
 def test_bad_plate_files_are_refused(tmp_path):
     path = tmp_path / "plate.yaml"
     with pytest.raises(ConfigurationError, match="cannot read the set-up"):

@@ -313,3 +313,16 @@ def test_problem_refuses_nonsense(change, text):
     }  # fmt: skip
     with pytest.raises(DataError, match=text):
         BallPlateProblem(**{**good, **change})
+
+
+def test_groups_of_a_plate_with_odd_steps():
+    """The same plate, its steps counted from one place further on: the same deviations."""
+    even, _ = simulated(24, [0, 2, 4, 8, 14, 20], separate_groups=True, sigma=5e-8)
+    angle = 2 * np.pi / 24
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+    odd = replace(even, ball_step=even.ball_step + 1, centres=even.centres @ turn)
+    one, other = solve(even), solve(odd)
+    assert other.verdict == one.verdict
+    for name in ("EZC", "ECC"):
+        np.testing.assert_allclose(other.deviations[name], one.deviations[name], atol=1e-14)

@@ -53,4 +53,21 @@ def test_separate_groups_are_solved_one_by_one():
     assert isinstance(trials, SolvedTrials)
     values = trials(np.random.default_rng(3), 3)
     assert values.shape == (3, 6 * 24)
-    assert 0.0 < np.std(values[:, 0]) < 1e-6
+    noise = np.random.default_rng(3).standard_normal((3, *problem.centres.shape))
+    for one, found in zip(noise, values, strict=True):
+        answer = solve(replace(problem, centres=problem.centres + 5e-8 * one))
+        np.testing.assert_array_equal(found, stacked(answer.deviations))
+
+
+def test_separate_groups_with_given_deviations():
+    """Noise of its own for each coordinate, enlarged by as much as the residuals demand."""
+    problem, _ = simulated(24, [0, 2, 4, 8, 14, 20], separate_groups=True)
+    n = len(problem.centres)
+    std = np.linspace(2e-8, 8e-8, 3 * n).reshape(n, 3)
+    trials = plate_trials(replace(problem, std=std))
+    assert isinstance(trials, SolvedTrials)
+    scale = trials.std / std
+    np.testing.assert_allclose(scale, scale[0, 0], rtol=1e-12)
+    result = solve(replace(problem, std=std))
+    values = trials(np.random.default_rng(5), 150)
+    np.testing.assert_allclose(values.std(axis=0), stacked(result.std), rtol=0.3)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rotcal_ros.simulation.nominal import nominal_observations
 
 from rotcal_ros import catalogue
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
@@ -13,7 +14,6 @@ from rotcal_ros.evaluation.iso230 import iso230
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.visits import visits
 from rotcal_ros.results import Result
-from rotcal_ros.simulation.nominal import nominal_observations
 from rotcal_ros.units import ARCSEC
 
 TARGETS, RUNS = 8, 5

@@ -1,5 +1,6 @@
 """Layout search against the solver's own covariances and brute force."""
 
+from contextlib import suppress
 from itertools import combinations
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.errors import PlanError
+from rotcal_ros.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate import BallPlateProblem
 from rotcal_ros.methods.ball_plate.dense import solve_dense
 from rotcal_ros.planning.ball_layout import (
@@ -18,6 +19,7 @@ from rotcal_ros.planning.ball_layout import (
     rank_subsets,
     rate,
 )
+from rotcal_ros.planning.ball_plan import spread_out
 from rotcal_ros.planning.effort import required_effort, unit_std
 from rotcal_ros.planning.layout_variance import mean_variances, proven_bound
 
@@ -84,6 +86,8 @@ def test_exhaustive_search_finds_what_brute_force_finds(grid, count, gap):
     steps = np.array(found.steps)
     assert np.diff(steps, append=steps[0] + grid).min() >= gap
     assert found.evaluated < 0.6 * np.sum(gaps >= gap)  # the symmetry is used
+    classes = {tuple(canonical(grid, layout)) for layout in layouts[gaps >= gap]}
+    assert found.evaluated >= len(classes)  # and none is left out
     assert found.gap > 0.0
 
 
@@ -171,6 +175,12 @@ def test_effort_reaches_the_limit_with_the_least_work_first():
     best = ways[0]
     std = unit_std(24, list(best.layout.steps), list(best.positions), RADIUS)["ECC"]
     assert best.expanded == pytest.approx(2 * 5e-8 * std.max(), rel=1e-9)
+    assert {len(way.layout.steps) for way in ways} == {5, 6, 7, 8}
+    for way in ways:  # one position less is not enough
+        fewer = spread_out(24)[: len(way.positions) - 1]
+        with suppress(ObservabilityError):  # it may not even separate the errors
+            std = unit_std(24, list(way.layout.steps), fewer, RADIUS)["ECC"]
+            assert 2 * 5e-8 * std.max() > 0.6e-6
     with pytest.raises(PlanError, match="repeat the measurement"):
         required_effort(24, "ECC", 1e-9, sigma=5e-8, radius=RADIUS, most_balls=6)
     with pytest.raises(PlanError, match="unknown component"):

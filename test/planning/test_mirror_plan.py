@@ -116,3 +116,10 @@ def test_reflectors_on_the_table_turn_with_it() -> None:
     assert [s.target for s in quarter] == [1, 2]
     np.testing.assert_allclose(quarter[0].position, (0.0, 0.3, 0.1), atol=1e-12)
     np.testing.assert_allclose(quarter[1].position, (-0.1, -0.2, 0.1), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["nests_m", "table_reflectors_m"])
+def test_coordinates_come_in_threes(name: str) -> None:
+    settings = replace(PAPER, carries="reflectors", table_reflectors_m=(0.1, 0.0, 0.2))
+    with pytest.raises(PlanError, match=f"plan: {name} has 4 values, expected x y z of each"):
+        mirror_plan(replace(settings, **{name: (1.0, 2.0, 3.0, 4.0)}))

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from rotcal_ros.capture import Capture
-from rotcal_ros.catalogue import prepare
+from rotcal_ros.catalogue import find_method, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.simulation import SimulatedCell
 
 CONFIG = Path(__file__).parents[2] / "config"
 ATTEMPTS = 3
+RULES = find_method("tracer_multistation").capture
 
 
 def with_fixed_zero(settings):
@@ -38,7 +39,7 @@ def measure(plan, cell, capture):
                 for record in batch:
                     found += capture.feed(record)
             (observation,) = found
-            true = cell.distances(np.array([observation.window_end_ns]))[0]
+            true = cell.instrument.distances(np.array([observation.window_end_ns]))[0]
             yield observation, true - cell.settings.tracer.dead_distance_m, records
             if observation.accepted:
                 break
@@ -57,7 +58,7 @@ def load(name):
 @pytest.fixture(scope="module")
 def demo():
     plan, simulation, capture_settings, _ = load("tracer_demo.yaml")
-    cell, capture = SimulatedCell(simulation), Capture(plan, capture_settings)
+    cell, capture = SimulatedCell(simulation), Capture(plan, capture_settings, RULES)
     return plan, cell, capture, list(measure(plan, cell, capture))
 
 
@@ -71,7 +72,7 @@ def test_the_demonstration_is_the_experiment_of_the_paper():
     assert np.hypot(*simulation.tracer.mount_m[:2]) == pytest.approx(0.0652, abs=1e-4)
     cell.order_probe(plan.steps[0].command(0))
     cell.advance(5.0)
-    assert cell.distances(np.array([cell.now_ns]))[0] == pytest.approx(1.1285, abs=1e-3)
+    assert cell.instrument.distances(np.array([cell.now_ns]))[0] == pytest.approx(1.1285, abs=1e-3)
     assert all(np.abs(v).max() > 0 for v in cell.truth(plan.table_angles).values())
 
 
@@ -125,7 +126,7 @@ def test_both_orders_of_measuring_give_true_lengths(order):
     _, simulation, settings, _ = load("tracer_demo.yaml")
     cell = SimulatedCell(replace(simulation, seed=3))
     settings = replace(settings, window_samples=50)
-    seen = list(measure(plan, cell, Capture(plan, settings)))
+    seen = list(measure(plan, cell, Capture(plan, settings, RULES)))
     assert [o.step for o, *_ in seen if o.accepted] == list(range(12))
     error = [(o.mean[0] - true) / o.std[0] for o, true, _ in seen if o.accepted]
     assert np.abs(error).max() < 4.5
@@ -136,6 +137,6 @@ def test_a_real_machine_needs_no_more_than_its_settings():
     assert simulation.time_scale == 1.0
     assert solver.variant == "joint"
     plan = replace(plan, steps=plan.steps[:2])
-    seen = list(measure(plan, SimulatedCell(simulation), Capture(plan, settings)))
+    seen = list(measure(plan, SimulatedCell(simulation), Capture(plan, settings, RULES)))
     assert [o.accepted for o, *_ in seen] == [True, True]
     assert all(o.n_samples == 500 for o, *_ in seen)

@@ -159,7 +159,7 @@ def test_probe_errors():
         order = command(number, target=target, position=(0.001 * target, number % 3 * 1.0, 1.0))
         cell.order_probe(order)
         (sample,) = cell.advance(20.0).probe
-        actual = cell._reflector.positions(np.array([cell.now_ns]))[0]
+        actual = cell.instrument.positions(np.array([cell.now_ns]))[0]
         missed.append((actual - sample.position) * 1e6)
         follows.append((np.array(sample.position) - order.position) * 1e6)
     missed = np.array(missed).reshape(100, 3, 3)

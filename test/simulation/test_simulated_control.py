@@ -114,7 +114,7 @@ def test_the_cell_follows_a_table_that_others_move_and_never_gets_ahead_of_it():
         expected = np.linalg.norm(target - station) - cell.settings.tracer.dead_distance_m
         assert output.tracer[-1].length == pytest.approx(expected, abs=5e-6)
     # Half way in time is half way in angle.
-    distance = cell.distances(np.array([1_500_000_000]))[0]
+    distance = cell.instrument.distances(np.array([1_500_000_000]))[0]
     quarter = np.array([-mount[1], mount[0], mount[2]])
     assert distance == pytest.approx(np.linalg.norm(target - quarter), rel=1e-12)
     late = cell.follow_table(1_700_000_000, 1.0)

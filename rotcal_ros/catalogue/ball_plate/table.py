@@ -31,16 +31,16 @@ class BallPlateTable:
 
         A plate that moved is looked for in the order of measurement, which is that of the rows.
         """
-        calibration = prepare(configuration)
+        calibration, position = prepare(configuration), table.header[0]
         find = StepFinder(calibration.plan)
         observations = tuple(
             replace(
-                find(line, line.index("position"), line.index("ball_step")).observed(
+                find(line, line.index(position), line.index("ball_step")).observed(
                     line.point(), PointKind.CENTRE
                 ),
                 step=row,
             )
-            for row, line in enumerate(table.rows(HEADER))
+            for row, line in enumerate(table.rows())
         )
         return PlannedMeasurements(calibration, observations, hashes(table.path))
 

@@ -47,8 +47,8 @@ def stations(result: Result) -> str:
     ax.plot(*(circle / MILLIMETRE).T, color=style.GREY, linewidth=0.9, label="fitted circle")
     ax.plot(*(nominal / MILLIMETRE).T, "o", color=style.INK, markersize=3, label="stations")
     ax.quiver(
-        *(nominal / MILLIMETRE).T, *(error * scale / MILLIMETRE).T, color=style.ORANGE, angles="xy",
-        scale_units="xy", scale=1, width=0.005, label=f"error × {scale:,.0f}",
+        *(nominal / MILLIMETRE).T, *(error * scale / MILLIMETRE).T, color=style.ORANGE,
+        angles="xy", scale_units="xy", scale=1, width=0.005, label=f"error × {scale:,.0f}",
     )  # fmt: skip
     ax.set_aspect("equal")
     ax.set_xlabel("x / mm")

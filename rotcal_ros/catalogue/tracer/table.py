@@ -42,12 +42,10 @@ class TracerTable:
             files.append(targets)
             plan = plan_of_targets(calibration.plan, read_targets(targets))
             calibration = Calibration(configuration, plan)
-        rows = table.rows(HEADER)
+        rows, position = table.rows(), table.header[0]
         find = StepFinder(calibration.plan)
         observations = tuple(
-            find(row, row.index("position"), row.index("target")).observed(
-                (row.metres("length_m"),)
-            )
+            find(row, row.index(position), row.index("target")).observed((row.metres("length_m"),))
             for row in rows
         )
         _check_lengths(calibration.plan, rows, observations)

@@ -185,6 +185,7 @@ def test_nests_alone_are_checked_while_measuring():
     assert check_nests(without(problem, np.flatnonzero(problem.station > 0))) == []
 
 
+@pytest.mark.slow
 def test_no_false_alarm_in_a_hundred_good_registrations():
     warned = sum(bool(solve(simulated("registration", seed=s)).warnings) for s in range(100))
     assert warned <= 3

@@ -52,6 +52,15 @@ def test_exact_points_give_exact_deviations(way, lean_deg):
     np.testing.assert_allclose(result.adjacent_deviations, steps, atol=1e-10)
 
 
+@pytest.mark.parametrize("way", ["direct", *MIRROR_WAYS])
+def test_steps_have_the_deviation_that_the_covariance_gives_them(way):
+    result = solve(measured(way, paper_cell(), table(17)[0]))
+    c = result.covariance["ECC"]
+    pairs = [(i, i + 1) for i in range(len(c) - 1)]
+    expected = [np.sqrt(c[i, i] + c[j, j] - 2 * c[i, j]) for i, j in pairs]
+    np.testing.assert_allclose(result.adjacent_std, expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize("way", MIRROR_WAYS)
 def test_any_overlap_any_positions_any_sense(way):
     """Unequal steps, a table turned backwards over two turns, stations that see what they like."""

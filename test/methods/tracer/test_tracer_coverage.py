@@ -14,6 +14,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_95_percent_intervals_hold_the_truth(case):
     options = CASES[case]

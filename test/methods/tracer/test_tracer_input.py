@@ -53,6 +53,25 @@ def test_values_are_checked_where_they_enter(changes, text):
         SCENE.problem(**changes)
 
 
+def test_a_problem_keeps_copies_that_nobody_can_change():
+    names = ("station", "target", "length", "targets", "table_angles")
+    given = {name: getattr(SCENE.problem(), name).copy() for name in names}
+    problem = SCENE.problem(**given)
+    for name, array in given.items():
+        array += 1
+        kept = getattr(problem, name)
+        np.testing.assert_array_equal(kept, getattr(SCENE.problem(), name))
+        assert not kept.flags.writeable
+    lists = {name: getattr(problem, name).tolist() for name in names}
+    start = np.zeros((11, 3)).tolist()
+    from_lists = SCENE.problem(**lists, length_std=[1e-6] * 704, start_stations=start)
+    for name in (*names, "length_std", "target_std", "start_stations"):
+        kept = getattr(from_lists, name)
+        assert kept.dtype == (np.int64 if name in ("station", "target") else np.float64)
+    assert from_lists.length_std.shape == (704,)
+    assert from_lists.target_std.shape == (64, 3)
+
+
 @pytest.mark.parametrize(
     "changes", [{"variant": "magic"}, {"datum": "none"}, {"error_motion_std": np.nan}]
 )

@@ -208,3 +208,46 @@ def test_station_normal_equations_against_central_differences():
         step = 1e-6 * np.eye(4)[axis]
         numeric = (half_square(state + step) - half_square(state - step)) / 2e-6
         assert misfit(state)[:, axis, 4] == pytest.approx(numeric, rel=1e-6)
+
+
+def test_effective_freedom_is_that_of_a_sum_of_correlated_stations():
+    """The variance of e' R e for e of covariance C is 2 tr(R C R C); here all as one matrix."""
+    length_std, target_std = 2e-7, 3e-7
+    scene = simulate(seed=4, n=20, angles=arc(4), length_std=length_std, target_std=target_std)
+    result = solve(scene.problem(length_std=length_std, target_std=target_std))
+    m, n = scene.length.shape
+    unit = scene.stations[:, None] - scene.targets
+    unit /= np.linalg.norm(unit, axis=2, keepdims=True)
+    covariance = target_std**2 * np.einsum("jia,kia->jik", unit, unit)
+    correlation = np.zeros((m, n, m, n))
+    projection = np.zeros((m, n, m, n))
+    for i in range(n):
+        correlation[:, i, :, i] = covariance[:, i] / (length_std**2 + target_std**2)
+    correlation = correlation.reshape(m * n, m * n)
+    np.fill_diagonal(correlation, 1.0)
+    for j in range(m):
+        design = np.column_stack([unit[j], -np.ones(n)])
+        projection[j, :, j] = np.eye(n) - design @ np.linalg.pinv(design)
+    product = projection.reshape(m * n, m * n) @ correlation
+    expected = np.trace(product) ** 2 / np.trace(product @ product)
+    assert result.dof == m * (n - 4)
+    assert result.details["dof_effective"] == pytest.approx(expected, rel=1e-4)
+    assert expected < 0.9 * result.dof
+
+
+def test_one_station_off_the_circle_shows_where_it_stands():
+    """Of m even stations each takes 3 / m of its own offset into circle and plane."""
+    scene = simulate(length_std=0.0, angles=arc(12), n=24)
+    m, k, off = 12, 4, 2e-6
+    actual = scene.angles[k] + scene.deviation[k]
+    outward = np.array([np.cos(actual), np.sin(actual), 0.0])
+    for direction, radial, axial in ((outward, 0.75, 0.0), (np.array([0.0, 0.0, 1.0]), 0.0, 0.75)):
+        stations = scene.stations.copy()
+        stations[k] += off * direction
+        distance = np.linalg.norm(stations[:, None] - scene.targets, axis=2)
+        found = solve(scene.problem(length=(distance - 0.4).ravel())).details
+        assert found["radial"][k] == pytest.approx(off * radial, abs=1e-9)
+        assert found["axial"][k] == pytest.approx(off * axial, abs=1e-9)
+        assert np.sum(found["radial"]) == pytest.approx(0.0, abs=1e-9)
+        assert np.sum(found["axial"]) == pytest.approx(0.0, abs=1e-9)
+        assert found["distances"] == pytest.approx(np.full(m, 0.4), abs=1e-8)

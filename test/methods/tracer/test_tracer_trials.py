@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tracer_scene import low_ring, simulate
+from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.methods.tracer import solve, tracer_trials
 from rotcal_ros.methods.tracer.angles import table_motion
@@ -48,6 +48,32 @@ def test_trials_scatter_as_the_solver_states(options):
     np.testing.assert_allclose(values.std(axis=0)[1:], result.std["ECC"][1:], rtol=within)
     shift = values.mean(axis=0) - result.deviations["ECC"]
     assert np.all(np.abs(shift) <= 4.5 * result.std["ECC"] / np.sqrt(count) + 1e-15)
+
+
+def test_more_stations_than_targets():
+    """Then the targets, not the stations, are what is left of the network after reduction."""
+    scene = simulate(3, arc(24, 14.0), n=10, layout=low_ring, length_std=0.0)
+    task = scene.problem(variant="joint", datum="prior", target_std=2e-6)
+    trials = tracer_trials(task)
+    assert trials.network is not None
+    assert not trials.network.stations_kept
+    lengths, places, _ = trials.draw(np.random.default_rng(5), 2)
+    found = trials(np.random.default_rng(5), 2)
+    for length, targets, deviation in zip(lengths, places, found, strict=True):
+        answer = solve(replace(task, length=length.ravel(), targets=targets))
+        np.testing.assert_allclose(deviation, answer.deviations["ECC"], atol=5e-12)
+
+
+@pytest.mark.parametrize("options", VARIANTS[:2], ids=lambda o: "-".join(o.values()))
+def test_trials_of_a_fixed_datum_settle_without_help(options, monkeypatch):
+    """Solving a trial alone is the way out of a limber free network, and slow."""
+
+    def refuse(*_):
+        pytest.fail("a trial was solved alone")
+
+    monkeypatch.setattr("rotcal_ros.methods.tracer.trials.relax", refuse)
+    values = tracer_trials(problem(options, noisy=True))(np.random.default_rng(7), 200)
+    assert values.shape == (200, 11)
 
 
 def test_missing_lengths_and_pickling():

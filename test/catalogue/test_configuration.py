@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.catalogue import prepare
+from rotcal_ros.catalogue import find_method, prepare
 from rotcal_ros.catalogue.configuration import (
     dump_configuration,
     parse_configuration,
@@ -16,8 +16,10 @@ TEXT = dump_configuration("tracer_multistation", {"plan": {"table_positions": 5}
 
 def test_dump_is_parsed_again() -> None:
     configuration = parse_configuration(TEXT)
-    assert configuration.method == "tracer_multistation"
-    assert configuration.groups == {"plan": {"table_positions": 5}}
+    assert configuration.method is find_method("tracer_multistation")
+    assert configuration.plan.table_positions == 5
+    assert configuration.given == {"plan"}
+    assert not configuration.simulated
     assert configuration.plan_id == hashlib.sha256(TEXT.encode()).hexdigest()
     assert len(prepare(configuration).plan.table_angles) == 5
 
@@ -29,7 +31,10 @@ def test_dump_is_parsed_again() -> None:
         ("a: [", "not valid YAML"),
         ("/**: {ros__parameters: {}}", "expected a ROS 2 parameter file"),
         ("/**: {ros__parameters: {method: 3}}", "method must be a name"),
-        ("/**: {ros__parameters: {method: x, plam: {}}}", "unknown group 'plam'"),
+        (
+            "/**: {ros__parameters: {method: ball_plate, plam: {}}}",
+            "unknown group 'plam'; did you mean 'plan'",
+        ),
     ],
 )
 def test_refused_with_the_source_named(text: str, message: str) -> None:
@@ -38,11 +43,10 @@ def test_refused_with_the_source_named(text: str, message: str) -> None:
 
 
 def test_unknown_method_names_the_known_ones() -> None:
-    configuration = parse_configuration(TEXT.replace("tracer_multistation", "astrology"))
     with pytest.raises(
         ConfigurationError, match=r"unknown method 'astrology'.*tracer_multistation"
     ):
-        prepare(configuration)
+        parse_configuration(TEXT.replace("tracer_multistation", "astrology"))
 
 
 def test_missing_file(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+import yaml
 from bag_samples import CONFIGURATION as SAMPLE
 from bag_samples import simulate, write_run
 from click.testing import CliRunner
@@ -21,7 +22,8 @@ from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.workers import on_all_cores, on_cluster
 
 SEEDS = (5, 6, 7)
-_groups = parse_configuration(SAMPLE).groups
+_groups = yaml.safe_load(SAMPLE)["/**"]["ros__parameters"]
+_groups.pop("method")
 PLAN = {**_groups["plan"], "box_points": [3, 2, 2], "table_positions": 5}
 CONFIGURATION = dump_configuration(
     "tracer_multistation", {**_groups, "plan": PLAN, "solver": {"variant": "station"}}

@@ -98,7 +98,7 @@ def test_configuration_from_the_plan_topic(simulated_run: Run, tmp_path: Path) -
     with writer:
         data = serialised(
             "rotcal_msgs/msg/CalibrationPlan", stamp_ns=START_NS, plan_id="", method="",
-            configuration=CONFIGURATION, total_steps=32, start_index=0,
+            configuration=CONFIGURATION, total_steps=32, start_index=0, run=0,
         )  # fmt: skip
         writer.write(channels[names.PLAN], data, START_NS, START_NS)
     # the attachment comes first; without one the topic is used

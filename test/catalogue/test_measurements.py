@@ -11,18 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.configuration import (
     Configuration,
     dump_configuration,
     parse_configuration,
 )
+from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
+from rotcal_ros.catalogue.plane_mirror.table import write_points
+from rotcal_ros.catalogue.tracer.table import read_targets
 from rotcal_ros.errors import BagError, DataError
-from rotcal_ros.methods.plane_mirror import write_points
-from rotcal_ros.observations import Approach, PointKind
-from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.tables import read_measurements, read_targets
+from rotcal_ros.observations import PointKind
 from rotcal_ros.units import ARCSEC, DEGREE
 
 TARGETS = [(0.1 * x, 0.2 * y, 0.5 + 0.1 * z) for x, y, z in product(range(2), repeat=3)]
@@ -120,7 +119,10 @@ def test_lengths_in_millimetres_do_not_fit_the_targets(
     ("text", "error"),
     [
         ("", "expected the header line"),
-        ("station;target;length_m\n0;0;1\n", "expected the header line 'station,target,length_m'"),
+        (
+            "station;target;length_m\n0;0;1\n",
+            "expected the header line 'position,target,length_m' or 'station,target,length_m'",
+        ),
         ("station,target,length_mm\n0,0,1\n", "found 'station,target,length_mm'"),
         ("0,0,0.25\n", "expected the header line"),
     ],
@@ -160,32 +162,41 @@ def test_bad_targets(tmp_path: Path, rows: list[str], text: str) -> None:
         read_targets(path)
 
 
-def calibration_of(steps: list[tuple[int, int, int, PointKind]]) -> Calibration:
-    """Return a calibration with given (table_index, target, station, kind)."""
-    plan = Plan(
-        method="any",
-        table_angles=(0.0, 1.0),
-        targets=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
-        steps=tuple(
-            Step(i, table, float(table), Approach.POSITIVE, kind, target, (0.0, 0.0, 0.0), station)
-            for i, (table, target, station, kind) in enumerate(steps)
-        ),
-    )
-    return Calibration(None, None, plan)  # type: ignore[arg-type]
+PLATE = {
+    "grid": 12,
+    "ball_steps": [0, 1, 5],
+    "circle_radius_m": 0.1,
+    "ball_diameter_m": 0.01,
+}
 
 
-def test_ball_plate_table(
-    configuration: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    steps = [(t, b, 0, PointKind.SURFACE) for t in range(2) for b in range(2)]
-    monkeypatch.setattr("rotcal_ros.catalogue.prepare", lambda _: calibration_of(steps))
+@pytest.mark.parametrize("position", ["position", "table_index"])
+def test_ball_plate_table(position: str, tmp_path: Path) -> None:
+    setup = parse_configuration(dump_configuration("ball_plate", {"plan": {"plate": PLATE}}))
     path = tmp_path / "plate.csv"
-    path.write_text("table_index,ball_step,x_m,y_m,z_m\n1,0,0.1,0.2,0.3\n0,1,1,2,3\n")
-    data = read_measurements(path, configuration)
-    assert [(o.step, o.mean, o.kind) for o in data.observations] == [
-        (0, (0.1, 0.2, 0.3), PointKind.CENTRE),  # rows in the order of measurement
-        (1, (1.0, 2.0, 3.0), PointKind.CENTRE),
+    path.write_text(f"{position},ball_step,x_m,y_m,z_m\n1,0,0.1,0.2,0.3\n0,5,1,2,3\n")
+    data = read_measurements(path, setup)
+    assert [(o.step, o.table_index, o.target, o.mean, o.kind) for o in data.observations] == [
+        (0, 1, 0, (0.1, 0.2, 0.3), PointKind.CENTRE),  # rows in the order of measurement
+        (1, 0, 5, (1.0, 2.0, 3.0), PointKind.CENTRE),
     ]
+    path.write_text(f"{position},ball_step,x_m,y_m,z_m\n1,2,0.1,0.2,0.3\n")
+    with pytest.raises(DataError, match=r"row 2: position 1, target 2 is not .* targets 0, 1, 5"):
+        read_measurements(path, setup)
+
+
+@pytest.mark.parametrize("header", ["position,target,length_m", "station,target,length_m"])
+def test_both_headers_of_a_tracer_table_mean_the_same(
+    header: str, configuration: Configuration, tmp_path: Path
+) -> None:
+    path = write_tracer(tmp_path, tracer_rows())
+    path.write_text("\n".join([header, *tracer_rows()]))
+    data = read_measurements(path, configuration)
+    assert [o.table_index for o in data.observations] == [p for p in range(3) for _ in range(8)]
+    path.write_text("\n".join([header, "99,0,0.1"]))
+    with pytest.raises(DataError, match=r"row 2: position 99, target 0 is not in the plan") as no:
+        read_measurements(path, configuration)
+    assert "station" not in str(no.value)
 
 
 def test_plane_mirror_table_is_read_by_its_method(tmp_path: Path) -> None:
@@ -208,7 +219,9 @@ def test_plane_mirror_table_is_read_by_its_method(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"mirror\.csv, line 2: kind 'reflected'"):
         read_measurements(path, setup).solve()
     tracer = parse_configuration(dump_configuration("tracer_multistation", {}))
-    with pytest.raises(DataError, match="no table of the method tracer_multistation"):
+    with pytest.raises(
+        DataError, match=r"a table of the method plane_mirror, but .* sets up tracer_multistation"
+    ):
         read_measurements(path, tracer).solve()
 
 

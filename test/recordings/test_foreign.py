@@ -3,6 +3,7 @@
 import math
 
 import pytest
+import yaml
 from bag_samples import CONFIGURATION, START_NS, STORE, serialised, simulate
 
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
@@ -17,7 +18,8 @@ NAMES = {
     "length_unit_m": 1e-3,
     "angle_unit_rad": math.pi / 180.0,
 }
-GROUPS = parse_configuration(CONFIGURATION).groups
+GROUPS = yaml.safe_load(CONFIGURATION)["/**"]["ros__parameters"]
+GROUPS.pop("method")
 CAPTURE = {
     **GROUPS["capture"],
     "temperature_expected": False,

@@ -5,7 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.ball_plate.simulated_probe import MachineError, plate_balls, upper_half
+from rotcal_ros.catalogue.ball_plate.simulated_probe import (
+    MachineError,
+    plate_balls,
+    upper_half,
+)
 from rotcal_ros.catalogue.ball_plate.simulation_settings import (
     TOUCH_PROBE,
     PlateSimulationSettings,

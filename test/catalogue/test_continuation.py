@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from rotcal_ros.catalogue import last_accepted, run_of
+from rotcal_ros.catalogue import last_accepted
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation, continued
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.errors import DataError
@@ -17,12 +17,12 @@ def plan(order):
     )  # 12 steps
 
 
-def observed(step, attempt=0, accepted=True, table_index=0):
+def observed(step, attempt=0, accepted=True, table_index=0, run=0):
     return Observation(
         step=step, attempt=attempt, table_index=table_index, table_angle=0.1, target=0, station=0,
         kind=PointKind.REFLECTOR, mean=(1 / 3,), std=(1e-7,), scatter=(math.pi,),
         probe_position=(0.1, 0.2, 0.3), n_samples=5, n_used=5, accepted=accepted, reason="",
-        table_angle_measured=0.1, temperature_c=None, window_start_ns=1, window_end_ns=2,
+        table_angle_measured=0.1, temperature_c=None, window_start_ns=1, window_end_ns=2, run=run,
     )  # fmt: skip
 
 
@@ -46,7 +46,7 @@ def test_a_step_that_was_given_up_is_not_missing_but_an_undecided_one_is():
 
 
 def test_attempts_of_several_runs_do_not_add_up_to_giving_up():
-    tried = [observed(1, run * ATTEMPTS_PER_RUN, accepted=False) for run in range(3)]
+    tried = [observed(1, run * ATTEMPTS_PER_RUN, accepted=False, run=run) for run in range(3)]
     assert 1 in go_on([observed(0), *tried]).steps
 
 
@@ -73,7 +73,6 @@ def test_the_file_round_trips_to_the_last_bit():
 
 def test_the_last_accepted_attempt_of_each_run_counts():
     first, second = observed(3, 0), observed(3, 1)
-    later = observed(3, ATTEMPTS_PER_RUN)
-    refused = observed(4, 2 * ATTEMPTS_PER_RUN, accepted=False)
-    assert run_of(later) == 1
+    later = observed(3, ATTEMPTS_PER_RUN, run=1)
+    refused = observed(4, 2 * ATTEMPTS_PER_RUN, accepted=False, run=2)
     assert last_accepted([later, first, second, refused]) == {(0, 3): second, (1, 3): later}

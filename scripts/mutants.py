@@ -1,0 +1,186 @@
+"""Put small faults into the code, one by one, and see whether the tests of the room notice.
+
+mutmut makes the mutants: of functions with decorators and of constants too, which its own runner
+cannot try. Left out are those that put None for a value (they crash and tell nothing), those in
+the words of an error or of another sentence, and those of ``strict=``, ``dtype=np.float64`` and
+type aliases, which change nothing. A uniform random sample of the rest is tried, as
+``mutant_trials.py`` says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import json
+import random
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import libcst as cst
+import libcst.matchers as m
+from libcst.metadata import MetadataWrapper, PositionProvider
+from mutant_trials import PACKAGE, ROOT, Room
+from mutmut.mutation.file_mutation import MutationVisitor, deep_replace
+from mutmut.mutation.mutators import mutation_operators
+from mutmut.mutation.pragma_handling import IgnoredCode
+
+ROOMS = ("methods", "capture", "compensation", "planning", "evaluation")
+CHANGES_NOTHING = re.compile(r",\s*(?:strict=\w+|dtype=np\.float64|(?=\)))")
+DUMB = m.Raise() | m.Subscript(m.Name("Literal")) | m.Assign([m.AssignTarget(m.Name("__all__"))])
+"""Nodes whose parts are words for people or names for tools."""
+OPERATORS = [
+    (kind, make)
+    for kind, make in mutation_operators
+    if make.__name__ not in ("operator_assignment", "operator_dict_arguments")
+]
+
+
+@dataclass(frozen=True, eq=False)
+class Mutant:
+    """One fault: where it is, in which text, before, after, and the whole file with it."""
+
+    room: str
+    path: Path
+    line: int
+    text: str
+    before: str
+    after: str
+    mutated: Callable[[], str]
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What tells it from others; not the number of its line, which may move."""
+        return str(self.path.relative_to(ROOT)), self.text, self.before, self.after
+
+    def diff(self) -> str:
+        """Return the lines that differ."""
+        old, new = self.path.read_text().splitlines(), self.mutated().splitlines()
+        return "\n".join([*difflib.unified_diff(old, new, n=0, lineterm="")][3:])
+
+
+class Collector(MutationVisitor):
+    """Collects the mutations of a file and their lines, of functions with decorators too."""
+
+    def __init__(self) -> None:
+        super().__init__(OPERATORS, IgnoredCode(set(), set(), set()))
+        self.lines: list[int] = []
+
+    def on_visit(self, node: cst.CSTNode) -> bool:
+        """Note on which line the mutations of a node begin; pass by what cannot be felt."""
+        if m.matches(node, DUMB):
+            return False
+        deeper = super().on_visit(node)
+        if new := len(self.mutations) - len(self.lines):
+            self.lines += [self.get_metadata(PositionProvider, node).start.line] * new
+        return deeper
+
+    def _skip_node_and_children(self, node: cst.CSTNode) -> bool:
+        return not isinstance(node, cst.FunctionDef) and super()._skip_node_and_children(node)
+
+
+def mutants_of(room: str, path: Path) -> Iterator[Mutant]:
+    """Yield all mutants of a file that may tell something."""
+    collector = Collector()
+    source = path.read_text()
+    module = MetadataWrapper(cst.parse_module(source)).visit(collector)
+    texts = [text.strip() for text in source.splitlines()]
+    for mutation, line in zip(collector.mutations, collector.lines, strict=True):
+        old, new = mutation.original_node, mutation.mutated_node
+        before, after = module.code_for_node(old), module.code_for_node(new)
+        if (
+            (isinstance(old, cst.SimpleString) and " " in before)
+            or CHANGES_NOTHING.sub("", before) == CHANGES_NOTHING.sub("", after)
+            or (isinstance(old, cst.Call) and _same_but_none(old, new))
+        ):
+            continue
+
+        def mutated(old: cst.CSTNode = old, new: cst.CSTNode = new) -> str:
+            whole = deep_replace(module, old, new)
+            assert isinstance(whole, cst.Module)
+            return whole.code
+
+        yield Mutant(room, path, line, texts[line - 1], before, after, mutated)
+
+
+def _same_but_none(old: cst.Call, new: cst.CSTNode) -> bool:
+    return isinstance(new, cst.Call) and new.func is old.func and len(new.args) == len(old.args)
+
+
+def choose(
+    rooms: list[str], seed: int, count: int, again: Path | None
+) -> tuple[int, list[Mutant]]:
+    """Return how many mutants there are, and those to try: a sample or survivors of a report."""
+    found = [
+        mutant
+        for room in rooms
+        for path in sorted(Path(ROOT, PACKAGE, room).rglob("*.py"))
+        for mutant in mutants_of(room, path)
+    ]
+    if again is None:
+        return len(found), random.Random(seed).sample(found, min(count, len(found)))
+    random.Random(seed).shuffle(found)
+    wanted = {tuple(entry["key"]) for entry in json.loads(again.read_text())["survivors"]}
+    return len(found), [mutant for mutant in found if mutant.key in wanted]
+
+
+def main() -> None:
+    """Try the mutants and report: shares on the terminal, every survivor in the file."""
+    parser = argparse.ArgumentParser(description="See which small faults the tests notice.")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--sample", type=int, default=400)
+    parser.add_argument("--room", choices=ROOMS, action="append", help="all when not given")
+    parser.add_argument("--again", type=Path, help="try the survivors of this report instead")
+    parser.add_argument("--minutes", type=float, help="stop the sample after so long")
+    parser.add_argument("--output", type=Path, default=ROOT / "out" / "mutants.json")
+    given = parser.parse_args()
+    start = time.monotonic()
+    total, chosen = choose(given.room or [*ROOMS], given.seed, given.sample, given.again)
+    print(f"{total} mutants, {len(chosen)} of them are tried")
+    outcomes: Counter[tuple[str, str]] = Counter()
+    survivors: list[dict[str, object]] = []
+    rooms = {name: Room(name) for name in sorted({mutant.room for mutant in chosen})}
+    for mutant in chosen:
+        if given.minutes and time.monotonic() - start > 60.0 * given.minutes:
+            break
+        room = rooms[mutant.room]
+        tests = room.tests_of(mutant.path, mutant.line)
+        outcome = room.outcome(mutant.path, mutant.mutated(), tests)
+        outcomes[mutant.room, outcome] += 1
+        if outcome in ("survived", "untested"):
+            place = f"{mutant.key[0]}:{mutant.line}"
+            entry = {"place": place, "diff": mutant.diff(), "tests": len(tests)}
+            survivors.append({**entry, "key": mutant.key})
+            print(f"{place}  met {len(tests)} tests\n{mutant.diff()}", flush=True)
+    report = {
+        "seed": given.seed,
+        "mutants": total,
+        "seconds": round(time.monotonic() - start),
+        "rooms": {
+            name: share(Counter({o: n for (r, o), n in outcomes.items() if r == name}))
+            for name in sorted({room for room, _ in outcomes})
+        },
+        "overall": share(Counter([o for (_, o), n in outcomes.items() for _ in range(n)])),
+        "survivors": survivors,
+    }
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    given.output.write_text(json.dumps(report, indent=1))
+    for name, row in [*report["rooms"].items(), ("overall", report["overall"])]:
+        print(f"{name:14}", *(f"{key} {value:<7}" for key, value in row.items()))
+    print(f"{report['seconds']} s; every survivor stands in {given.output}")
+
+
+def share(outcomes: Counter[str]) -> dict[str, float]:
+    """Return counts and the share killed in percent; who never ends counts as killed."""
+    killed, late = outcomes["killed"], outcomes["timeout"]
+    tried = outcomes.total()
+    percent = round(100 * (killed + late) / tried, 1)
+    counts = {"tried": tried, "killed": killed, "timeout": late, "untested": outcomes["untested"]}
+    return {**counts, "killed_percent": percent}
+
+
+if __name__ == "__main__":
+    main()

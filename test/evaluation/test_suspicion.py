@@ -1,0 +1,60 @@
+"""Why two curves may disagree: curves with one known mistake, and curves with none."""
+
+import numpy as np
+import pytest
+
+from rotcal_ros.evaluation.suspicion import suspicion
+
+ANGLES = np.arange(24) * 2 * np.pi / 24
+CURVE = 3.0 * np.sin(ANGLES) + np.cos(3 * ANGLES) + 0.5 * np.sin(2 * ANGLES + 1.0)
+OTHER = np.cos(ANGLES)
+
+
+@pytest.mark.parametrize("offset", [0.0, 50.0])
+@pytest.mark.parametrize(
+    ("factor", "text"),
+    [
+        (1.0, ""),
+        (1.5, ""),
+        (3600.0, "degrees taken for arcseconds"),
+        (60.0, "arcminutes taken for arcseconds"),
+        (206265.0, "radians taken for arcseconds"),
+        (0.2063, "microradians and arcseconds exchanged"),
+        (1.19 * 60.0, "arcminutes taken for arcseconds"),
+        (1.3 * 60.0, ""),
+    ],
+)
+def test_a_wrong_unit_is_named_whichever_curve_has_it(factor, text, offset):
+    expected = f"both curves have one shape, but for one of them {text}" if text else ""
+    assert suspicion(factor * CURVE + offset, CURVE, None) == expected
+    assert suspicion(CURVE, factor * CURVE + offset, None) == expected
+
+
+def test_a_turned_sign_is_named_and_a_wrong_unit_with_it():
+    start = "both curves have one shape, but for one of them its sign is turned"
+    assert suspicion(CURVE, -CURVE, None) == f"{start} (commanded - actual?)"
+    assert suspicion(CURVE, -3600.0 * CURVE, None) == (
+        f"{start} (commanded - actual?) and degrees taken for arcseconds"
+    )
+
+
+def test_curves_of_another_shape_raise_no_suspicion():
+    """A correlation of 0.8 is not enough, one of 0.95 is; an offset does not feign it."""
+    unit, across = np.sqrt(2) * np.sin(ANGLES), np.sqrt(2) * np.cos(ANGLES)
+    for alike, suspicious in ((0.8, False), (0.95, True)):
+        second = -(alike * unit + np.sqrt(1 - alike**2) * across)
+        assert bool(suspicion(unit, second, None)) is suspicious
+        assert bool(suspicion(unit + 9.0, second + 9.0, None)) is suspicious
+
+
+def test_a_curve_without_any_shape_raises_no_suspicion():
+    assert suspicion(CURVE, np.full(24, 2.0), None) == ""
+
+
+def test_an_angle_counted_clockwise_is_named():
+    backward = (-ANGLES) % (2 * np.pi)
+    order = np.argsort(backward)
+    turned = -CURVE[order]
+    assert "counted clockwise" in suspicion(CURVE, turned, CURVE)
+    assert suspicion(CURVE, CURVE, CURVE) == ""
+    assert suspicion(CURVE, OTHER, turned) == ""

@@ -1,0 +1,27 @@
+"""The page of settings says what the declarations say."""
+
+import runpy
+from pathlib import Path
+
+from rotcal_ros.catalogue import find_method, method_names
+from rotcal_ros.catalogue.configuration import GROUPS, settings_classes
+from rotcal_ros.settings import declarations
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_page_is_current():
+    page = runpy.run_path(str(ROOT / "scripts" / "settings_page.py"))["page"]()
+    assert (ROOT / "docs" / "settings.md").read_text() == page, "run scripts/settings_page.py"
+
+
+def test_every_setting_of_every_method_stands_there_with_its_meaning():
+    text = (ROOT / "docs" / "settings.md").read_text()
+    for name in ("ball_plate", "plane_mirror", "tracer_multistation"):
+        assert name in method_names()
+        classes = settings_classes(find_method(name))
+        assert tuple(classes) == GROUPS
+        for group, cls in classes.items():
+            for declared in declarations(cls):
+                assert f"`{group}.{declared.name}`" in text
+                assert declared.info.description
