@@ -50,12 +50,16 @@ def command(
     OUTPUT/before and OUTPUT/after hold the two runs, OUTPUT/verification.json the figures. The
     exit code is 0 when no more is left than the uncertainties explain.
     """
+    from rotcal_ros.errors import ConfigurationError
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.session_folder import SessionFolder
     from rotcal_ros.sessions.products import write_report
     from rotcal_ros.sessions.verification import verify
 
     folder = (output or Path("out") / configuration.stem).absolute()
+    shown = SessionFolder(folder / "before" if report_of is None else report_of.absolute())
+    if shown.report.exists():
+        raise ConfigurationError(f"{shown.report} exists already and nothing is overwritten")
     verified = verify(
         configuration,
         folder,
@@ -67,7 +71,6 @@ def command(
     )
     if verified is None:
         return INTERRUPTED
-    shown = verified.before.folder if report_of is None else SessionFolder(report_of.absolute())
     write_report(shown, [verification_section(verified.verification)])
     if as_json:
         click.echo((folder / "verification.json").read_text(encoding="utf-8"), nl=False)

@@ -43,9 +43,8 @@ class Measured:
 
 @dataclass(frozen=True)
 class Verified:
-    """The outcome: ``before`` is the first session, ``controllers`` got files."""
+    """The outcome, and the controllers that got files."""
 
-    before: Session
     verification: Verification
     controllers: tuple[str, ...]
 
@@ -85,7 +84,7 @@ def verify(
     )
     data = verification.to_dict() | {"controllers": list(exports)}
     write_atomically(folder / "verification.json", json.dumps(data, indent=1) + "\n")
-    return Verified(before.session, verification, tuple(exports))
+    return Verified(verification, tuple(exports))
 
 
 def _check(
