@@ -1,3 +1,66 @@
-"""Find and remove the errors of rotary tables: calibration core and ROS 2 nodes."""
+"""Find and remove the errors of rotary tables: ``import rotcal_ros as rc``.
+
+The names of ``__all__`` are the front door for Python; docs/api.md lists them. Each is loaded
+when it is first used, so that the import costs nothing. Everything is SI, deviation = actual -
+commanded, angles counter-clockwise about +z; a result of any method is a ``Result``.
+"""
+
+from importlib import import_module
 
 __version__ = "0.1.0"
+
+_NAMES = {
+    "api.reading": (
+        "read_bag", "read_configuration", "read_result", "read_streams", "read_table",
+    ),
+    "api.measuring": (
+        "capture_records", "simulate_observations", "simulate_records", "simulated_truth", "solve",
+    ),
+    "api.evaluating": ("compare", "iso230", "plan_plate", "uncertainty", "write_report"),
+    "api.compensating": ("correction", "make_table", "write_controller_files"),
+    "catalogue.configuration": ("Configuration",),
+    "catalogue.method": ("method_names",),
+    "compensation.controllers": ("controller_names",),
+    "compensation.table": ("CompensationTable",),
+    "components": ("unit_of",),
+    "errors": ("RotcalError",),
+    "evaluation.iso230": ("BidirectionalRuns",),
+    "observations": ("Observation", "PointKind"),
+    "recordings.replay": ("Recording",),
+    "results": ("Result",),
+    "units": ("ARCSEC", "DEGREE", "MICROMETRE"),
+}  # fmt: skip
+"""Module -> the names that it gives."""
+_MODULES = {
+    "ball_plate": "api.ball_plate",
+    "plane_mirror": "api.plane_mirror",
+    "ros": "ros",
+    "tracer": "api.tracer",
+}
+"""Name -> the module that it is."""
+_PLACES = {name: module for module, names in _NAMES.items() for name in names}
+
+__all__ = sorted([*_PLACES, *_MODULES])
+
+
+def __getattr__(name):
+    """Load a name of the front door; AttributeError says what is missing for it."""
+    if name in _PLACES:
+        value = getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    elif name in _MODULES:
+        try:
+            value = import_module(f"{__name__}.{_MODULES[name]}")
+        except ImportError as error:
+            raise AttributeError(
+                f"{__name__}.{name} needs ROS 2 with rclpy and rotcal_msgs ({error}): source a "
+                "workspace that holds them, or use the .venv of the repository"
+            ) from error
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__():
+    """Return the names of the front door and what is loaded."""
+    return sorted({*globals(), *__all__})

@@ -77,15 +77,20 @@ class FolderLock:
             self.descriptor = -1
 
 
-def write_atomically(path: Path, text: str) -> None:
+def write_atomically(path: Path, text: str, encoding: str = "utf-8") -> None:
     """Write ``text`` so that ``path`` holds either the old or the new content, never half."""
     temporary = path.with_name(path.name + ".tmp")
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+    write_durably(temporary, text, encoding)
     temporary.replace(path)
     sync_folder(path.parent)
+
+
+def write_durably(path: Path, text: str, encoding: str = "utf-8") -> None:
+    """Write ``text``, line ends as they are; it is on the medium when this returns."""
+    with path.open("wb") as file:
+        file.write(text.encode(encoding))
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def sync_folder(folder: Path) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -149,6 +150,20 @@ class Result:
     def to_json(self) -> str:
         """Return :meth:`to_dict` as JSON; every float round-trips to the last bit."""
         return json.dumps(self.to_dict(), indent=1, allow_nan=False)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas DataFrame: a row for each angle, SI, ``EXC`` with ``EXC_std`` and so on.
+
+        pandas is needed for this alone; ImportError says so when it is not there.
+        """
+        try:
+            pandas = import_module("pandas")
+        except ImportError as error:
+            raise ImportError("Result.to_dataframe() needs pandas: pip install pandas") from error
+        columns = {"angle_rad": self.angles}
+        for name, values in self.deviations.items():
+            columns |= {name: values, f"{name}_std": self.std[name]}
+        return pandas.DataFrame(columns)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Result:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
-from rotcal_ros.compensation.controllers import controller_names
+from rotcal_ros.compensation.controllers import controller_names, make_controller
+from rotcal_ros.compensation.options import parse_options
 from rotcal_ros.settings import setting
 
 
 @dataclass(frozen=True)
 class BridgeSettings:
-    """Which controller gets tables, in which form, and how far they may change it."""
+    """Which controller gets tables, in which form, and how far they may change it.
+
+    Raises ConfigurationError for options that the controller does not take.
+    """
 
     controller: str = setting("csv", doc="kind of controller", choices=controller_names())
     options: tuple[str, ...] = setting((), doc="controller settings, each as NAME=VALUE")
@@ -38,3 +43,12 @@ class BridgeSettings:
     answer_timeout_s: float = setting(
         5.0, doc="s, after which the controller counts as silent", minimum=0.01, maximum=600.0
     )
+
+    def __post_init__(self) -> None:
+        # Long before a table arrives, which may be hours after the start.
+        make_controller(self.controller, self.controller_settings, "bridge.options")
+
+    @property
+    def controller_settings(self) -> dict[str, Any]:
+        """The settings of the controller that ``options`` give."""
+        return parse_options(self.options)

@@ -14,35 +14,25 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeout
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Final, TypeVar
 
 from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.errors import ControllerError
+from rotcal_ros.files import sync_folder, write_atomically
 
 T = TypeVar("T")
 
 STATE_FOLDER: Final = ".rotcal"
 """Below the controller's folder: lock, journal, and the tables that were there before."""
-
-
-class ControllerStore(Protocol):
-    """What a controller offers; every method may raise ControllerError."""
-
-    def lock(self) -> None:
-        """Become the only one who feeds this controller, until :meth:`close`."""
-
-    def close(self) -> None:
-        """Let others feed the controller."""
-
-    def read(self, names: Iterable[str]) -> dict[str, str]:
-        """Return those of the files that there are."""
-
-    def write(self, files: Mapping[str, str | None]) -> None:
-        """Replace the files, each of them whole; None takes a file away."""
+ENCODING: Final = "latin-1"
+"""Takes every byte, so that a foreign file is kept and put back as it was."""
 
 
 class ControllerFolder:
-    """A :class:`ControllerStore` in a folder; ``timeout_s`` limits every access."""
+    """The folder of one controller; ``timeout_s`` limits every access.
+
+    Every method raises ControllerError when the folder does not answer.
+    """
 
     def __init__(self, folder: Path, timeout_s: float) -> None:
         self.folder = folder
@@ -50,12 +40,12 @@ class ControllerFolder:
         self._lock: int | None = None
 
     def lock(self) -> None:
-        """Lock the folder; the lock ends with this process at the latest."""
+        """Become the only one who feeds this controller, until :meth:`close` or the end."""
         if self._lock is None:
             self._lock = self._answered(self._take_lock, "lock")
 
     def close(self) -> None:
-        """Unlock the folder."""
+        """Let others feed the controller."""
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
@@ -94,7 +84,7 @@ class ControllerFolder:
         for name in names:
             path = self.folder / name
             if path.exists():
-                found[name] = path.read_bytes().decode("latin-1")
+                found[name] = path.read_bytes().decode(ENCODING)
         return found
 
     def _write(self, files: Mapping[str, str | None]) -> None:
@@ -102,18 +92,9 @@ class ControllerFolder:
             path = self.folder / name
             if text is None:
                 path.unlink(missing_ok=True)
-                continue
-            part = self.folder / f".{name}.part"
-            with part.open("wb") as stream:
-                stream.write(text.encode("latin-1"))
-                stream.flush()
-                os.fsync(stream.fileno())
-            part.replace(path)
-        descriptor = os.open(self.folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+            else:
+                write_atomically(path, text, ENCODING)
+        sync_folder(self.folder)
 
     def _answered(self, action: Callable[[], T], what: str) -> T:
         """Return what ``action`` returns; ControllerError when it fails or takes too long."""

@@ -1,14 +1,14 @@
-"""All controllers by name, and their settings from a plain mapping."""
+"""All controllers that are installed, by name."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 from rotcal_ros import plugins
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.settings import load
 
 
 def controller_names() -> tuple[str, ...]:
@@ -16,27 +16,22 @@ def controller_names() -> tuple[str, ...]:
     return plugins.names(plugins.CONTROLLERS)
 
 
-def controller(name: str) -> Controller:
-    """Return the controller ``name``, or raise ConfigurationError with the names there are."""
-    found: Controller = plugins.load(plugins.CONTROLLERS, name, "controller")
+def controller_class(name: str) -> type[Controller]:
+    """Return the kind of controller ``name``; ConfigurationError when there is none."""
+    found = plugins.load(plugins.CONTROLLERS, name, "controller")
+    if not (isinstance(found, type) and issubclass(found, Controller)):
+        raise ConfigurationError(
+            f"the controller {name!r} is {found!r}, no subclass of Controller"
+        )
     return found
 
 
-def make_settings(name: str, values: Mapping[str, Any]) -> Any:
-    """Return the settings of controller ``name`` from ``values``, each of its field's type.
+def make_controller(
+    name: str, values: Mapping[str, Any] | None = None, where: str | None = None
+) -> Controller:
+    """Return the controller ``name`` with the settings ``values``.
 
-    Raises ConfigurationError for a name that the controller does not know or a wrong type.
+    Raises ConfigurationError, with the place (``where``, else the name) and the nearest name,
+    for what it does not know or what is out of range.
     """
-    kind = controller(name).settings
-    defaults = {field.name: field.default for field in fields(kind)}
-    for key, value in values.items():
-        if key not in defaults:
-            raise ConfigurationError(
-                f"{name}: no setting {key!r}, expected one of: {', '.join(defaults) or 'none'}"
-            )
-        wanted = type(defaults[key])
-        if type(value) is not wanted and not (wanted is float and type(value) is int):
-            raise ConfigurationError(
-                f"{name}: {key} is {value!r}, expected {wanted.__name__} such as {defaults[key]!r}"
-            )
-    return kind(**values)
+    return load(controller_class(name), values, where or name)

@@ -5,17 +5,22 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller
-from rotcal_ros.compensation.controllers import controller, make_settings
+from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.quality import ResidualBudget, residual_budget
 from rotcal_ros.compensation.resample import resample
-from rotcal_ros.compensation.table import SIGN_CONVENTION, CompensationTable, check_axis
+from rotcal_ros.compensation.table import (
+    SIGN_CONVENTION,
+    CompensationTable,
+    check_axis,
+    check_verdict,
+)
 from rotcal_ros.compensation.writing import check_stem
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -31,7 +36,6 @@ class ExportFiles:
     residual: ResidualBudget
     warnings: tuple[str, ...]
     table: CompensationTable
-    unverified: tuple[str, ...] = field(default=())
 
 
 def prepare_export(
@@ -57,26 +61,24 @@ def prepare_export(
     Raises DataError for a verdict other than "ok" or a file that would make things worse, and
     ConfigurationError for limits, names and settings. Writes nothing.
     """
-    kind = controller(controller_name)
-    made = make_settings(controller_name, settings or {})
-    unverified = kind.unverified(made)
-    _refuse_verdict(table)
+    controller = make_controller(controller_name, settings)
+    check_verdict(table)
     _refuse_other_axis(table, axis)
     if not accept_unverified:
-        _refuse_unverified(kind, unverified)
+        _refuse_unverified(controller)
     name = check_stem(stem or f"{table.axis}_{controller_name}".lower())
     shifted = resample(table, reference_angle=reference_angle)
     rows = resample(shifted, spacing)
-    files = kind.write(rows, made, name)
-    said = kind.read(files, made)
-    residual = residual_budget(shifted, rows, kind, made, said)
-    _refuse_harm(residual, kind.title)
-    warnings = (*table.warnings, *(f"not verified: {text}" for text in unverified))
+    files = controller.write(rows, name)
+    residual = residual_budget(shifted, rows, controller, controller.read(files))
+    _refuse_harm(residual, controller.facts.title)
+    warnings = (*table.warnings, *(f"not verified: {text}" for text in controller.unverified))
     side = {
         "schema": SCHEMA,
         "written": now.isoformat(timespec="seconds"),
         **_origin(table, sources),
-        **_controller_facts(kind, made),
+        "controller": controller_name,
+        **_controller_facts(controller),
         **_written_rows(rows, files),
         **_left(residual, table),
         "warnings": list(warnings),
@@ -87,17 +89,7 @@ def prepare_export(
         residual=residual,
         warnings=warnings,
         table=rows,
-        unverified=unverified,
     )
-
-
-def _refuse_verdict(table: CompensationTable) -> None:
-    if table.verdict != "ok":
-        said = f" ({'; '.join(table.warnings)})" if table.warnings else ""
-        raise DataError(
-            f"the verdict of the {table.method} result is '{table.verdict}'{said}: only 'ok' may "
-            "be fed to a controller; nothing was written"
-        )
 
 
 def _refuse_other_axis(table: CompensationTable, axis: str | None) -> None:
@@ -107,11 +99,12 @@ def _refuse_other_axis(table: CompensationTable, axis: str | None) -> None:
         )
 
 
-def _refuse_unverified(kind: Controller, unverified: tuple[str, ...]) -> None:
-    if unverified:
+def _refuse_unverified(controller: Controller) -> None:
+    if controller.unverified:
         raise ConfigurationError(
-            f"{kind.title}: not verified is {'; '.join(unverified)}. Give --accept-unverified to "
-            "write the file all the same, and test it with one small value first"
+            f"{controller.facts.title}: not verified is {'; '.join(controller.unverified)}. Give "
+            "--accept-unverified to write the file all the same, and test it with one small value "
+            "first"
         )
 
 
@@ -142,16 +135,9 @@ def _origin(table: CompensationTable, sources: Mapping[str, str] | None) -> dict
     }
 
 
-def _controller_facts(kind: Controller, made: Any) -> dict[str, Any]:
-    return {
-        "controller": kind.name,
-        "controller_title": kind.title,
-        "settings": asdict(made),
-        "sign": kind.sign,
-        "wrap": kind.wrap,
-        "unit": kind.unit,
-        "source": kind.source,
-    }
+def _controller_facts(controller: Controller) -> dict[str, Any]:
+    words = asdict(controller.facts)
+    return {"controller_title": words.pop("title"), "settings": asdict(controller), **words}
 
 
 def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str, Any]:

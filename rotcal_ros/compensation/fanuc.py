@@ -18,56 +18,25 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.compensation.controller import (
-    Controller,
+from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.parsing import integer, number, only_file
+from rotcal_ros.compensation.rows import (
     even_interval_deg,
     fixed,
-    integer,
     mean_deg,
-    number,
-    only_file,
     require_at_most,
     require_zero_at_start,
 )
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
+from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
 
 LARGEST_STEP: Final = 7
 LARGEST_MAGNIFICATION: Final = 100
 PITCH_DATA: Final = 10000
 """In a punched file the number of a pitch slot is its slot plus this."""
-
-
-@dataclass(frozen=True)
-class FanucSettings:
-    """``detection_unit_deg`` 0.001 (IS-B) or 0.0001 (IS-C), slots and magnification.
-
-    ``magnification`` 0 takes the smallest that fits. ``reference_slot`` is parameter 3620 and
-    ``slots`` how many pitch slots the control has (128 on older ones, up to 1024).
-    ``axis_number`` is the controlled axis.
-    """
-
-    detection_unit_deg: float = 0.001
-    magnification: int = 0
-    reference_slot: int = 0
-    slots: int = 128
-    axis_number: int = 4
-
-    def __post_init__(self) -> None:
-        bad_unit = not 1e-6 <= self.detection_unit_deg <= 0.1
-        if bad_unit or not 0 <= self.magnification <= LARGEST_MAGNIFICATION:
-            raise ConfigurationError(
-                f"fanuc: detection_unit_deg {self.detection_unit_deg} (1e-6 .. 0.1), "
-                f"magnification {self.magnification} (0 .. {LARGEST_MAGNIFICATION}): out of range"
-            )
-        if not 0 <= self.reference_slot < self.slots <= 1024 or not 1 <= self.axis_number <= 32:
-            raise ConfigurationError(
-                f"fanuc: reference_slot {self.reference_slot} (0 .. slots - 1), slots "
-                f"{self.slots} (at most 1024), axis_number {self.axis_number} (1 .. 32): out of "
-                "range"
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,95 +46,157 @@ class PitchTable:
     increments: Ints
     unit_deg: float
 
+    def correction(self, angle: Floats, approach: Approach) -> Floats:
+        """Return the running sum (rad) at ``angle`` (rad): each step comes amid its interval.
 
-def write(table: CompensationTable, settings: FanucSettings, stem: str) -> dict[str, str]:
-    """Return the punched parameters and pitch data of one axis.
+        The same in both directions. Where exactly inside the interval a control puts out its step
+        is not documented; the stated residual holds for any place.
+        """
+        n = len(self.increments)
+        point = np.floor(np.mod(np.asarray(angle) / DEGREE, 360.0) / (360.0 / n) + 0.5).astype(int)
+        total = np.concatenate([[0], np.cumsum(self.increments)])
+        return np.asarray(total[point] * (self.unit_deg * DEGREE), dtype=np.float64)
 
-    Raises ConfigurationError when a step is above 7, or the slots do not suffice.
-    """
-    spacing = even_interval_deg(table, "Fanuc", settings.detection_unit_deg)
-    require_zero_at_start(table, "Fanuc", _resolution(table, settings))
-    n = len(table.angles)
-    last = settings.reference_slot + n
-    require_at_most(
-        last,
-        settings.slots - 1,
-        f"fanuc: last slot for {n} intervals from {settings.reference_slot}",
-        "choose a wider spacing or a lower reference_slot",
+
+@dataclass(frozen=True)
+class Fanuc(Controller):
+    """Fanuc 0i, 16i, 18i, 30i with pitch error data for one rotary axis."""
+
+    facts = Facts(
+        title="Fanuc",
+        sign="slot = step of -(actual - commanded), in detection units x magnification",
+        wrap="3625 = 360, slots reference + 1 .. reference + N, sum zero, slot(reference) = last",
+        unit="detection unit x magnification, whole numbers -7 .. +7",
+        source="B-63980EN/01 p. 100, A-77810E, B-63522EN/02 p. 222, B-63330EN/03 p. 25",
     )
-    magnification = settings.magnification or _smallest_magnification(table, settings)
-    increments = _increments(table, settings.detection_unit_deg * magnification)
-    steepest = int(np.max(np.abs(increments)))
-    if steepest > LARGEST_STEP:
-        row = int(np.argmax(np.abs(increments))) + 1
+    staircase = True
+    one_direction = True
+    unverified = (
+        "the text form of the file (N1xxxxP..; lines for pitch slots, A.. for the axis)",
+        "where inside an interval the control puts out its step",
+    )
+
+    detection_unit_deg: float = setting(
+        0.001, doc="deg, 0.001 (IS-B) or 0.0001 (IS-C)", minimum=1e-6, maximum=0.1
+    )
+    magnification: int = setting(
+        0,
+        doc="detection units of one step (parameter 3623); 0: the smallest that fits",
+        minimum=0,
+        maximum=LARGEST_MAGNIFICATION,
+    )
+    reference_slot: int = setting(
+        0, doc="slot of the reference position (parameter 3620)", minimum=0, maximum=1023
+    )
+    slots: int = setting(128, doc="pitch slots of the control", minimum=1, maximum=1024)
+    axis_number: int = setting(4, doc="number of the controlled axis", minimum=1, maximum=32)
+
+    def __post_init__(self) -> None:
+        if self.reference_slot >= self.slots:
+            raise ConfigurationError(
+                f"fanuc: reference_slot {self.reference_slot} is none of the {self.slots} slots "
+                f"0 .. {self.slots - 1}"
+            )
+
+    def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
+        """Return the punched parameters and pitch data of one axis.
+
+        Raises ConfigurationError when a step is above 7, or the slots do not suffice.
+        """
+        spacing = even_interval_deg(table, "Fanuc", self.detection_unit_deg)
+        require_zero_at_start(table, "Fanuc", self.resolution(table))
+        n = len(table.angles)
+        last = self.reference_slot + n
+        require_at_most(
+            last,
+            self.slots - 1,
+            f"fanuc: last slot for {n} intervals from {self.reference_slot}",
+            "choose a wider spacing or a lower reference_slot",
+        )
+        magnification = self._fitting_magnification(table)
+        increments = _increments(table, self.detection_unit_deg * magnification)
+        self._refuse_steps(table, increments)
+        axis = self.axis_number
+        values = {
+            3620: f"{self.reference_slot}",
+            3621: f"{self.reference_slot}",
+            3622: f"{last}",
+            3623: f"{magnification}",
+            3624: fixed(spacing, 6),
+            3625: "360.0",
+        }
+        lines = [f"N{number:05d}A{axis}P{value};" for number, value in values.items()]
+        first = PITCH_DATA + self.reference_slot
+        lines += [
+            f"N{first + k:05d}P{step};" for k, step in enumerate([increments[-1], *increments])
+        ]
+        return {f"{stem}.txt": "\n".join(["%", *lines, "%"]) + "\n"}
+
+    def read(self, files: Mapping[str, str]) -> PitchTable:
+        """Read parameters and slots back; BagError unless they obey the rule for rotary axes."""
+        name, text = only_file(files, ".txt")
+        values: dict[int, str] = {}
+        for row, line in enumerate(text.splitlines(), start=1):
+            match = re.fullmatch(r"N(\d{5})(?:A\d+)?P(-?[\d.]+);|%", line.strip())
+            if match is None:
+                raise BagError(f"{name}, line {row}: {line!r} is no line such as N10061P-3;")
+            if match.group(1):
+                values[int(match.group(1))] = match.group(2)
+        missing = [k for k in (3620, 3621, 3622, 3623, 3624, 3625) if k not in values]
+        if missing:
+            raise BagError(f"{name}: parameters {missing} are missing")
+        reference, low, high, magnification = (
+            integer(values[k], f"{name}, parameter {k}") for k in (3620, 3621, 3622, 3623)
+        )
+        turn, interval = (number(values[k], f"{name}, parameter {k}") for k in (3625, 3624))
+        slots = range(reference, high + 1)
+        n = high - reference
+        if low != reference or n < 2 or turn != 360.0 or abs(n * interval - turn) > 1e-3:
+            raise BagError(
+                f"{name}: slots {low} .. {high} from {reference}, {interval:g} deg apart in a "
+                f"turn of {turn:g} deg; expected the first to be the reference and the rest to "
+                "make 360 deg"
+            )
+        if any(PITCH_DATA + k not in values for k in slots):
+            raise BagError(f"{name}: not all slots {reference} .. {high} are there")
+        steps = [integer(values[PITCH_DATA + k], f"{name}, slot {k}") for k in slots]
+        if sum(steps[1:]) != 0 or steps[0] != steps[-1] or max(map(abs, steps)) > LARGEST_STEP:
+            raise BagError(
+                f"{name}: the steps of a turn add up to {sum(steps[1:])} (expected 0), the slot "
+                f"of the reference holds {steps[0]} and the last {steps[-1]} (expected the same), "
+                f"the largest is {max(map(abs, steps))} (at most 7)"
+            )
+        return PitchTable(
+            np.array(steps[1:], dtype=np.int64), self.detection_unit_deg * magnification
+        )
+
+    def resolution(self, table: CompensationTable) -> float:
+        """Return the step of a slot, in rad."""
+        return self.detection_unit_deg * self._fitting_magnification(table) * DEGREE
+
+    def _refuse_steps(self, table: CompensationTable, increments: Ints) -> None:
+        row = int(np.argmax(np.abs(increments)))
+        if abs(increments[row]) > LARGEST_STEP:
+            raise ConfigurationError(
+                f"fanuc: the step to {360.0 / len(increments) * (row + 1):g} deg is "
+                f"{increments[row]} at magnification {self.magnification}, and a slot holds "
+                f"-7 .. +7: use a magnification of at least {self._smallest_magnification(table)} "
+                "or a narrower spacing"
+            )
+
+    def _fitting_magnification(self, table: CompensationTable) -> int:
+        return self.magnification or self._smallest_magnification(table)
+
+    def _smallest_magnification(self, table: CompensationTable) -> int:
+        for magnification in range(1, LARGEST_MAGNIFICATION + 1):
+            steps = _increments(table, self.detection_unit_deg * magnification)
+            if np.max(np.abs(steps)) <= LARGEST_STEP:
+                return magnification
+        steepest = float(np.max(np.abs(np.diff(mean_deg(table)))))
         raise ConfigurationError(
-            f"fanuc: the step to {row * spacing:g} deg is {increments[row - 1]} at magnification "
-            f"{magnification}, and a slot holds -7 .. +7: use a magnification of at least "
-            f"{_smallest_magnification(table, settings)} or a narrower spacing"
+            f"fanuc: a step of {steepest:.4g} deg between rows is more than 7 x "
+            f"{LARGEST_MAGNIFICATION} x {self.detection_unit_deg:g} deg: choose a narrower spacing"
         )
-    axis = settings.axis_number
-    values = {
-        3620: f"{settings.reference_slot}",
-        3621: f"{settings.reference_slot}",
-        3622: f"{last}",
-        3623: f"{magnification}",
-        3624: fixed(spacing, 6),
-        3625: "360.0",
-    }
-    lines = [f"N{number:05d}A{axis}P{value};" for number, value in values.items()]
-    first = PITCH_DATA + settings.reference_slot
-    lines += [f"N{first + k:05d}P{step};" for k, step in enumerate([increments[-1], *increments])]
-    return {f"{stem}.txt": "\n".join(["%", *lines, "%"]) + "\n"}
-
-
-def read(files: Mapping[str, str], settings: FanucSettings) -> PitchTable:
-    """Read parameters and slots back; BagError unless they obey the rule for rotary axes."""
-    name, text = only_file(files, ".txt")
-    said: dict[int, str] = {}
-    for row, line in enumerate(text.splitlines(), start=1):
-        match = re.fullmatch(r"N(\d{5})(?:A\d+)?P(-?[\d.]+);|%", line.strip())
-        if match is None:
-            raise BagError(f"{name}, line {row}: {line!r} is no line such as N10061P-3;")
-        if match.group(1):
-            said[int(match.group(1))] = match.group(2)
-    missing = [k for k in (3620, 3621, 3622, 3623, 3624, 3625) if k not in said]
-    if missing:
-        raise BagError(f"{name}: parameters {missing} are missing")
-    reference, low, high, magnification = (
-        integer(said[k], f"{name}, parameter {k}") for k in (3620, 3621, 3622, 3623)
-    )
-    turn, interval = (number(said[k], f"{name}, parameter {k}") for k in (3625, 3624))
-    slots = range(reference, high + 1)
-    n = high - reference
-    if low != reference or n < 2 or turn != 360.0 or abs(n * interval - turn) > 1e-3:
-        raise BagError(
-            f"{name}: slots {low} .. {high} from {reference}, {interval:g} deg apart in a turn of "
-            f"{turn:g} deg; expected the first to be the reference and the rest to make 360 deg"
-        )
-    if any(PITCH_DATA + k not in said for k in slots):
-        raise BagError(f"{name}: not all slots {reference} .. {high} are there")
-    steps = [integer(said[PITCH_DATA + k], f"{name}, slot {k}") for k in slots]
-    if sum(steps[1:]) != 0 or steps[0] != steps[-1] or max(map(abs, steps)) > LARGEST_STEP:
-        raise BagError(
-            f"{name}: the steps of a turn add up to {sum(steps[1:])} (expected 0), the slot of "
-            f"the reference holds {steps[0]} and the last {steps[-1]} (expected the same), the "
-            f"largest is {max(map(abs, steps))} (at most 7)"
-        )
-    return PitchTable(
-        np.array(steps[1:], dtype=np.int64), settings.detection_unit_deg * magnification
-    )
-
-
-def correction(pitch: PitchTable, angle: Floats, approach: Approach) -> Floats:
-    """Return the running sum (rad) at ``angle`` (rad): each step comes amid its interval.
-
-    The same in both directions. Where exactly inside the interval a control puts out its step is
-    not documented; the stated residual holds for any place.
-    """
-    n = len(pitch.increments)
-    point = np.floor(np.mod(np.asarray(angle) / DEGREE, 360.0) / (360.0 / n) + 0.5).astype(int)
-    total = np.concatenate([[0], np.cumsum(pitch.increments)])
-    return np.asarray(total[point] * (pitch.unit_deg * DEGREE), dtype=np.float64)
 
 
 def _increments(table: CompensationTable, unit_deg: float) -> Ints:
@@ -175,40 +206,4 @@ def _increments(table: CompensationTable, unit_deg: float) -> Ints:
     return np.diff(total)
 
 
-def _smallest_magnification(table: CompensationTable, settings: FanucSettings) -> int:
-    for magnification in range(1, LARGEST_MAGNIFICATION + 1):
-        steps = _increments(table, settings.detection_unit_deg * magnification)
-        if np.max(np.abs(steps)) <= LARGEST_STEP:
-            return magnification
-    steepest = float(np.max(np.abs(np.diff(mean_deg(table)))))
-    raise ConfigurationError(
-        f"fanuc: a step of {steepest:.4g} deg between rows is more than 7 x "
-        f"{LARGEST_MAGNIFICATION} x {settings.detection_unit_deg:g} deg: choose a narrower spacing"
-    )
-
-
-def _resolution(table: CompensationTable, settings: FanucSettings) -> float:
-    magnification = settings.magnification or _smallest_magnification(table, settings)
-    return settings.detection_unit_deg * magnification * DEGREE
-
-
-CONTROLLER: Final = Controller(
-    name="fanuc",
-    title="Fanuc",
-    settings=FanucSettings,
-    write=write,
-    read=read,
-    correction=correction,
-    resolution=_resolution,
-    position_resolution=0.0,
-    one_direction=lambda settings: True,
-    unverified=lambda settings: (
-        "the text form of the file (N1xxxxP..; lines for pitch slots, A.. for the axis)",
-        "where inside an interval the control puts out its step",
-    ),
-    sign="slot = step of -(actual - commanded), in detection units x magnification",
-    wrap="3625 = 360, slots reference + 1 .. reference + N, sum zero, slot(reference) = last",
-    unit="detection unit x magnification, whole numbers -7 .. +7",
-    source="B-63980EN/01 p. 100, A-77810E, B-63522EN/02 p. 222, B-63330EN/03 p. 25",
-    staircase=True,
-)
+CONTROLLER: Final = Fanuc

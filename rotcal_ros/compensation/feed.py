@@ -6,24 +6,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.controller_folder import (
-    STATE_FOLDER,
-    ControllerFolder,
-    ControllerStore,
-)
-from rotcal_ros.compensation.controllers import controller, make_settings
+from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
+from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.journal import Entry, Journal
-from rotcal_ros.compensation.options import parse_options
 from rotcal_ros.compensation.quality import DIRECTIONS
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.errors import ControllerError, DataError, RotcalError
+from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 GRID_STEP = 0.25 * DEGREE
@@ -45,14 +41,14 @@ class Offer:
 
     table: CompensationTable
     stamp_ns: int
-    made: ExportFiles
+    export: ExportFiles
 
 
 class Feed:
     """The feed of one controller for one axis.
 
     ``now_ns`` returns the time (ns since 1970). ``store`` replaces the controller's folder of
-    the settings. Raises ConfigurationError for settings that do not fit the controller.
+    the settings.
     """
 
     def __init__(
@@ -60,13 +56,11 @@ class Feed:
         settings: BridgeSettings,
         axis: str,
         now_ns: Callable[[], int],
-        store: ControllerStore | None = None,
+        store: ControllerFolder | None = None,
     ) -> None:
         self.settings, self.axis = settings, axis
         self._now_ns = now_ns
-        self._kind = controller(settings.controller)
-        self._options = parse_options(settings.options)
-        self._made = make_settings(settings.controller, self._options)
+        self._controller = make_controller(settings.controller, settings.controller_settings)
         self._folder = Path(settings.controller_folder)
         self._store = store or ControllerFolder(self._folder, settings.answer_timeout_s)
         self._journal = Journal(self._folder / STATE_FOLDER)
@@ -82,23 +76,23 @@ class Feed:
         self.offer = None
         settings = self.settings
         reference = settings.reference_deg
-        made = prepare_export(
+        export = prepare_export(
             table,
             settings.controller,
             now=datetime.fromtimestamp(self._now_ns() * NANOSECOND, timezone.utc),
             axis=self.axis,
             spacing=settings.spacing_deg * DEGREE,
             reference_angle=None if reference is None else reference * DEGREE,
-            settings=self._options,
+            settings=settings.controller_settings,
             accept_unverified=settings.accept_unverified,
         )
-        self.offer = Offer(table, stamp_ns, made)
+        self.offer = Offer(table, stamp_ns, export)
         if not settings.output_folder:
             return ()
         folder = Path(settings.output_folder) / f"{table.axis}-{table.table_hash[:12]}".lower()
         if folder.is_dir() and any(folder.iterdir()):
             return tuple(sorted(folder.iterdir()))
-        return write_files(made.files, folder)
+        return write_files(export.files, folder)
 
     def apply(self, table_hash: str) -> Applied:
         """Give the table to the controller; ``table_hash`` confirms that it is the one meant.
@@ -110,7 +104,7 @@ class Feed:
         self._refuse_no_controller()
         self._store.lock()
         self._refuse_stale(offer)
-        new = dict(offer.made.files)
+        new = dict(offer.export.files)
         old = self._store.read(new)
         change = self._largest_change(old, new)
         limit = self.settings.max_change_arcsec * ARCSEC
@@ -181,11 +175,11 @@ class Feed:
 
     def _largest_change(self, old: Mapping[str, str], new: Mapping[str, str]) -> float:
         """Return the largest difference (rad) of what the controller makes of both."""
-        first, last = self._kind.travel(self._made)
+        first, last = self._controller.travel
         count = round((last - first) / GRID_STEP) + 1
         grid = np.linspace(first, last, count)
         if self.offer is not None:
-            rows = self.offer.made.table.angles
+            rows = self.offer.export.table.angles
             between = np.linspace(rows[0], rows[-1], count)  # an arc may lie outside of the travel
             grid = np.concatenate([grid, between, rows])
         differences = [
@@ -194,18 +188,18 @@ class Feed:
         ]
         return float(np.max(differences))
 
-    def _correction(self, files: Mapping[str, str], grid: Any, approach: Any) -> Any:
+    def _correction(self, files: Mapping[str, str], grid: Floats, approach: Approach) -> Floats:
         tables = {n: t for n, t in files.items() if not n.endswith(".provenance.json")}
         if not tables:
             return np.zeros_like(grid)
         try:
-            said = self._kind.read(tables, self._made)
+            rule = self._controller.read(tables)
         except RotcalError as error:
             raise ControllerError(
                 f"the table that the controller holds cannot be read, so that the change is not "
                 f"known ({error}): look at it and move it away by hand; nothing was changed"
             ) from error
-        return self._kind.correction(said, grid, approach)
+        return rule.correction(grid, approach)
 
     def _replace(
         self,

@@ -18,42 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.compensation.controller import (
-    Controller,
-    columns_deg,
-    fixed,
-    only_file,
-    require_at_most,
-)
+from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.parsing import only_file
+from rotcal_ros.compensation.rows import columns_deg, fixed, require_at_most
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
+from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
 
 MAX_ROWS: Final = 256
 DECIMALS: Final = 9
-
-
-@dataclass(frozen=True)
-class LinuxCncSettings:
-    """``file_type`` 0 (actual angles) or 1 (trims), and the turns that the travel covers.
-
-    The table is written for ``turns`` turns, the first of which starts at 360 * ``first_turn``
-    degrees. ``joint`` is the number in ``[JOINT_n]``.
-    """
-
-    file_type: int = 1
-    joint: int = 0
-    first_turn: int = 0
-    turns: int = 1
-
-    def __post_init__(self) -> None:
-        if self.file_type not in (0, 1) or self.turns < 1 or not 0 <= self.joint < 16:
-            raise ConfigurationError(
-                f"linuxcnc: file_type {self.file_type} (0 or 1), turns {self.turns} (at least 1), "
-                f"joint {self.joint} (0 .. 15): out of range"
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,68 +41,114 @@ class LoadedComp:
     reverse_deg: NDArray[np.float32]
     messages: tuple[str, ...]
 
+    def correction(self, angle: Floats, approach: Approach) -> Floats:
+        """Return the trim (rad) at the joint position ``angle`` (rad, not wrapped).
 
-def write(table: CompensationTable, settings: LinuxCncSettings, stem: str) -> dict[str, str]:
-    """Return the table and the two ini lines that must go with it.
+        Linear, with slopes in single precision; before the first and after the last row the trim
+        of that row is held.
+        """
+        trims = self.forward_deg if approach is Approach.POSITIVE else self.reverse_deg
+        at = np.asarray(angle, dtype=np.float64) / DEGREE
+        if len(trims) == 0:
+            return np.zeros_like(at)
+        rise = np.diff(trims.astype(np.float64)) / np.diff(self.nominal_deg)
+        slopes = np.append(rise.astype(np.float32), np.float32(0.0)).astype(np.float64)
+        row = np.clip(np.searchsorted(self.nominal_deg, at, side="right") - 1, 0, None)
+        beyond = np.maximum(at - self.nominal_deg[row], 0.0)
+        return np.asarray((trims[row] + slopes[row] * beyond) * DEGREE, dtype=np.float64)
 
-    Raises ConfigurationError when the rows of all turns are more than LinuxCNC holds.
-    """
-    angles, up, down = (np.round(column, DECIMALS) for column in columns_deg(table))
-    if table.closed:
-        rows = len(angles) - 1
-        total = rows * settings.turns + 1
+
+@dataclass(frozen=True)
+class LinuxCnc(Controller):
+    """LinuxCNC: the rows are written for every turn of the travel."""
+
+    facts = Facts(
+        title="LinuxCNC",
+        sign="type 1: trim = -(actual - commanded), added to the motor; type 0: the actual angle",
+        wrap="none: rows repeated for each turn, beyond them the end row is held",
+        unit="degrees, 9 decimals; held in single precision",
+        source="LinuxCNC 2.9 source (usrmotintf.cc, command.c, control.c) and runs of the program",
+    )
+    position_resolution = 10.0**-DECIMALS * DEGREE
+
+    file_type: int = setting(1, doc="0: actual angles, 1: trims", minimum=0, maximum=1)
+    joint: int = setting(0, doc="number in [JOINT_n]", minimum=0, maximum=15)
+    first_turn: int = setting(0, doc="turn that the table begins with; 1 is 360 .. 720 deg")
+    turns: int = setting(1, doc="number of turns that the table covers", minimum=1)
+
+    def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
+        """Return the table and the two ini lines that must go with it.
+
+        Raises ConfigurationError when the rows of all turns are more than LinuxCNC holds.
+        """
+        angles, up, down = (np.round(column, DECIMALS) for column in columns_deg(table))
+        if table.closed:
+            angles, up, down = self._every_turn(angles, up, down)
+        elif self.turns != 1 or self.first_turn != 0:
+            raise ConfigurationError(
+                "linuxcnc: an arc cannot be repeated, set turns 1, first_turn 0"
+            )
+        require_at_most(len(angles), MAX_ROWS, "linuxcnc: rows", "choose a wider spacing")
+        if self.file_type == 0:
+            up, down = angles - up, angles - down
+        lines = [
+            " ".join(fixed(x, DECIMALS) for x in row) for row in zip(angles, up, down, strict=True)
+        ]
+        ini = [
+            f"[JOINT_{self.joint}]",
+            f"COMP_FILE = {stem}.comp",
+            f"COMP_FILE_TYPE = {self.file_type}",
+        ]
+        return {f"{stem}.comp": "\n".join(lines) + "\n", f"{stem}.ini": "\n".join(ini) + "\n"}
+
+    def read(self, files: Mapping[str, str]) -> LoadedComp:
+        """Read table and ini lines; BagError for all that LinuxCNC would swallow in silence."""
+        _, ini = only_file(files, ".ini")
+        name, text = only_file(files, ".comp")
+        kind = re.search(r"^\s*COMP_FILE_TYPE\s*=\s*([01])\s*$", ini, re.MULTILINE)
+        if kind is None:
+            raise BagError(
+                "the ini lines hold no COMP_FILE_TYPE = 0 or 1: LinuxCNC would take the default 0 "
+                "and read trims as positions"
+            )
+        loaded = load(text, int(kind.group(1)))
+        lines = text.count("\n") + (not text.endswith("\n"))
+        if loaded.messages or len(loaded.nominal_deg) != lines or lines == 0:
+            raise BagError(
+                f"{name}: {lines} lines, of which LinuxCNC uses {len(loaded.nominal_deg)}; "
+                f"expected all; {'; '.join(loaded.messages) or 'a line is not three numbers'}"
+            )
+        numbers = (loaded.nominal_deg, loaded.forward_deg, loaded.reverse_deg)
+        if not all(np.all(np.isfinite(column)) for column in numbers):
+            raise BagError(f"{name}: a number is too large")
+        return loaded
+
+    def resolution(self, table: CompensationTable) -> float:
+        """Return twice the rounding: nine decimals, and single precision of trim and slope."""
+        largest = max(
+            np.max(np.abs(table.correction_forward)), np.max(np.abs(table.correction_reverse))
+        )
+        return float(2.0 * 10.0**-DECIMALS * DEGREE + 8.0 * np.finfo(np.float32).eps * largest)
+
+    def _every_turn(self, *columns: Floats) -> tuple[Floats, Floats, Floats]:
+        """Repeat angles, forward and reverse column (n,) of a closed turn for all turns."""
+        rows = len(columns[0]) - 1
         fit = (MAX_ROWS - 1) // rows if rows < MAX_ROWS else 0
         require_at_most(
-            total,
+            rows * self.turns + 1,
             MAX_ROWS,
-            f"linuxcnc: {rows} rows x {settings.turns} turns + 1",
-            f"a spacing of at least {360 * settings.turns / (MAX_ROWS - 1):.3g} deg"
+            f"linuxcnc: {rows} rows x {self.turns} turns + 1",
+            f"a spacing of at least {360 * self.turns / (MAX_ROWS - 1):.3g} deg"
             + (f", or at most {fit} turns at this spacing" if fit else ""),
         )
-        turn = np.repeat(np.arange(settings.turns) + settings.first_turn, rows)
-        angles = np.append(
-            np.tile(angles[:-1], settings.turns) + 360.0 * turn,
-            360.0 * (settings.first_turn + settings.turns),
-        )
-        up = np.append(np.tile(up[:-1], settings.turns), up[-1])
-        down = np.append(np.tile(down[:-1], settings.turns), down[-1])
-    elif settings.turns != 1 or settings.first_turn != 0:
-        raise ConfigurationError("linuxcnc: an arc cannot be repeated, set turns 1, first_turn 0")
-    require_at_most(len(angles), MAX_ROWS, "linuxcnc: rows", "choose a wider spacing")
-    if settings.file_type == 0:
-        up, down = angles - up, angles - down
-    lines = [
-        " ".join(fixed(x, DECIMALS) for x in row) for row in zip(angles, up, down, strict=True)
-    ]
-    ini = [
-        f"[JOINT_{settings.joint}]",
-        f"COMP_FILE = {stem}.comp",
-        f"COMP_FILE_TYPE = {settings.file_type}",
-    ]
-    return {f"{stem}.comp": "\n".join(lines) + "\n", f"{stem}.ini": "\n".join(ini) + "\n"}
+        angles, up, down = (np.append(np.tile(c[:-1], self.turns), c[-1]) for c in columns)
+        turn = self.first_turn + np.append(np.repeat(np.arange(self.turns), rows), self.turns - 1)
+        return angles + 360.0 * turn, up, down
 
-
-def read(files: Mapping[str, str], settings: LinuxCncSettings) -> LoadedComp:
-    """Read a table and its ini lines; BagError for all that LinuxCNC would swallow in silence."""
-    _, ini = only_file(files, ".ini")
-    name, text = only_file(files, ".comp")
-    kind = re.search(r"^\s*COMP_FILE_TYPE\s*=\s*([01])\s*$", ini, re.MULTILINE)
-    if kind is None:
-        raise BagError(
-            "the ini lines hold no COMP_FILE_TYPE = 0 or 1: LinuxCNC would take the default 0 and "
-            "read trims as positions"
-        )
-    loaded = load(text, int(kind.group(1)))
-    lines = text.count("\n") + (not text.endswith("\n"))
-    if loaded.messages or len(loaded.nominal_deg) != lines or lines == 0:
-        raise BagError(
-            f"{name}: {lines} lines, of which LinuxCNC uses {len(loaded.nominal_deg)}; expected "
-            f"all; {'; '.join(loaded.messages) or 'a line is not three numbers'}"
-        )
-    numbers = (loaded.nominal_deg, loaded.forward_deg, loaded.reverse_deg)
-    if not all(np.all(np.isfinite(column)) for column in numbers):
-        raise BagError(f"{name}: a number is too large")
-    return loaded
+    @property
+    def travel(self) -> tuple[float, float]:
+        """First and last angle (rad) of the turns that are written."""
+        return self.first_turn * TURN, (self.first_turn + self.turns) * TURN
 
 
 def load(text: str, file_type: int) -> LoadedComp:
@@ -155,23 +177,6 @@ def load(text: str, file_type: int) -> LoadedComp:
     )
 
 
-def correction(loaded: LoadedComp, angle: Floats, approach: Approach) -> Floats:
-    """Return the trim (rad) at the joint position ``angle`` (rad, not wrapped).
-
-    Linear, with slopes in single precision; before the first and after the last row the trim
-    of that row is held.
-    """
-    trims = loaded.forward_deg if approach is Approach.POSITIVE else loaded.reverse_deg
-    at = np.asarray(angle, dtype=np.float64) / DEGREE
-    if len(trims) == 0:
-        return np.zeros_like(at)
-    rise = np.diff(trims.astype(np.float64)) / np.diff(loaded.nominal_deg)
-    slopes = np.append(rise.astype(np.float32), np.float32(0.0)).astype(np.float64)
-    row = np.clip(np.searchsorted(loaded.nominal_deg, at, side="right") - 1, 0, None)
-    beyond = np.maximum(at - loaded.nominal_deg[row], 0.0)
-    return np.asarray((trims[row] + slopes[row] * beyond) * DEGREE, dtype=np.float64)
-
-
 def _three_numbers(line: str) -> tuple[float, float, float] | None:
     """Return what ``sscanf("%lf %lf %lf")`` finds: three leading numbers, blanks between."""
     number = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
@@ -181,32 +186,4 @@ def _three_numbers(line: str) -> tuple[float, float, float] | None:
     return float(match.group(1)), float(match.group(2)), float(match.group(3))
 
 
-def _resolution(table: CompensationTable, settings: LinuxCncSettings) -> float:
-    """Return twice the rounding: nine decimals, and single precision of trim and slope."""
-    largest = max(
-        np.max(np.abs(table.correction_forward)), np.max(np.abs(table.correction_reverse))
-    )
-    return float(2.0 * 10.0**-DECIMALS * DEGREE + 8.0 * np.finfo(np.float32).eps * largest)
-
-
-def _travel(settings: LinuxCncSettings) -> tuple[float, float]:
-    return settings.first_turn * TURN, (settings.first_turn + settings.turns) * TURN
-
-
-CONTROLLER: Final = Controller(
-    name="linuxcnc",
-    title="LinuxCNC",
-    settings=LinuxCncSettings,
-    write=write,
-    read=read,
-    correction=correction,
-    resolution=_resolution,
-    position_resolution=10.0**-DECIMALS * DEGREE,
-    one_direction=lambda settings: False,
-    unverified=lambda settings: (),
-    sign="type 1: trim = -(actual - commanded), added to the motor; type 0: the actual angle",
-    wrap="none: rows repeated for each turn, beyond them the end row is held",
-    unit="degrees, 9 decimals; held in single precision",
-    source="LinuxCNC 2.9 source (usrmotintf.cc, command.c, control.c) and runs of the program",
-    travel=_travel,
-)
+CONTROLLER: Final = LinuxCnc

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.compensation.controller import Controller
+from rotcal_ros.compensation.controller import Controller, Rule
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import averaged
 from rotcal_ros.compensation.table import CompensationTable
@@ -70,18 +70,17 @@ def residual_budget(
     table: CompensationTable,
     rows: CompensationTable,
     controller: Controller,
-    settings: Any,
-    said: Any,
+    rule: Rule,
 ) -> ResidualBudget:
-    """Return what is left of the deviations in ``table`` when the control works with ``said``.
+    """Return what is left of the deviations in ``table`` when the control follows ``rule``.
 
     ``table`` holds the measured rows (their smooth curve is taken for true), ``rows`` those that
-    were written with ``settings``, ``said`` is what the reader found in the files.
+    ``controller`` wrote, ``rule`` is what it read in its files.
     """
     grid = _fine_grid(table, rows)
     needed = [Correction(table)(grid, approach) for approach in DIRECTIONS]
     goal, written, direction = needed, rows, 0.0
-    if controller.one_direction(settings):
+    if controller.one_direction:
         goal = [Correction(averaged(table))(grid, approach) for approach in DIRECTIONS]
         written = averaged(rows)
         direction = SAMPLING * _largest(np.subtract(needed, goal))
@@ -93,7 +92,7 @@ def residual_budget(
         ]
     )
     interpolation = SAMPLING * _largest(lines - np.array(goal)[:, None, :])
-    rounding = controller.resolution(rows, settings) / 2.0
+    rounding = controller.resolution(rows) / 2.0
     rounding += steepest * controller.position_resolution
     before = _largest(needed)
     return ResidualBudget(
@@ -102,27 +101,25 @@ def residual_budget(
         rounding=rounding,
         direction=direction,
         second_order=steepest * (before + interpolation + rounding + direction),
-        simulated=simulate(table, controller, settings, said, grid),
+        simulated=simulate(table, controller, rule, grid),
         std=float(np.max(table.std)),
     )
 
 
-def simulate(
-    table: CompensationTable, controller: Controller, settings: Any, said: Any, grid: Floats
-) -> float:
+def simulate(table: CompensationTable, controller: Controller, rule: Rule, grid: Floats) -> float:
     """Return the largest deviation (rad) left on ``grid`` (rad, one turn or the arc).
 
     The axis has the deviations of ``table``; it is commanded to every angle from both sides in
     every turn that the file is made for, and moves by what the control makes of the file.
     """
-    first, last = controller.travel(settings) if table.closed else (0.0, TURN)
+    first, last = controller.travel if table.closed else (0.0, TURN)
     turns = range(round(first / TURN), round(last / TURN)) if table.closed else range(1)
     truth = Correction(table)
     worst = 0.0
     for turn in turns:
         for approach in DIRECTIONS:
             command = grid + turn * TURN
-            correction = controller.correction(said, command, approach)
+            correction = rule.correction(command, approach)
             moved = command + correction
             if not table.closed:
                 moved = np.clip(moved, table.angles[0], table.angles[-1])

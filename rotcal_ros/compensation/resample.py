@@ -7,12 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.curves.interpolation import (
-    Interpolation,
-    interpolation_matrix,
-    row_angles,
-    wrapped,
-)
+from rotcal_ros.curves.interpolation import interpolation_matrix, row_angles, wrapped
 from rotcal_ros.units import ARCSEC
 
 
@@ -21,7 +16,6 @@ def resample(
     spacing: float | None = None,
     *,
     reference_angle: float | None = None,
-    interpolation: Interpolation = "spline",
 ) -> CompensationTable:
     """Return ``table`` with rows every ``spacing`` rad, zero at ``reference_angle`` (rad).
 
@@ -35,7 +29,7 @@ def resample(
     rows = table.angles if spacing is None else row_angles(table.angles, table.period, spacing)
     reference = table.reference_angle if reference_angle is None else float(reference_angle)
     at = np.append(rows, wrapped(reference) if table.closed else reference)
-    weights = interpolation_matrix(table.angles, at, table.period, interpolation)
+    weights = interpolation_matrix(table.angles, at, table.period)
     up, down = weights @ table.correction_forward, weights @ table.correction_reverse
     zero = 0.0 if reference_angle is None else up[-1]
     shift = weights[:-1] if reference_angle is None else weights[:-1] - weights[-1]
@@ -52,7 +46,7 @@ def resample(
 def averaged(table: CompensationTable) -> CompensationTable:
     """Return the mean of both directions, zero at the reference angle.
 
-    For controls with one column. What it cannot remove is said in the warnings.
+    For controls with one column. The warnings state what it cannot remove.
     """
     if not table.directional:
         return table

@@ -16,7 +16,6 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.curves.interpolation import (
     SAME_ANGLE,
     TURN,
-    Interpolation,
     harmonic_basis,
     harmonic_estimator,
     interpolation_matrix,
@@ -103,6 +102,16 @@ def check_axis(axis: str) -> str:
     return axis
 
 
+def check_verdict(origin: Result | CompensationTable) -> None:
+    """Raise DataError unless the verdict is "ok": nothing else may move an axis."""
+    if origin.verdict != "ok":
+        why = f" ({'; '.join(origin.warnings)})" if origin.warnings else ""
+        raise DataError(
+            f"the verdict of the {origin.method} result is '{origin.verdict}'{why}: only 'ok' may "
+            "be fed to a controller; nothing was written"
+        )
+
+
 def table_from_result(
     result: Result,
     *,
@@ -110,7 +119,6 @@ def table_from_result(
     axis: str = "C",
     reference_angle: float | None = None,
     spacing: float | None = None,
-    interpolation: Interpolation = "spline",
     harmonics: int | None = None,
 ) -> CompensationTable:
     """Turn the ECC deviations of ``result`` into a correction table, radians.
@@ -122,7 +130,7 @@ def table_from_result(
     equal. The zero is moved to ``reference_angle`` (default: the first angle of the result).
 
     Without ``spacing`` the table has one row per measured angle, else rows every ``spacing``
-    radians from zero, on a curve through the measured points (``interpolation``). ``harmonics`` =
+    radians from zero, on a curve through the measured points. ``harmonics`` =
     order replaces that curve by the weighted least-squares fit of so many harmonics; what it
     leaves out is stated in the warnings. The uncertainty is carried through with the full
     covariance. Raises DataError when ECC is absent, not finite, or does not close.
@@ -136,7 +144,7 @@ def table_from_result(
         rows = row_angles(rows, forward.period, spacing)
     at = np.append(rows, reference)
     if harmonics is None:
-        weights = interpolation_matrix(forward.angles, at, forward.period, interpolation)
+        weights = interpolation_matrix(forward.angles, at, forward.period)
     else:
         weights = _harmonic_weights(forward, at, harmonics)
     up, down = weights @ forward.deviation, weights @ backward.deviation

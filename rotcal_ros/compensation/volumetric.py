@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.compensation.controller import only_file, parse_rows
-from rotcal_ros.compensation.table import check_axis
+from rotcal_ros.compensation.parsing import numbers
+from rotcal_ros.compensation.table import check_axis, check_verdict
 from rotcal_ros.compensation.writing import check_stem
 from rotcal_ros.components import COMPONENTS, TRANSLATIONS
 from rotcal_ros.errors import BagError, DataError
@@ -25,34 +24,21 @@ SIGN: Final = "deviation = actual - commanded; angles counter-clockwise about +z
 KIND: Final = "rotcal_volumetric"
 
 
-@dataclass(frozen=True, eq=False)
-class VolumetricErrors:
-    """``deviations`` and ``std`` (k = 1) map ISO 230-1 names to (n,) at ``angles`` (n,) rad."""
-
-    angles: Floats
-    deviations: Mapping[str, Floats]
-    std: Mapping[str, Floats]
-
-
 def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, str]:
-    """Return ``stem``.csv and ``stem``.json; DataError unless the verdict is ok and all finite."""
+    """Return ``stem``.csv and ``stem``.json after both were read back and compared.
+
+    Raises DataError unless the verdict is ok and every component has its uncertainty.
+    """
     check_stem(stem)
     check_axis(axis)
-    if result.verdict != "ok":
-        raise DataError(
-            f"the verdict of the {result.method} result is '{result.verdict}': only 'ok' may be "
-            "fed to a controller"
-        )
-    present = [name for name in COMPONENTS if name in result.deviations]
+    check_verdict(result)
+    names = [name for name in COMPONENTS if name in result.deviations]
+    if missing := [name for name in names if name not in result.std]:
+        raise DataError(f"the {result.method} result has no uncertainty of {', '.join(missing)}")
     columns = {"angle_rad": result.angles}
-    for name in present:
-        columns[f"{name}_{_unit(name)}"] = result.deviations[name]
-        columns[f"u_{name}_{_unit(name)}"] = result.std[name]
-    for name, column in columns.items():
-        if np.shape(column) != np.shape(result.angles) or not np.all(np.isfinite(column)):
-            raise DataError(
-                f"{name}: not one finite number at each of {len(result.angles)} angles"
-            )
+    for name in names:
+        columns[f"{name}_{_si_unit(name)}"] = result.deviations[name]
+        columns[f"u_{name}_{_si_unit(name)}"] = result.std[name]
     lines = [",".join(columns)]
     lines += [",".join(repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)]
     data = {
@@ -60,53 +46,43 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "kind": KIND,
         "axis": axis,
         "sign": SIGN,
-        "units": {name: _unit(name) for name in present},
+        "units": {name: _si_unit(name) for name in names},
         "method": result.method,
         "verdict": result.verdict,
-        "angles_rad": np.asarray(result.angles).tolist(),
-        "deviations": {name: np.asarray(result.deviations[name]).tolist() for name in present},
-        "std": {name: np.asarray(result.std[name]).tolist() for name in present},
+        "angles_rad": result.angles.tolist(),
+        "deviations": {name: result.deviations[name].tolist() for name in names},
+        "std": {name: result.std[name].tolist() for name in names},
         "warnings": list(result.warnings),
     }
-    return {
-        f"{stem}.csv": "\n".join(lines) + "\n",
-        f"{stem}.json": json.dumps(data, indent=1, allow_nan=False) + "\n",
-    }
+    table, facts = "\n".join(lines) + "\n", json.dumps(data, indent=1) + "\n"
+    for file, found in (("csv", _csv_columns(table)), ("json", _json_columns(facts))):
+        if not _equal(found, columns):
+            raise BagError(f"{stem}.{file}: read back, it is not what was measured")
+    return {f"{stem}.csv": table, f"{stem}.json": facts}
 
 
-def read_volumetric_csv(files: Mapping[str, str]) -> VolumetricErrors:
-    """Read the CSV form back; BagError names what is damaged."""
-    name, text = only_file(files, ".csv")
-    head, *lines = text.splitlines() or [""]
+def _csv_columns(text: str) -> dict[str, Floats]:
+    """Return the columns of the CSV form by title."""
+    head, *lines = text.splitlines()
     titles = head.split(",")
-    data = parse_rows(name, lines, len(titles), ",")
-    known = {f"{prefix}{c}_{_unit(c)}" for c in COMPONENTS for prefix in ("", "u_")}
-    if titles[0] != "angle_rad" or not set(titles[1:]) <= known:
-        raise BagError(f"{name}: the columns are {head}, expected angle_rad, EXC_m, u_EXC_m, ...")
-    by_name = dict(zip(titles, data.T, strict=True))
-    present = [c for c in COMPONENTS if f"{c}_{_unit(c)}" in by_name]
-    return VolumetricErrors(
-        angles=data[:, 0],
-        deviations={c: by_name[f"{c}_{_unit(c)}"] for c in present},
-        std={c: by_name[f"u_{c}_{_unit(c)}"] for c in present if f"u_{c}_{_unit(c)}" in by_name},
+    return dict(zip(titles, numbers("volumetric", lines, len(titles), ",").T, strict=True))
+
+
+def _json_columns(text: str) -> dict[str, Floats]:
+    """Return the columns of the JSON form under the titles of the CSV form."""
+    data: dict[str, Any] = json.loads(text)
+    columns = {"angle_rad": data["angles_rad"]}
+    for name, unit in data["units"].items():
+        columns[f"{name}_{unit}"] = data["deviations"][name]
+        columns[f"u_{name}_{unit}"] = data["std"][name]
+    return {title: np.array(column, dtype=np.float64) for title, column in columns.items()}
+
+
+def _equal(found: Mapping[str, Floats], wanted: Mapping[str, Floats]) -> bool:
+    return list(found) == list(wanted) and all(
+        np.array_equal(found[title], column) for title, column in wanted.items()
     )
 
 
-def read_volumetric_json(files: Mapping[str, str]) -> VolumetricErrors:
-    """Read the JSON form back; BagError when it is not one."""
-    name, text = only_file(files, ".json")
-    try:
-        data = json.loads(text)
-        if data["kind"] != KIND:
-            raise BagError(f"{name}: kind is {data['kind']!r}, expected {KIND!r}")
-        return VolumetricErrors(
-            angles=np.array(data["angles_rad"], dtype=np.float64),
-            deviations={c: np.array(v, dtype=np.float64) for c, v in data["deviations"].items()},
-            std={c: np.array(v, dtype=np.float64) for c, v in data["std"].items()},
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BagError(f"{name}: no volumetric table of this project: {error!r}") from error
-
-
-def _unit(component: str) -> str:
+def _si_unit(component: str) -> str:
     return "m" if component in TRANSLATIONS else "rad"

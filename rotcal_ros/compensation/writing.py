@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.files import sync_folder, write_durably
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
@@ -30,7 +31,7 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
             for name, temporary in staged.items():
                 os.link(temporary, folder / name)
                 done.append(folder / name)
-        _sync_folder(folder)
+        sync_folder(folder)
     except OSError as error:
         for path in done:
             path.unlink(missing_ok=True)
@@ -67,17 +68,6 @@ def _staged(files: Mapping[str, str], folder: Path) -> Iterator[dict[str, Path]]
         staged = {}
         for number, (name, text) in enumerate(files.items()):
             staged[name] = Path(scratch) / str(number)
-            with staged[name].open("w", encoding="ascii", newline="\n") as stream:
-                stream.write(text)
-                stream.flush()
-                os.fsync(stream.fileno())
+            write_durably(staged[name], text, "ascii")
             staged[name].chmod(0o644)
         yield staged
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -7,46 +7,60 @@ angles, and covariance = W @ C @ W.T. Angles are radians.
 from __future__ import annotations
 
 from math import pi
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline, PPoly
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import DEGREE
-
-Interpolation = Literal["spline", "linear"]
 
 TURN: Final = 2.0 * pi
 SAME_ANGLE: Final = 1e-9
 """rad; angles closer than this are the same table position."""
 
 
-def interpolation_matrix(
-    nodes: Floats, at: Floats, period: float, kind: Interpolation = "spline"
-) -> Floats:
-    """Return W (m, n) with values(at) = W @ values(nodes): it passes through every node.
+def curve_through(nodes: Floats, values: Floats, period: float) -> PPoly:
+    """Return the cubic spline through ``values`` (n, ...) at ``nodes`` (n,), which ascend.
 
-    ``nodes`` (n,) ascend. With ``period`` > 0 they lie within one period and the curve closes;
-    "spline" is then the periodic cubic spline. With ``period`` 0 they cover an arc and the
-    spline ends "not-a-knot"; angles outside of the arc raise DataError, for nothing was
-    measured there. "linear" joins the nodes by straight lines.
+    With ``period`` > 0 the nodes lie within one period and the curve closes; two nodes are
+    joined by straight lines then. With ``period`` 0 they cover an arc and the spline ends
+    "not-a-knot". It takes angles that :func:`within` returned.
     """
-    at = np.atleast_1d(np.asarray(at, dtype=np.float64))
+    if period == 0.0:
+        return CubicSpline(nodes, values, bc_type="not-a-knot")
+    knots = np.append(nodes, nodes[0] + period)
+    closed = np.concatenate([values, values[:1]])
+    if len(nodes) > 2:
+        return CubicSpline(knots, closed, bc_type="periodic")
+    slopes = (np.diff(closed.T) / np.diff(knots)).T
+    return PPoly(np.stack([slopes, closed[:-1]]), knots)
+
+
+def within(nodes: Floats, at: ArrayLike, period: float) -> Floats:
+    """Return the angles ``at`` wrapped into the period that begins at the first node.
+
+    Raises DataError for angles outside of an arc (``period`` 0): nothing was measured there.
+    """
+    angles = np.asarray(at, dtype=np.float64)
     if period > 0.0:
-        knots = np.append(nodes, nodes[0] + period)
-        unit = np.vstack([np.eye(len(nodes)), np.eye(1, len(nodes))])
-        at = nodes[0] + np.mod(at - nodes[0], period)
-        boundary = "periodic"
-    else:
-        refuse_outside(nodes, at)
-        knots, unit, boundary = nodes, np.eye(len(nodes)), "not-a-knot"
-    if kind == "spline" and len(nodes) >= (3 if period > 0.0 else 2):
-        return np.asarray(CubicSpline(knots, unit, bc_type=boundary)(at), dtype=np.float64)
-    cell = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
-    share = ((at - knots[cell]) / (knots[cell + 1] - knots[cell]))[:, None]
-    return np.asarray((1.0 - share) * unit[cell] + share * unit[cell + 1], dtype=np.float64)
+        return np.asarray(nodes[0] + np.mod(angles - nodes[0], period), dtype=np.float64)
+    outside = angles[(angles < nodes[0] - SAME_ANGLE) | (angles > nodes[-1] + SAME_ANGLE)]
+    if outside.size:
+        first, low, high = np.array([outside.flat[0], nodes[0], nodes[-1]]) / DEGREE
+        raise DataError(
+            f"the angle {first:.6g} deg lies outside of the measured arc {low:.6g} .. "
+            f"{high:.6g} deg: nothing is known there"
+        )
+    return angles
+
+
+def interpolation_matrix(nodes: Floats, at: Floats, period: float) -> Floats:
+    """Return W (m, n) with values(at) = W @ values(nodes), see :func:`curve_through`."""
+    curve = curve_through(nodes, np.eye(len(nodes)), period)
+    return np.asarray(curve(within(nodes, np.atleast_1d(at), period)), dtype=np.float64)
 
 
 def row_angles(nodes: Floats, period: float, spacing: float) -> Floats:
@@ -128,15 +142,3 @@ def regular_root(covariance: Floats) -> Floats:
             "the covariance of the deviations is not positive semi-definite: "
             "the result is damaged, solve again"
         ) from error
-
-
-def refuse_outside(nodes: Floats, at: Floats) -> None:
-    """Raise DataError when an angle of ``at`` lies outside of the arc of ``nodes`` (rad)."""
-    slack = 1e-9
-    outside = at[(at < nodes[0] - slack) | (at > nodes[-1] + slack)]
-    if len(outside):
-        degrees = np.rad2deg([outside[0], nodes[0], nodes[-1]])
-        raise DataError(
-            f"the angle {degrees[0]:.6g} deg lies outside of the measured arc "
-            f"{degrees[1]:.6g} .. {degrees[2]:.6g} deg: nothing is known there"
-        )

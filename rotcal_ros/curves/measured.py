@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.components import ROTATIONS
+from rotcal_ros.components import unit_of
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.errors import DataError
 from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.units import DEGREE
 
 CLOSURE_LIMIT: Final = 4.0
 """How many standard uncertainties two measurements of one position may differ."""
@@ -35,10 +35,10 @@ class MeasuredCurve:
 def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     """Return one component of ``result``, positions that coincide after a turn averaged.
 
-    Raises DataError when it is absent, not finite, of the wrong size, or when two measurements
-    of one table position contradict each other (the deviations do not close).
+    Raises DataError when it is absent, has fewer than two angles, or when two measurements of one
+    table position contradict each other (the deviations do not close).
     """
-    angles, deviation, covariance = _checked(result, component)
+    angles, deviation, covariance = _complete(result, component)
     period = TURN if covers_circle(angles) else 0.0
     position = np.array([wrapped(a) for a in angles]) if period else angles
     order = np.argsort(position, kind="stable")
@@ -66,39 +66,29 @@ def covers_circle(angles: Floats) -> bool:
     return len(ascending) > 2 and TURN - span <= 1.5 * float(np.max(np.diff(ascending)))
 
 
-def _checked(result: Result, component: str) -> tuple[Floats, Floats, Floats]:
-    """Return angles, deviation and covariance when they are complete, else raise DataError."""
+def _complete(result: Result, component: str) -> tuple[Floats, Floats, Floats]:
+    """Return angles, deviation and covariance of ``component``, else raise DataError.
+
+    That there is one finite deviation for each angle a Result guarantees by itself.
+    """
     where = f"the {result.method} result"
     if component not in result.deviations:
         raise DataError(
             f"{where} holds no {component}, only {', '.join(result.deviations) or 'nothing'}: "
             "choose another result or component (a positioning table needs ECC)"
         )
-    angles = np.asarray(result.angles, dtype=np.float64)
-    deviation = np.asarray(result.deviations[component], dtype=np.float64)
-    n = len(angles)
-    if deviation.shape != (n,) or n < 2:
-        raise DataError(
-            f"{where} holds {deviation.shape} {component} values for {n} angles: expected one for "
-            "each of at least two angles"
-        )
-    bad = ~(np.isfinite(angles) & np.isfinite(deviation))
-    if np.any(bad):
-        row = int(np.argmax(bad))
-        raise DataError(
-            f"{where}, row {row}: {component} is {deviation[row]} at {angles[row] / DEGREE:.6g} "
-            "deg, expected finite numbers"
-        )
+    angles, n = result.angles, len(result.angles)
+    if n < 2 or not np.all(np.isfinite(angles)):
+        raise DataError(f"{where} holds the angles {angles} rad: expected two or more numbers")
     covariance = result.covariance.get(component)
     if covariance is None:
-        std = result.std.get(component)
-        covariance = np.zeros((n, n)) if std is None else np.diag(np.asarray(std) ** 2)
+        covariance = np.diag(result.std.get(component, np.zeros(n)) ** 2)
     if np.shape(covariance) != (n, n) or not np.all(np.isfinite(covariance)):
         raise DataError(
             f"{where}: the covariance of {component} has shape {np.shape(covariance)} or is not "
             f"finite, expected ({n}, {n}) finite numbers"
         )
-    return angles, deviation, np.asarray(covariance, dtype=np.float64)
+    return angles, result.deviations[component], covariance
 
 
 def _check_closure(
@@ -109,12 +99,12 @@ def _check_closure(
     members: NDArray[np.intp],
 ) -> None:
     """Raise DataError when measurements ``members`` of one position contradict each other."""
-    rotation = component in ROTATIONS
-    unit, scale = ("arcsec", ARCSEC) if rotation else ("um", MICROMETRE)
+    scale, unit = unit_of(component)
     first = members[0]
     for other in members[1:]:
         gap = float(deviation[other] - deviation[first])
         variance = covariance[first, first] + covariance[other, other]
+        # The difference of two equal results may come out below zero by rounding.
         std = float(np.sqrt(max(variance - 2.0 * covariance[first, other], 0.0)))
         if abs(gap) > CLOSURE_LIMIT * std + SAME_ANGLE:
             raise DataError(

@@ -29,19 +29,13 @@ class Plane:
     singular_values: Floats
 
     def distances(self, points: ArrayLike) -> Floats:
-        """Return the signed distances (k,) of ``points`` (k, 3), positive along the normal."""
-        relative = np.asarray(points, dtype=np.float64) - self.centroid
-        result: Floats = relative @ self.normal
-        return result
-
-    def project(self, points: ArrayLike) -> Floats:
-        """Return the feet (k, 3) of the perpendiculars from ``points`` (k, 3) on the plane.
+        """Return the signed distances (k,) of ``points`` (k, 3), positive along the normal.
 
         Laser tracer paper, Eq. 18-21. Slip of Eq. 21: its lambda is printed with the projected
         points P', which are not known yet and lie on the plane; it needs the unprojected P.
         """
-        unprojected = np.asarray(points, dtype=np.float64)
-        result: Floats = unprojected - self.distances(unprojected)[:, None] * self.normal
+        relative = np.asarray(points, dtype=np.float64) - self.centroid
+        result: Floats = relative @ self.normal
         return result
 
     def basis(self) -> Floats:

@@ -7,9 +7,10 @@ from the ball's centre. All balls are fitted in one go: arrays carry the ball as
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+from scipy.special import stdtrit
 
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import GeometryError
@@ -63,17 +64,15 @@ def fit_spheres(
     radius: float | None,
     tip_radius: float = 0.0,
     used: Bools | None = None,
-    sigma: float | None = None,
     reject: bool = True,
 ) -> Spheres:
     """Fit spheres to probe points (B, n, 3) by orthogonal distance.
 
     ``radius`` is the known radius of the balls, None to fit it; ``tip_radius`` that of the probe
     tip, both in metres. ``used`` (B, n) leaves points out, so that balls may have different
-    counts; points that are not finite are left out as well. ``sigma`` is the known standard
-    deviation of a touch point, m; without it a ball's own scatter is taken for the outlier
-    test, which removes the worst point of a ball as long as it stands out. Balls with too few
-    or badly spread points are refused one by one, see :attr:`Spheres.reason`. Raises
+    counts; points that are not finite are left out as well. The outlier test removes the worst
+    point of a ball as long as it stands out of the others, unless ``reject`` is False. Balls with
+    too few or badly spread points are refused one by one, see :attr:`Spheres.reason`. Raises
     GeometryError when the arrays do not fit together.
     """
     points, mask = _checked(points, used)
@@ -88,39 +87,48 @@ def fit_spheres(
         square = np.sum(np.where(mask, residuals, 0.0) ** 2, axis=1)
         if not reject:
             break
-        bad = _worst(residuals, design, inverse, mask, square, dof, sigma, offset)
+        bad = _worst(residuals, design, inverse, mask, square, dof, offset)
         bad &= np.array([not why for why in reason])[:, None]
         if not bad.any():
             break
         mask = mask & ~bad
     reason = _badly_spread(reason, spread, inverse, centres, free)
+    fits = _Fits(centres, radii - tip_radius, inverse, residuals, mask, square, dof)
+    return _spheres(fits, free, tuple(reason))
+
+
+class _Fits(NamedTuple):
+    """What the last fit of all balls left, refused ones too; as in :class:`Spheres`."""
+
+    centres: Floats
+    radii: Floats
+    inverse: Floats
+    residuals: Floats
+    used: Bools
+    square: Floats
+    dof: Ints
+
+
+def _spheres(fits: _Fits, free: bool, reason: tuple[str, ...]) -> Spheres:
+    """Return the fits with their scatter; the numbers of refused balls are NaN."""
     good = np.array([not why for why in reason])
-    shown = np.where(mask, residuals, np.nan)
+    shown = np.where(fits.used, fits.residuals, np.nan)
     with np.errstate(all="ignore"):
-        std = np.sqrt(np.where(dof > 0, square / np.maximum(dof, 1), np.nan))
+        std = np.sqrt(np.where(fits.dof > 0, fits.square / np.maximum(fits.dof, 1), np.nan))
         form = np.fmax.reduce(shown, axis=1) - np.fmin.reduce(shown, axis=1)
-    std = std if sigma is None else np.full(len(std), sigma)
-    radius_std = std * np.sqrt(inverse[:, 3, 3]) if free else np.zeros(len(std))
+    radius_std = std * np.sqrt(fits.inverse[:, 3, 3]) if free else np.zeros(len(std))
     return Spheres(
-        centres=np.where(good[:, None], centres, np.nan),
-        radii=np.where(good, radii - tip_radius, np.nan),
+        centres=np.where(good[:, None], fits.centres, np.nan),
+        radii=np.where(good, fits.radii, np.nan),
         radius_std=np.where(good, radius_std, np.nan),
-        unit_covariance=np.where(good[:, None, None], inverse[:, :3, :3], np.nan),
+        unit_covariance=np.where(good[:, None, None], fits.inverse[:, :3, :3], np.nan),
         std=np.where(good, std, np.nan),
-        dof=dof,
-        residuals=residuals,
-        used=mask,
+        dof=fits.dof,
+        residuals=fits.residuals,
+        used=fits.used,
         form_deviation=np.where(good, form, np.nan),
-        reason=tuple(reason),
+        reason=reason,
     )
-
-
-def fit_sphere(points: Floats, *, radius: float | None, tip_radius: float = 0.0) -> Spheres:
-    """Fit one sphere to points (n, 3); like :func:`fit_spheres`, but raises when it is refused."""
-    spheres = fit_spheres(np.asarray(points)[None], radius=radius, tip_radius=tip_radius)
-    if spheres.reason[0]:
-        raise GeometryError(f"sphere not determined: {spheres.reason[0]}")
-    return spheres
 
 
 def _checked(points: Floats, used: Bools | None) -> tuple[Floats, Bools]:
@@ -227,22 +235,20 @@ def _worst(
     mask: Bools,
     square: Floats,
     dof: Ints,
-    sigma: float | None,
     offset: float,
 ) -> Bools:
-    """Mark the worst point of every ball that has one beyond the critical value."""
+    """Mark the worst point of every ball that has one beyond the critical value.
+
+    Each point is tested against the scatter of the others.
+    """
     leverage = np.einsum("bni,bij,bnj->bn", design, inverse, design)
     share = np.clip(1.0 - leverage, 1e-9, 1.0)
     level = FALSE_ALARM / np.maximum(mask.sum(axis=1), 1) / 2.0
     gain = residuals**2 / share
-    if sigma is None:  # each point against the scatter of the others
-        others = np.maximum(dof - 1, 1)
-        variance = np.maximum(square[:, None] - gain, 0.0) / others[:, None]
-        critical = np.where(dof > 1, stdtrit(others, 1.0 - level), np.inf)
-        variance = np.maximum(variance, (NOISE_FLOOR * max(offset, 1e-3)) ** 2)
-    else:
-        variance = np.full_like(gain, sigma**2)
-        critical = np.where(dof > 0, -ndtri(level), np.inf)
+    others = np.maximum(dof - 1, 1)
+    variance = np.maximum(square[:, None] - gain, 0.0) / others[:, None]
+    critical = np.where(dof > 1, stdtrit(others, 1.0 - level), np.inf)
+    variance = np.maximum(variance, (NOISE_FLOOR * max(offset, 1e-3)) ** 2)
     value = np.where(mask, np.sqrt(gain / variance), -1.0)
     worst = np.zeros_like(mask)
     rows = np.arange(len(mask))

@@ -77,7 +77,7 @@ class BridgeNode(Node):
         assert self._feed.offer is not None
         self._facts |= {
             "files": ", ".join(map(str, files)),
-            "residual": self._feed.offer.made.residual.in_words(),
+            "residual": self._feed.offer.export.residual.in_words(),
         }
         self._note(f"table {table.table_hash[:12]} written, not applied")
 

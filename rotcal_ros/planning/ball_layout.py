@@ -27,10 +27,10 @@ Progress = Callable[[int, int], None]
 class Layout:
     """A layout of balls and what it promises when all CMM positions are measured.
 
-    ``variances`` (4,) are the mean variances for unit noise as in
-    :data:`layout_variance.VARIANCES`, ``score`` their weighted sum, ``bound`` what no layout of
-    so many balls can beat (proven), ``evaluated`` the number of layouts looked at. ``optimal``
-    says that all layouts were covered, so that none is better.
+    ``variances`` (4,) are the mean variances for unit noise as of
+    :func:`layout_variance.mean_variances`, ``score`` their weighted sum, ``bound`` what no layout
+    of so many balls can beat (proven), ``evaluated`` the number of layouts looked at.
+    ``optimal`` says that all layouts were covered, so that none is better.
     """
 
     grid: int
@@ -100,15 +100,11 @@ def best_layout(
     """
     weight = _checked(grid, n_balls, min_gap, subset_of, weights)
     places = np.arange(grid) if subset_of is None else np.unique(np.array(subset_of) % grid)
-    count = (
-        count_layouts(grid, n_balls, min_gap) if subset_of is None else comb(len(places), n_balls)
-    )
+    if subset_of is None:
+        batches, count = _necklaces(grid, n_balls, min_gap), count_layouts(grid, n_balls, min_gap)
+    else:
+        batches, count = _subsets(grid, places, n_balls, min_gap), comb(len(places), n_balls)
     if exact and count <= EXHAUSTIVE_LIMIT:
-        batches = (
-            _necklaces(grid, n_balls, min_gap)
-            if subset_of is None
-            else _subsets(grid, places, n_balls, min_gap)
-        )
         found = _exhaustive(grid, batches, weight, count, progress)
     else:
         found = _exchange(grid, n_balls, places, min_gap, weight, seed, starts, progress)
@@ -128,13 +124,6 @@ def rank_subsets(
     variances = mean_variances(grid, layouts)
     order = np.argsort(_scores(variances, np.array(weights)), kind="stable")
     return layouts[order], variances[order]
-
-
-def canonical(grid: int, steps: Ints) -> Ints:
-    """Return the smallest of all rotations and reflections of a layout."""
-    steps = np.asarray(steps)
-    turned = [np.sort((sign * (steps - start)) % grid) for sign in (1, -1) for start in steps]
-    return min(turned, key=lambda layout: tuple(layout))
 
 
 def count_layouts(grid: int, n_balls: int, min_gap: int = 1) -> int:

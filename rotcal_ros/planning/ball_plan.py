@@ -42,7 +42,7 @@ class BallPlan:
     """
 
     grid: int
-    table_index: Ints
+    position: Ints
     ball_step: Ints
     table_angle: Floats
     lead_in: float
@@ -53,7 +53,7 @@ class BallPlan:
     @property
     def cmm_index(self) -> Ints:
         """CMM position of every row."""
-        return (self.table_index + self.ball_step) % self.grid
+        return (self.position + self.ball_step) % self.grid
 
 
 def plan_measurement(
@@ -78,17 +78,8 @@ def plan_measurement(
     the ball circle in metres. Raises PlanError for steps outside the grid.
     """
     balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
-    for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
-        if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
-            raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
-    if not 1 <= rounds <= len(cmm):
-        raise PlanError(f"{len(cmm)} CMM positions cannot be shared out among {rounds} rounds")
-    if order == "table_once":
-        turns, ball = _in_rounds(grid, balls, cmm, rounds)
-    elif order == "probe_rests":
-        turns, ball = (_probe_rests if backlash else _to_and_fro)(grid, balls, cmm)
-    else:
-        raise PlanError(f"unknown order {order!r}: table_once or probe_rests")
+    _check_steps(grid, balls, cmm, rounds)
+    turns, ball = _ordered(order, grid, balls, cmm, rounds, backlash)
     step = 2.0 * np.pi / grid
     angle = np.asarray(turns * step, dtype=np.float64)
     lead_in = float(angle[0]) - (step if backlash else 0.0)
@@ -96,7 +87,7 @@ def plan_measurement(
     directions = np.sign(moves[moves != 0.0])
     return BallPlan(
         grid=grid,
-        table_index=turns % grid,
+        position=turns % grid,
         ball_step=ball,
         table_angle=angle,
         lead_in=lead_in,
@@ -104,6 +95,25 @@ def plan_measurement(
         reversals=int(np.count_nonzero(np.diff(directions))),
         duration=_duration(grid, turns, ball, moves, radius, kinematics or Kinematics()),
     )
+
+
+def _check_steps(grid: int, balls: Ints, cmm: Ints, rounds: int) -> None:
+    for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
+        if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
+            raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
+    if not 1 <= rounds <= len(cmm):
+        raise PlanError(f"{len(cmm)} CMM positions cannot be shared out among {rounds} rounds")
+
+
+def _ordered(
+    order: Order, grid: int, balls: Ints, cmm: Ints, rounds: int, backlash: bool
+) -> tuple[Ints, Ints]:
+    """Return turn of the table and ball step (n,) of every centre, in the order of measurement."""
+    if order == "table_once":
+        return _in_rounds(grid, balls, cmm, rounds)
+    if order == "probe_rests":
+        return (_probe_rests if backlash else _to_and_fro)(grid, balls, cmm)
+    raise PlanError(f"unknown order {order!r}: table_once or probe_rests")
 
 
 def spread_out(grid: int) -> Ints:

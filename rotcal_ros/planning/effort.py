@@ -54,28 +54,26 @@ def required_effort(
 
     ``sigma`` is the standard deviation of a ball centre, ``radius`` that of the ball circle, in
     metres; ``limit`` in metres or radians; ``coverage`` is k. The ways are returned in the order
-    of the number of centres to be measured, the least work first. Positions are spread
-    over the circle.
-    Raises PlanError when the component is unknown or no way reaches the limit.
+    of the number of centres to be measured, the least work first. Positions are spread over the
+    circle. Raises PlanError when the component is unknown or no way reaches the limit.
     """
     if component not in COMPONENTS:
         raise PlanError(f"unknown component {component!r}: one of {', '.join(COMPONENTS)}")
     if not limit > 0.0:
         raise PlanError(f"the wanted uncertainty must be positive, not {limit}")
     ways = []
-    for n_balls in range(5, min(most_balls or MOST_BALLS, grid // min_gap) + 1):
+    most = most_balls or MOST_BALLS
+    for n_balls in range(5, min(most, grid // min_gap) + 1):
         try:
             layout = best_layout(grid, n_balls, min_gap=min_gap, seed=seed, starts=6, exact=False)
         except PlanError:
             continue
         scale = coverage * sigma
-        way = _fewest_positions(layout, component, radius, limit / scale)
-        if way is not None:
-            positions, unit = way
-            ways.append(Effort(layout, positions, component, coverage, scale * unit))
+        if (way := _fewest_positions(layout, component, radius, limit / scale)) is not None:
+            ways.append(Effort(layout, way[0], component, coverage, scale * way[1]))
     if not ways:
         raise PlanError(
-            f"no layout of up to {most_balls or MOST_BALLS} balls on {grid} steps reaches "
+            f"no layout of up to {most} balls on {grid} steps reaches "
             f"U({component}) <= {limit:g} with {sigma:g} m per centre: repeat the measurement n "
             "times (U falls with the square root of n), or use a larger ball circle"
         )

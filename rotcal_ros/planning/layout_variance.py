@@ -15,8 +15,6 @@ import numpy as np
 from rotcal_ros.arrays import Bools, Complexes, Floats, Ints
 from rotcal_ros.methods.ball_plate.harmonics import couplings
 
-VARIANCES: Final = ("ECC", "EXC, EYC", "EAC, EBC", "EZC")
-"""Order of the four mean variances; rotations are multiplied by the circle's radius squared."""
 SINGULAR: Final = 1e-7
 """Relative determinant below which a layout counts as not separable."""
 CHUNK: Final = 256  # keeps the work in the processor cache
@@ -25,7 +23,7 @@ CHUNK: Final = 256  # keeps the work in the processor cache
 def mean_variances(grid: int, layouts: Ints) -> Floats:
     """Return the mean variances (L, 4) of layouts (L, R) for unit noise; inf if not separable.
 
-    Mean over the table positions and, for pairs, over x and y, in the order of ``VARIANCES``.
+    Mean over the table positions and, for pairs, over x and y: ECC; EXC, EYC; EAC, EBC; EZC.
     Multiply by sigma^2, and divide those of rotations by the squared radius.
     """
     layouts = np.atleast_2d(layouts)
@@ -47,7 +45,7 @@ def spectrum(grid: int, layouts: Ints) -> Complexes:
 
 
 def proven_bound(grid: int, n_balls: int) -> Floats:
-    """Return what no layout of so many balls can beat, (4,), in the order of ``VARIANCES``.
+    """Return what no layout of so many balls can beat, (4,), ordered as :func:`mean_variances`.
 
     The sum of |P(q)|^2 over all q is N R (Parseval) and the diagonal terms are convex in it, so
     spreading it evenly is best (Jensen); the couplings between unknowns only add variance.

@@ -135,7 +135,7 @@ def _compensate(
 def _applied(export: ExportFiles) -> list[str]:
     """Return the changes that put the written table into the simulated control."""
     files = {name: text for name, text in export.files.items() if name.endswith(".csv")}
-    rows = plain_csv.read(files, plain_csv.CsvSettings())
+    rows = plain_csv.PlainCsv().read(files)
     columns = {
         "angles_deg": rows.angle_deg,
         "forward_arcsec": rows.forward_arcsec,

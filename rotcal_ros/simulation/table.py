@@ -79,9 +79,8 @@ def correction(settings: TableSettings, angles: Floats, approach: Approach) -> F
         angle_deg=np.array(rows.angles_deg),
         forward_arcsec=np.array(rows.forward_arcsec),
         reverse_arcsec=np.array(rows.reverse_arcsec),
-        std_arcsec=np.zeros(len(rows.angles_deg)),
     )
-    return plain_csv.correction(table, angles, approach)
+    return table.correction(angles, approach)
 
 
 def truth(

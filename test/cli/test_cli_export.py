@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
-from rotcal_ros.plugins import CONTROLLERS, names
+from rotcal_ros.compensation.controllers import controller_names
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
@@ -44,7 +44,7 @@ def export(tmp_path):
     return run
 
 
-@pytest.mark.parametrize("controller", names(CONTROLLERS))
+@pytest.mark.parametrize("controller", controller_names())
 def test_every_controller_gets_its_files(export, tmp_path, controller):
     run = export("--to", controller, "--spacing", 10, "--accept-unverified", "--json")
     assert run.exit_code == 0, run.stderr
@@ -75,14 +75,14 @@ def test_all_that_was_measured_as_a_volumetric_table(export, tmp_path):
     ("arguments", "code", "words"),
     [
         (["--to", "fanuc", "--spacing", 10], 2, "--accept-unverified"),
-        (["--to", "bosch"], 2, "unknown controller 'bosch'; known: csv"),
+        (["--to", "bosch"], 2, "unknown controller 'bosch'"),
         (["--to", "linuxcnc", "--spacing", 1], 2, "360 rows x 1 turns"),
         (["--to", "sinumerik", "--spacing", 7], 2, "choose a spacing that divides 360"),
         (["--to", "csv", "--spacing", 0], 2, "spacing 0 deg"),
-        (["--to", "csv", "--revolutions", "0:2"], 2, "no setting 'first_turn'"),
+        (["--to", "csv", "--revolutions", "0:2"], 2, "unknown setting 'first_turn'"),
         (["--to", "linuxcnc", "--revolutions", "2:1"], 2, "LAST above FIRST"),
         (["--to", "linuxcnc", "--set", "turns"], 2, "expected NAME=VALUE"),
-        (["--to", "linuxcnc", "--set", "turns=two"], 2, "turns is 'two', expected int"),
+        (["--to", "linuxcnc", "--set", "turns=two"], 2, "linuxcnc.turns: expected int"),
         (["--to", "csv", "--name", "../table"], 2, "do not leave the output folder"),
         (["--to", "csv", "--axis", "c"], 2, "axis name 'c'"),
     ],

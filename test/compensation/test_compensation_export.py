@@ -1,6 +1,7 @@
 import hashlib
 import json
 import os
+from dataclasses import replace
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -10,14 +11,10 @@ from compensation_examples import TAU, even, result_of, wavy
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.compensation.controllers import CONTROLLERS, controller, make_settings
+from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.compensation.volumetric import (
-    read_volumetric_csv,
-    read_volumetric_json,
-    volumetric_files,
-)
+from rotcal_ros.compensation.volumetric import volumetric_files
 from rotcal_ros.compensation.writing import check_stem, write_files
 from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.units import ARCSEC
@@ -70,15 +67,12 @@ def test_table_for_another_axis_is_refused():
     assert prepare_export(table_of(axis="A"), "csv", now=NOW, axis="A").files
 
 
-@pytest.mark.parametrize("name", CONTROLLERS)
+@pytest.mark.parametrize("name", controller_names())
 def test_what_is_not_verified_needs_a_word_and_is_written_down(name):
-    kind = controller(name)
-    unverified = kind.unverified(make_settings(name, {}))
-    if not unverified:
-        assert not prepare_export(table_of(), name, now=NOW).unverified
-        return
-    with pytest.raises(ConfigurationError, match="--accept-unverified"):
-        prepare_export(table_of(), name, now=NOW)
+    unverified = make_controller(name).unverified
+    if unverified:
+        with pytest.raises(ConfigurationError, match="--accept-unverified"):
+            prepare_export(table_of(), name, now=NOW)
     done = prepare_export(table_of(), name, now=NOW, accept_unverified=True)
     side = json.loads(next(t for n, t in done.files.items() if n.endswith("provenance.json")))
     assert [w for w in side["warnings"] if w.startswith("not verified: ")] == [
@@ -87,7 +81,7 @@ def test_what_is_not_verified_needs_a_word_and_is_written_down(name):
 
 
 def test_verified_controllers_are_those_with_a_documented_file():
-    plain = {name for name, c in CONTROLLERS.items() if not c.unverified(make_settings(name, {}))}
+    plain = {name for name in controller_names() if not make_controller(name).unverified}
     assert plain == {"linuxcnc", "sinumerik", "csv"}
 
 
@@ -158,32 +152,50 @@ def test_any_accepted_name_is_a_plain_one(text):
     assert not set(stem) & set("./\\\0\n ")
 
 
-def test_volumetric_tables_come_back_to_the_last_bit():
+def volumetric_result():
     rng = np.random.default_rng(8)
-    angles = even(24)
     components = {name: rng.normal(size=24) * 1e-6 for name in ("EXC", "EYC", "EBC")}
-    result = result_of(angles, wavy(angles), **components)
+    return result_of(even(24), wavy(even(24)), **components)
+
+
+def test_volumetric_tables_hold_every_bit():
+    """Read with numpy and json alone, as a stranger would."""
+    result = volumetric_result()
     files = volumetric_files(result, "vol")
-    for back in (read_volumetric_csv(files), read_volumetric_json(files)):
-        assert set(back.deviations) == {"EXC", "EYC", "EBC", "ECC"}
-        np.testing.assert_array_equal(back.angles, angles)
-        for name, values in result.deviations.items():
-            np.testing.assert_array_equal(back.deviations[name], values)
-            np.testing.assert_array_equal(back.std[name], result.std[name])
+    rows = np.genfromtxt(files["vol.csv"].splitlines(), delimiter=",", names=True)
+    data = json.loads(files["vol.json"])
+    assert set(data["deviations"]) == set(result.deviations)
+    assert data["units"] == {"EXC": "m", "EYC": "m", "EBC": "rad", "ECC": "rad"}
+    for angles in (rows["angle_rad"], data["angles_rad"]):
+        np.testing.assert_array_equal(angles, result.angles)
+    for name, unit in data["units"].items():
+        for found in (rows[f"{name}_{unit}"], data["deviations"][name]):
+            np.testing.assert_array_equal(found, result.deviations[name])
+        for found in (rows[f"u_{name}_{unit}"], data["std"][name]):
+            np.testing.assert_array_equal(found, result.std[name])
     head = files["vol.csv"].splitlines()[0]
     assert head.startswith("angle_rad,EXC_m,u_EXC_m,EYC_m")
     assert "EZC" not in head
-    assert json.loads(files["vol.json"])["sign"].startswith("deviation = actual - commanded")
+    assert data["sign"].startswith("deviation = actual - commanded")
 
 
-@pytest.mark.parametrize(
-    "text", ["[]", "{", '{"kind": "other"}', '{"kind": "rotcal_volumetric"}', "3"]
-)
-def test_other_json_is_no_volumetric_table(text):
-    with pytest.raises(BagError, match=r"v\.json"):
-        read_volumetric_json({"v.json": text})
+@pytest.mark.parametrize("form", ["_csv_columns", "_json_columns"])
+def test_a_volumetric_file_that_reads_back_differently_is_refused(form, monkeypatch):
+    from rotcal_ros.compensation import volumetric
+
+    reader = getattr(volumetric, form)
+
+    def off_by_one_bit(text):
+        columns = reader(text)
+        columns["EBC_rad"][3] = np.nextafter(columns["EBC_rad"][3], 1.0)
+        return columns
+
+    monkeypatch.setattr(volumetric, form, off_by_one_bit)
+    with pytest.raises(BagError, match="not what was measured"):
+        volumetric_files(volumetric_result(), "vol")
 
 
-def test_other_csv_is_no_volumetric_table():
-    with pytest.raises(BagError, match="columns are a,b"):
-        read_volumetric_csv({"v.csv": "a,b\n1,2\n2,3\n"})
+def test_a_volumetric_table_needs_uncertainties():
+    result = replace(volumetric_result(), std={"ECC": np.zeros(24)})
+    with pytest.raises(DataError, match="no uncertainty of EXC, EYC, EBC"):
+        volumetric_files(result, "vol")

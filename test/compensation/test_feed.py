@@ -5,11 +5,13 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from compensation_examples import even, result_of, wavy
 
+from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.feed import Feed
@@ -17,6 +19,7 @@ from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import ConfigurationError, ControllerError, DataError
 from rotcal_ros.units import ARCSEC
 
+CONFIGURATION = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
 SECOND = 1_000_000_000
 COMP = "c_linuxcnc.comp"
 
@@ -216,6 +219,25 @@ def test_a_controller_that_is_not_there(cell):
     feed = cell.feed(controller_folder=str(cell.folder / "gone"))
     with pytest.raises(ControllerError, match="does not answer: cannot lock: No such file"):
         applied(feed, table_of())
+
+
+def test_options_that_the_controller_does_not_have_are_refused_at_the_start():
+    """In the configuration, not when the table arrives."""
+    configuration = read_configuration(CONFIGURATION)
+    good = ["bridge.controller=linuxcnc", "bridge.options=['turns=3']"]
+    assert changed(configuration, good).bridge.controller_settings == {"turns": 3}
+    for option, error in [
+        ("turn=3", "bridge.options: unknown setting 'turn'; did you mean 'turns'"),
+        ("turns=0", r"bridge.options.turns: 0 is out of range 1 to inf"),
+        ("turns=many", r"bridge.options.turns: expected int"),
+        ("turns", "expected NAME=VALUE"),
+    ]:
+        with pytest.raises(ConfigurationError, match=error):
+            changed(configuration, [good[0], f"bridge.options=[{option!r}]"])
+    with pytest.raises(ConfigurationError, match="'linuxcmc'"):
+        changed(configuration, ["bridge.controller=linuxcmc"])
+    with pytest.raises(ConfigurationError, match="'linuxcmc'; did you mean 'linuxcnc'"):
+        BridgeSettings(controller="linuxcmc")
 
 
 class Broken(ControllerFolder):

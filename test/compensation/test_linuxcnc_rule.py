@@ -6,13 +6,7 @@ from compensation_examples import TAU, even, result_of, wavy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rotcal_ros.compensation.linuxcnc import (
-    LinuxCncSettings,
-    correction,
-    load,
-    read,
-    write,
-)
+from rotcal_ros.compensation.linuxcnc import LinuxCnc, load
 from rotcal_ros.compensation.resample import resample
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import BagError
@@ -46,7 +40,7 @@ MEASURED = [  # joint position, direction, motor command, all read from LinuxCNC
 
 @pytest.mark.parametrize(("joint", "approach", "motor"), MEASURED)
 def test_rule_gives_the_motor_commands_of_the_real_program(joint, approach, motor):
-    trim = correction(load(TABLE, 1), np.array([joint * DEGREE]), approach)[0] / DEGREE
+    trim = load(TABLE, 1).correction(np.array([joint * DEGREE]), approach)[0] / DEGREE
     assert joint + trim == pytest.approx(motor, abs=1e-7)
 
 
@@ -80,12 +74,12 @@ def test_malformed_tables_load_as_the_real_program_loads_them(text, rows, messag
 )
 def test_reader_refuses_what_the_program_swallows_in_silence(text):
     with pytest.raises(BagError, match="LinuxCNC uses"):
-        read({"a.comp": text, "a.ini": INI}, LinuxCncSettings())
+        LinuxCnc().read({"a.comp": text, "a.ini": INI})
 
 
 def test_missing_file_type_is_refused():
     with pytest.raises(BagError, match="COMP_FILE_TYPE"):
-        read({"a.comp": TABLE, "a.ini": "[JOINT_0]\nCOMP_FILE = a.comp\n"}, LinuxCncSettings())
+        LinuxCnc().read({"a.comp": TABLE, "a.ini": "[JOINT_0]\nCOMP_FILE = a.comp\n"})
 
 
 @settings(max_examples=50, deadline=None)
@@ -99,8 +93,8 @@ def test_missing_file_type_is_refused():
 def test_writer_never_makes_a_table_that_loads_only_partly(rows, turns, first, file_type, scale):
     angles = even(rows)
     table = table_from_result(result_of(angles, wavy(angles, [(1, scale, 1.0)])))
-    made = LinuxCncSettings(file_type=file_type, turns=turns, first_turn=first)
-    files = write(table, made, "t")
+    controller = LinuxCnc(file_type=file_type, turns=turns, first_turn=first)
+    files = controller.write(table, "t")
     loaded = load(files["t.comp"], file_type)
     assert len(loaded.nominal_deg) == rows * turns + 1 <= 256
     assert not loaded.messages
@@ -110,7 +104,7 @@ def test_writer_never_makes_a_table_that_loads_only_partly(rows, turns, first, f
 
 
 def test_trims_are_held_in_single_precision():
-    trim = correction(load("0 0.1 0.1\n360 0.1 0.1\n", 1), np.array([1.0]), UP)[0] / DEGREE
+    trim = load("0 0.1 0.1\n360 0.1 0.1\n", 1).correction(np.array([1.0]), UP)[0] / DEGREE
     assert trim == pytest.approx(float(np.float32(0.1)), abs=1e-16)
     assert trim != pytest.approx(0.1, abs=1e-12)
 
@@ -118,12 +112,14 @@ def test_trims_are_held_in_single_precision():
 def test_every_turn_has_the_same_trim():
     angles = even(24)
     table = table_from_result(result_of(angles, wavy(angles)))
-    made = LinuxCncSettings(first_turn=-1, turns=10)
-    loaded = read(write(table, made, "t"), made)
+    controller = LinuxCnc(first_turn=-1, turns=10)
+    loaded = controller.read(controller.write(table, "t"))
     at = np.array([10.0, 100.0]) * DEGREE
     for turn in range(-1, 9):
         np.testing.assert_allclose(
-            correction(loaded, at + turn * TAU, UP), correction(loaded, at, UP), atol=1e-7 * ARCSEC
+            loaded.correction(at + turn * TAU, UP),
+            loaded.correction(at, UP),
+            atol=1e-7 * ARCSEC,
         )
 
 
@@ -133,6 +129,6 @@ def test_both_types_move_the_motor_alike():
     command = np.linspace(0.0, TAU, 777)
     both = []
     for file_type in (0, 1):
-        made = LinuxCncSettings(file_type=file_type)
-        both.append(correction(read(write(table, made, "t"), made), command, DOWN))
+        controller = LinuxCnc(file_type=file_type)
+        both.append(controller.read(controller.write(table, "t")).correction(command, DOWN))
     np.testing.assert_allclose(both[0], both[1], atol=1e-5 * ARCSEC)

@@ -84,9 +84,9 @@ def by_tracer(
     places = targets + rng.normal(0.0, own.target, targets.shape)
     stations = _carried(MOUNT[None], angles, deviations[rows])[:, 0]
     length = np.linalg.norm(stations[:, None] - places, axis=2)
-    station, target = np.divmod(np.arange(length.size), len(targets))
+    position, target = np.divmod(np.arange(length.size), len(targets))
     return TracerProblem(
-        station=station,
+        position=position,
         target=target,
         length=length.ravel() - 0.5 + rng.normal(0.0, own.length, length.size),
         length_std=np.full(length.size, own.length),

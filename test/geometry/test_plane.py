@@ -20,11 +20,11 @@ def test_recovers_a_moved_plane(a, b, c, height):
     assert plane.offset == pytest.approx(-height * np.sign(rotation[2, 2]), abs=1e-12)
 
 
-def test_projection_is_the_foot_of_the_perpendicular():
+def test_distances_lead_to_the_foot_of_the_perpendicular():
     rng = np.random.default_rng(1)
     points = rng.normal(size=(20, 3)) * [1, 1, 0.1]
     plane = fit_plane(points)
-    feet = plane.project(points)
+    feet = points - plane.distances(points)[:, None] * plane.normal
     assert feet @ plane.normal + plane.offset == pytest.approx(np.zeros(20), abs=1e-14)
     assert np.cross(points - feet, plane.normal) == pytest.approx(np.zeros((20, 3)), abs=1e-14)
     assert plane.distances(points).sum() == pytest.approx(0.0, abs=1e-13)

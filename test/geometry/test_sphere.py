@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from rotcal_ros.errors import GeometryError
-from rotcal_ros.geometry.sphere import fit_sphere, fit_spheres
+from rotcal_ros.geometry.sphere import fit_spheres
 
 BALL, TIP = 0.0125, 0.0015
 
@@ -61,12 +61,11 @@ def test_covariance_is_that_of_the_scatter(radius):
 def test_a_touch_on_dirt_is_left_out_and_the_centre_stays():
     centres, points = balls(50, seed=2)
     points[7, 4] += 2e-5 * upper_half()[4]
-    for sigma in (None, 1e-7):
-        found = fit_spheres(points, radius=BALL, tip_radius=TIP, sigma=sigma)
-        assert not found.used[7, 4]
-        assert found.used.sum() >= 50 * 15 - 4
-        assert found.residuals[7, 4] == pytest.approx(2e-5, rel=0.05)
-        assert np.abs(found.centres[7] - centres[7]).max() < 4e-7
+    found = fit_spheres(points, radius=BALL, tip_radius=TIP)
+    assert not found.used[7, 4]
+    assert found.used.sum() >= 50 * 15 - 4
+    assert found.residuals[7, 4] == pytest.approx(2e-5, rel=0.05)
+    assert np.abs(found.centres[7] - centres[7]).max() < 4e-7
 
 
 def test_false_alarms_are_rare():
@@ -97,8 +96,6 @@ def test_too_few_points_are_refused(count, radius, needed):
     )
     assert np.isnan(found.centres[0]).all()
     assert found.reason[1] == ""
-    with pytest.raises(GeometryError, match="usable touch points"):
-        fit_sphere(points[0, :count], radius=radius)
 
 
 @pytest.mark.parametrize("radius", [BALL, None])
@@ -132,6 +129,6 @@ def test_exact_spheres_are_found_anywhere(centre, radius, seed):
     direction = rng.normal(size=(12, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     points = np.array(centre) + radius * direction
-    found = fit_sphere(points, radius=None)
+    found = fit_spheres(points[None], radius=None)
     np.testing.assert_allclose(found.centres[0], centre, atol=1e-12)
     assert found.radii[0] == pytest.approx(radius, abs=1e-12)

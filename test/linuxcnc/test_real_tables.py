@@ -58,7 +58,7 @@ def test_the_real_motion_follows_our_model(axis, file_type):
     settings = {"first_turn": -1, "turns": 3, "file_type": file_type}
     files = exported(**settings)
     axis.load(files)
-    said = linuxcnc.read(files, linuxcnc.LinuxCncSettings(**settings))
+    rule = linuxcnc.LinuxCnc(**settings).read(files)
     worst = 0.0
     with Running(axis) as running:
         running.go(-350.0, 1)
@@ -68,7 +68,7 @@ def test_the_real_motion_follows_our_model(axis, file_type):
                 state = running.go(angle, side)
                 moved = state["motor_deg"] - angle
                 at = np.array([angle * DEGREE])
-                model = linuxcnc.correction(said, at, approach)[0] / DEGREE
+                model = rule.correction(at, approach)[0] / DEGREE
                 assert moved == pytest.approx(model, abs=TOLERANCE_DEG), (angle, side)
                 worst = max(worst, abs(moved - model))
         assert running.errors == []
@@ -111,14 +111,14 @@ def test_our_reader_refuses_what_the_real_one_swallows(axis, damage, complaint):
     files = {n: damage(t) if n.endswith(".comp") else t for n, t in files.items()}
     (text,) = (t for n, t in files.items() if n.endswith(".comp"))
     with pytest.raises(linuxcnc.BagError):
-        linuxcnc.read(files, linuxcnc.LinuxCncSettings())
+        linuxcnc.LinuxCnc().read(files)
     loaded = linuxcnc.load(text, 1)
     axis.load(files)
     with Running(axis) as running:
         for angle in (33.0, 145.0):
             state = running.go(angle, 1)
             at = np.array([angle * DEGREE])
-            model = linuxcnc.correction(loaded, at, Approach.POSITIVE)[0] / DEGREE
+            model = loaded.correction(at, Approach.POSITIVE)[0] / DEGREE
             assert state["motor_deg"] - angle == pytest.approx(model, abs=TOLERANCE_DEG)
         assert (
             any(complaint in error for error in running.errors)

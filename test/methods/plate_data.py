@@ -89,7 +89,7 @@ def simulated(grid=72, balls=PAPER_PLATE, seed=0, noise=5e-8, **fields):
 
 def in_cmm_order(problem):
     """Number the rows CMM position by CMM position, as the paper measures."""
-    order = np.lexsort((problem.table_index, problem.cmm_index))
+    order = np.lexsort((problem.position, problem.cmm_index))
     row = np.empty(len(order), dtype=int)
     row[order] = np.arange(len(order))
     return replace(problem, row=row)

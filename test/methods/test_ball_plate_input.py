@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from plate_data import PAPER_PLATE, RADIUS
 
-from rotcal_ros.catalogue.ball_plate.plan import BallPlatePlanSettings
 from rotcal_ros.catalogue.setup_file import read_setup
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
@@ -18,7 +17,7 @@ GOOD = {"grid": 72, "ball_steps": PAPER_PLATE, "circle_radius_m": 0.185, "ball_d
 
 
 def read_plate(path):
-    return read_setup(path).group("plan", BallPlatePlanSettings).plate
+    return read_setup(path).plan.plate
 
 
 @pytest.mark.parametrize("path", sorted(PLATES.glob("*.yaml")), ids=lambda p: p.stem)
@@ -27,7 +26,7 @@ def test_shipped_plates_are_readable_and_separable(path):
     found = separability(plate.grid, np.array(plate.ball_steps))
     assert found.separable != plate.separate_groups
     assert plate.material
-    assert len(plate.nominal_centres) == len(plate.ball_steps)
+    assert plate.places.shape == (plate.grid, 3)
 
 
 def test_all_six_plates_are_shipped():
@@ -93,10 +92,9 @@ def test_a_plate_file_may_state_the_noise_of_a_centre(tmp_path):
     path = tmp_path / "plate.yaml"
     good = (PLATES / "ball_plate_12.yaml").read_text()
     path.write_text(good + "sigma_centre_m: 2.0e-7\n")
-    configuration = read_setup(path)
-    assert configuration.groups["solver"] == {"sigma_centre_m": 2.0e-7}
+    assert read_setup(path).solver.sigma_centre_m == 2.0e-7
 
 
 def test_plate_defaults():
     plate = Plate(grid=12, ball_steps=(0, 1, 5), circle_radius_m=RADIUS, ball_diameter_m=0.02)
-    np.testing.assert_allclose(plate.nominal_centres[0], [RADIUS, 0, 0])
+    np.testing.assert_allclose(plate.places[0], [RADIUS, 0, 0])

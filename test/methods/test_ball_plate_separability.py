@@ -61,8 +61,8 @@ def test_good_plate_has_nothing_to_say():
 
 def test_reduced_positions_are_judged_by_the_whole_model():
     problem, _ = simulated(12, range(12))
-    part = select(problem, positions=[0, 2, 4, 6, 8, 10])
+    part = select(problem, cmm_positions=[0, 2, 4, 6, 8, 10])
     found = separability_of(part)
     assert found.deficit == rank_deficit(part) == 6
     assert 6 in found.lost["ECC"]
-    assert separability_of(select(problem, positions=[0, 1, 3, 7, 8])).separable
+    assert separability_of(select(problem, cmm_positions=[0, 1, 3, 7, 8])).separable

@@ -24,7 +24,7 @@ def at(place_of, grid=72, balls=PAPER_PLATE, direction=1.0, noise=1e-7):
 
 
 def index_of(problem, table, ball):
-    return int(np.flatnonzero((problem.table_index == table) & (problem.ball_step == ball))[0])
+    return int(np.flatnonzero((problem.position == table) & (problem.ball_step == ball))[0])
 
 
 def test_result_has_six_curves_with_covariance_and_survives_json():
@@ -219,7 +219,7 @@ def test_knocked_plate_is_found_and_the_moment_named(jump, moment):
     problem, _ = simulated(72, PAPER_PLATE, seed=7)
     problem = in_cmm_order(problem)
     shift = np.tile([jump, -jump, 0.0], (len(problem.centres), 1))
-    moved = rotate_z(shift, problem.angles[problem.table_index])
+    moved = rotate_z(shift, problem.angles[problem.position])
     late = (problem.rows >= moment)[:, None]
     result = solve(replace(problem, centres=problem.centres + late * moved))
     assert result.verdict == "failed"
@@ -260,7 +260,7 @@ def test_two_groups_equal_two_closed_forms_and_warn():
     )
     for first in (0, 1):
         # Eq. 1-12 by hand for one group: 0-based, ball j at table position i at 2 pi (i + j)/N
-        rows = problem.table_index % 2 == first
+        rows = problem.position % 2 == first
         grid, angle = 12, 2 * np.pi * np.arange(12) / 12
         offset = 2 * np.pi * first / 24
         nominal = offset + angle[:, None] + angle
@@ -287,7 +287,7 @@ def test_the_order_of_the_rows_does_not_change_a_bit_of_the_result():
     mixed = BallPlateProblem(
         24,
         RADIUS,
-        problem.table_index[shuffle],
+        problem.position[shuffle],
         problem.ball_step[shuffle],
         problem.centres[shuffle],
         row=problem.rows[shuffle],
@@ -298,7 +298,7 @@ def test_the_order_of_the_rows_does_not_change_a_bit_of_the_result():
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"table_index": [24]}, "table position 24 is outside 0..23"),
+        ({"position": [24]}, "table position 24 is outside 0..23"),
         ({"ball_step": [-1]}, "ball step -1 is outside 0..23"),
         ({"centres": [[0.0, 1.0]]}, r"centres \(1, 2\)"),
         ({"radius": -1.0}, "radius of the ball circle is -1.0 m"),
@@ -308,7 +308,7 @@ def test_the_order_of_the_rows_does_not_change_a_bit_of_the_result():
 )
 def test_problem_refuses_nonsense(change, text):
     good = {
-        "grid": 24, "radius": RADIUS, "table_index": [0], "ball_step": [0],
+        "grid": 24, "radius": RADIUS, "position": [0], "ball_step": [0],
         "centres": [[RADIUS, 0.0, 0.0]],
     }  # fmt: skip
     with pytest.raises(DataError, match=text):

@@ -11,8 +11,7 @@ from plate_data import PAPER_PLATE, RADIUS, simulated
 from scipy.optimize import lsq_linear
 
 from rotcal_ros.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.closed_form import closed_form
+from rotcal_ros.methods.ball_plate import closed_form, model
 from rotcal_ros.methods.ball_plate.dense import design_matrix, solve_dense
 from rotcal_ros.methods.ball_plate.estimate import least_squares
 from rotcal_ros.methods.ball_plate.gaps import gap_cells, solve_with_gaps
@@ -72,7 +71,7 @@ def test_three_ways_agree_on_complete_data(grid, count):
 def test_general_agrees_with_dense_on_reduced_positions_and_gaps(grid, count, positions):
     problem, _ = simulated(grid, random_balls(grid, count, 3), seed=grid)
     rng = np.random.default_rng(grid)
-    part = select(problem, positions=np.sort(rng.choice(grid, positions, replace=False)))
+    part = select(problem, cmm_positions=np.sort(rng.choice(grid, positions, replace=False)))
     keep = np.ones(len(part.centres), dtype=bool)
     keep[rng.choice(len(keep), 4, replace=False)] = False
     assert_same(solve_dense(part), solve_general(part))
@@ -209,7 +208,7 @@ def test_closed_form_refuses_an_incomplete_grid():
 
 def test_general_names_the_table_positions_that_have_too_few_balls():
     problem, _ = simulated(24, [0, 3, 4, 9, 14])
-    part = problem.take((problem.table_index != 7) | (problem.ball_step < 4))
+    part = problem.take((problem.position != 7) | (problem.ball_step < 4))
     with pytest.raises(ObservabilityError, match=r"position \(balls\) 7 \(2\)"):
         solve_general(part)
 
@@ -234,7 +233,7 @@ def test_the_order_of_the_rows_does_not_change_a_bit(seed, count):
     mixed = BallPlateProblem(
         12,
         RADIUS,
-        problem.table_index[shuffle],
+        problem.position[shuffle],
         problem.ball_step[shuffle],
         problem.centres[shuffle],
         row=problem.rows[shuffle],

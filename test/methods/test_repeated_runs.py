@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rotcal_ros.simulation.nominal import nominal_observations
 
 from rotcal_ros import catalogue
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
@@ -51,7 +50,7 @@ def measured(task, seed, backlash=BACKLASH):
     rng = np.random.default_rng(seed)
     arrival = rng.normal(0.0, REPEATABILITY, len(task.plan.table_angles))
     moved = []
-    for step, seen in zip(task.plan.steps, nominal_observations(task), strict=True):
+    for step, seen in zip(task.plan.steps, task.nominal_observations(), strict=True):
         turn = step.table_angle + truth(step.table_angle) + arrival[step.table_index]
         turn += backlash * (step.approach is Approach.NEGATIVE)
         c, s = np.cos(turn), np.sin(turn)

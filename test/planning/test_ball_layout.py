@@ -13,7 +13,6 @@ from rotcal_ros.methods.ball_plate import BallPlateProblem
 from rotcal_ros.methods.ball_plate.dense import solve_dense
 from rotcal_ros.planning.ball_layout import (
     best_layout,
-    canonical,
     count_layouts,
     predicted_std,
     rank_subsets,
@@ -89,6 +88,12 @@ def test_exhaustive_search_finds_what_brute_force_finds(grid, count, gap):
     classes = {tuple(canonical(grid, layout)) for layout in layouts[gaps >= gap]}
     assert found.evaluated >= len(classes)  # and none is left out
     assert found.gap > 0.0
+
+
+def canonical(grid, steps):
+    """The smallest of all rotations and reflections of a layout."""
+    turned = [np.sort((sign * (steps - start)) % grid) for sign in (1, -1) for start in steps]
+    return min(turned, key=lambda layout: tuple(layout))
 
 
 def test_symmetric_layouts_have_one_canonical_form_and_one_variance():

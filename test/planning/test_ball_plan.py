@@ -19,8 +19,8 @@ def test_every_centre_is_measured_once(order, backlash, positions):
     assert cells == wanted
     assert len(plan.ball_step) == len(wanted)
     turn = (plan.table_angle / (2 * np.pi / 72)) % 72
-    assert np.allclose(turn % 72, plan.table_index, atol=1e-9) or np.allclose(
-        np.round(turn) % 72, plan.table_index
+    assert np.allclose(turn % 72, plan.position, atol=1e-9) or np.allclose(
+        np.round(turn) % 72, plan.position
     )
 
 

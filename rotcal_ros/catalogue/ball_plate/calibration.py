@@ -33,12 +33,12 @@ def trials(
 
     Raises ConfigurationError when neither the set-up nor the residuals tell the noise.
     """
-    made = ball_plate.plate_trials(_chosen(configuration, plan, observations))
-    if not np.max(made.std) > 1e-12:
+    prepared = ball_plate.plate_trials(_chosen(configuration, plan, observations))
+    if not np.max(prepared.std) > 1e-12:
         raise ConfigurationError(
             f"{configuration.source}: exact centres tell no noise; state solver.sigma_centre_m"
         )
-    return made
+    return prepared
 
 
 def _chosen(
@@ -49,7 +49,7 @@ def _chosen(
     return ball_plate.select(
         problem(configuration, plan, observations),
         balls=list(settings.balls) or None,
-        positions=list(settings.cmm_positions) or None,
+        cmm_positions=list(settings.cmm_positions) or None,
         coarser=settings.coarser,
     )
 
@@ -70,7 +70,7 @@ def problem(
     return BallPlateProblem(
         grid=plate.grid,
         radius=plate.circle_radius_m,
-        table_index=np.array([o.table_index for o in observations], dtype=np.int64),
+        position=np.array([o.table_index for o in observations], dtype=np.int64),
         ball_step=np.array([o.target for o in observations], dtype=np.int64),
         centres=np.array([o.mean for o in observations]) - np.array(settings.centre_m),
         sigma=sigma or None,

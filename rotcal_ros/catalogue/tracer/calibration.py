@@ -14,9 +14,11 @@ from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
 from rotcal_ros.methods.arrivals import Arrivals, mean_from_first, mean_of_runs, repeatability_std
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, joined_trials, solve_joined
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
+from rotcal_ros.methods.tracer.solution import adjust
+from rotcal_ros.methods.tracer.solve import result_of
 from rotcal_ros.observations import Approach, Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
@@ -31,11 +33,9 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     :mod:`rotcal_ros.methods.tracer.joins`. Repeated runs of the plan become one curve over the
     distinct angles: :mod:`rotcal_ros.methods.arrivals`.
     """
-    result = _adjusted(configuration, plan, observations)
+    result, positions = _solved(configuration, plan, observations)
     arrivals = _arrivals(configuration)
-    if arrivals is None:
-        return result
-    return mean_of_runs(result, arrivals.take(np.asarray(result.details["station_ids"])))
+    return result if arrivals is None else mean_of_runs(result, arrivals.take(positions))
 
 
 def trials(
@@ -43,14 +43,14 @@ def trials(
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
     if _interrupted(observations):
-        prepared = joined_trials(_runs(configuration, plan, observations))
+        prepared = adjust_joined(_runs(configuration, plan, observations)).trials
     else:
         prepared = tracer.tracer_trials(_configured_problem(configuration, plan, observations))
     arrivals = _arrivals(configuration)
     if arrivals is None:
         return prepared
-    arrivals = arrivals.take(prepared.grid.station_ids)
-    result = _adjusted(configuration, plan, observations)
+    result, positions = _solved(configuration, plan, observations)
+    arrivals = arrivals.take(positions)
     ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
     scatter = repeatability_std(ecc, covariance, arrivals)
     return RepeatedTrials(prepared, mean_from_first(arrivals), scatter)
@@ -60,13 +60,15 @@ def _interrupted(observations: Sequence[Observation]) -> bool:
     return len({o.run for o in observations}) > 1
 
 
-def _adjusted(
+def _solved(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> Result:
-    """Return the deviations at every arrival."""
+) -> tuple[Result, Ints]:
+    """Return the deviations at every arrival that was solved, and the positions (m,) of these."""
     if _interrupted(observations):
-        return solve_joined(_runs(configuration, plan, observations))
-    return tracer.solve(_configured_problem(configuration, plan, observations))
+        joined = adjust_joined(_runs(configuration, plan, observations))
+        return joined.result(), joined.solution.positions
+    solution = adjust(_configured_problem(configuration, plan, observations))
+    return result_of(solution), solution.positions
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +164,7 @@ def problem(
     window_std = np.array([o.std[0] for o in observations])
     relative_std = settings.length_std_relative * distance
     return TracerProblem(
-        station=np.array([o.table_index for o in observations], dtype=np.int64),
+        position=np.array([o.table_index for o in observations], dtype=np.int64),
         target=target,
         length=np.array([o.mean[0] for o in observations]),
         length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),

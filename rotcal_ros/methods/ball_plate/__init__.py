@@ -4,8 +4,16 @@ The model and its constraints are those of the reduced three-rosette method with
 freedom; closed form and groups follow a second paper. docs/ball_plate.md has the derivation.
 """
 
+from rotcal_ros.methods.ball_plate.closed_form import ClosedForm, closed_form
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, select
 from rotcal_ros.methods.ball_plate.solve import solve
 from rotcal_ros.methods.ball_plate.trials import plate_trials
 
-__all__ = ["BallPlateProblem", "plate_trials", "select", "solve"]
+__all__ = [
+    "BallPlateProblem",
+    "ClosedForm",
+    "closed_form",
+    "plate_trials",
+    "select",
+    "solve",
+]

@@ -27,7 +27,7 @@ DETERMINED = 1e-7
 def gap_cells(problem: BallPlateProblem) -> Ints | None:
     """Return the missing cells (place in the complete canonical order), None if some repeat."""
     ball = np.searchsorted(problem.balls, problem.ball_step)
-    cells = ball * problem.grid + problem.table_index
+    cells = ball * problem.grid + problem.position
     if len(np.unique(cells)) < len(cells):
         return None
     return np.setdiff1d(np.arange(len(problem.balls) * problem.grid), cells)

@@ -114,11 +114,11 @@ class _Eliminated:
         problem, n_rest = self.problem, len(self.rest_index)
         weighted = self.weight[:, :, None] * self.table
         own = np.zeros((problem.grid, 6, 6))
-        np.add.at(own, problem.table_index, weighted.swapaxes(1, 2) @ self.table)
+        np.add.at(own, problem.position, weighted.swapaxes(1, 2) @ self.table)
         self.own_inverse = np.linalg.inv(own)
         mixed = np.zeros((problem.grid, 6, n_rest))
         cross = weighted.swapaxes(1, 2) @ self.rest
-        where = (problem.table_index[:, None, None], np.arange(6)[None, :, None])
+        where = (problem.position[:, None, None], np.arange(6)[None, :, None])
         np.add.at(mixed, (*where, self.rest_columns[:, None, :]), cross)
         normal = np.zeros((n_rest, n_rest))
         local = (self.weight[:, :, None] * self.rest).swapaxes(1, 2) @ self.rest
@@ -135,14 +135,14 @@ class _Eliminated:
         problem = self.problem
         weighted = self.weight * observed
         table = np.zeros((problem.grid, 6))
-        np.add.at(table, problem.table_index, np.einsum("nij,ni->nj", self.table, weighted))
+        np.add.at(table, problem.position, np.einsum("nij,ni->nj", self.table, weighted))
         rest = np.zeros(len(self.rest_index))
         np.add.at(rest, self.rest_columns, np.einsum("nij,ni->nj", self.rest, weighted))
         unknown = cho_solve(self.factor, rest - self.back.T @ table.ravel())
         own = (self.own_inverse @ table[:, :, None]).ravel() - self.back @ unknown
         vector = np.empty(self.at.total)
         vector[self.rest_index] = unknown
-        vector[_table_index(self.at)] = own
+        vector[_table_columns(self.at)] = own
         return vector
 
     def covariance(self) -> Floats:
@@ -155,7 +155,7 @@ class _Eliminated:
         every = np.arange(grid)
         blocks[every, :, every, :] += self.own_inverse
         covariance = np.empty((self.at.total,) * 2)
-        table = _table_index(self.at)
+        table = _table_columns(self.at)
         covariance[np.ix_(self.rest_index, self.rest_index)] = rest
         covariance[np.ix_(table, self.rest_index)] = mixed
         covariance[np.ix_(self.rest_index, table)] = mixed.T
@@ -175,7 +175,7 @@ def _grid(at: model.Offsets) -> int:
     return (at.translation - at.rotation) // 3
 
 
-def _table_index(at: model.Offsets) -> Ints:
+def _table_columns(at: model.Offsets) -> Ints:
     """Return where c_i, d_i stand in the full vector, position by position, (6 N,)."""
     own = np.arange(3 * _grid(at)).reshape(-1, 3)
     return np.concatenate([at.rotation + own, at.translation + own], axis=1).ravel()
@@ -217,7 +217,7 @@ def _check(problem: BallPlateProblem) -> None:
 
 def require_balls(problem: BallPlateProblem) -> None:
     """Raise ObservabilityError that names the table positions with fewer than three balls."""
-    cells = np.unique(problem.table_index * problem.grid + problem.ball_step)
+    cells = np.unique(problem.position * problem.grid + problem.ball_step)
     count = np.bincount(cells // problem.grid, minlength=problem.grid)
     poor = np.flatnonzero(count < MIN_BALLS)
     if len(poor):

@@ -32,7 +32,7 @@ class Knock:
     last: int
     first: int
     ball_step: int
-    table_index: int
+    position: int
     shift: Floats
     rotation: Floats
     gain: float
@@ -43,7 +43,7 @@ class Knock:
         a, b, c = self.rotation / ARCSEC
         return (
             f"the plate moved on the table between rows {self.last} and {self.first} (before "
-            f"ball step {self.ball_step} at table position {self.table_index}): all later "
+            f"ball step {self.ball_step} at table position {self.position}): all later "
             f"centres are displaced by about ({x:.2f}, {y:.2f}, {z:.2f}) um and turned by "
             f"({a:.2f}, {b:.2f}, {c:.2f}) arcsec; fix the plate and measure again"
         )
@@ -79,7 +79,7 @@ def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
         last=int(problem.rows[order[start - 1]]),
         first=int(problem.rows[row]),
         ball_step=int(problem.ball_step[row]),
-        table_index=int(problem.table_index[row]),
+        position=int(problem.position[row]),
         shift=amount[:3],
         rotation=amount[3:] / problem.radius,
         gain=gain,
@@ -88,7 +88,7 @@ def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
 
 def _motion_design(problem: BallPlateProblem) -> Floats:
     """Return (n, 3, 6): displacement of a centre per unit shift, and rotation times radius."""
-    turn = model.rotations(problem.angles)[problem.table_index]
+    turn = model.rotations(problem.angles)[problem.position]
     cross = model.cross_unit(problem.angles[problem.ball_step])
     return np.concatenate([turn, turn @ cross], axis=2)
 

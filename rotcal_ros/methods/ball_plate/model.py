@@ -79,7 +79,7 @@ def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
 
 def degrees_of_freedom(problem: BallPlateProblem) -> int:
     """Return observations - unknowns + constraints."""
-    unknowns = 3 * len(problem.balls) + 3 * len(problem.positions) + 6 * problem.grid + 6
+    unknowns = 3 * len(problem.balls) + 3 * len(problem.cmm_positions) + 6 * problem.grid + 6
     return 3 * len(problem.centres) - unknowns + N_CONSTRAINTS
 
 
@@ -118,7 +118,7 @@ class Offsets:
 
 def offsets(problem: BallPlateProblem) -> Offsets:
     """Return the offsets of the blocks of unknowns."""
-    sizes = (len(problem.balls), len(problem.positions), problem.grid, problem.grid, 1, 1)
+    sizes = (len(problem.balls), len(problem.cmm_positions), problem.grid, problem.grid, 1, 1)
     starts = np.concatenate([[0], np.cumsum(3 * np.array(sizes))])
     return Offsets(*(int(start) for start in starts))
 
@@ -127,16 +127,16 @@ def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
     """Return the 18 non-zero columns of every row: (n, 3, 18) coefficients, (n, 18) indices."""
     at = offsets(problem)
     n = len(problem.centres)
-    turn = rotations(problem.angles)[problem.table_index]
+    turn = rotations(problem.angles)[problem.position]
     cross = cross_unit(problem.angles)[problem.cmm_index]
-    one = np.broadcast_to(np.eye(3), (n, 3, 3))
-    coefficients = np.concatenate([turn, one, cross, one, cross, one], axis=2)
+    identity = np.broadcast_to(np.eye(3), (n, 3, 3))
+    coefficients = np.concatenate([turn, identity, cross, identity, cross, identity], axis=2)
     starts = np.stack(
         [
             at.plate + 3 * np.searchsorted(problem.balls, problem.ball_step),
-            at.cmm + 3 * np.searchsorted(problem.positions, problem.cmm_index),
-            at.rotation + 3 * problem.table_index,
-            at.translation + 3 * problem.table_index,
+            at.cmm + 3 * np.searchsorted(problem.cmm_positions, problem.cmm_index),
+            at.rotation + 3 * problem.position,
+            at.translation + 3 * problem.position,
             np.full(n, at.axis_rotation),
             np.full(n, at.axis_shift),
         ],
@@ -151,19 +151,19 @@ def constraint_matrix(problem: BallPlateProblem) -> Floats:
     at = offsets(problem)
     angles = problem.angles
     matrix = np.zeros((N_CONSTRAINTS, at.total))
-    one = np.eye(3)
-    cross = cross_unit(angles[problem.positions])
-    across = angles[problem.positions]
+    identity = np.eye(3)
+    cross = cross_unit(angles[problem.cmm_positions])
+    across = angles[problem.cmm_positions]
     radial = np.stack([np.cos(across), np.sin(across), np.zeros_like(across)], axis=1)
     back = rotations(angles).transpose(0, 2, 1)
     ball = rotations(angles[problem.balls])
     cmm = slice(at.cmm, at.rotation)
     rotation = slice(at.rotation, at.translation)
     translation = slice(at.translation, at.axis_rotation)
-    matrix[0:3, cmm] = np.tile(one, len(problem.positions))  # Eq. 15, left
+    matrix[0:3, cmm] = np.tile(identity, len(problem.cmm_positions))  # Eq. 15, left
     matrix[3:6, cmm] = -np.hstack(list(cross))  # Eq. 15, right
     matrix[6, cmm] = radial.ravel()  # Eq. 16
-    matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(one, problem.grid)  # Eq. 17
+    matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, problem.grid)  # Eq. 17
     matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
     matrix[17, : at.cmm] = ball[:, :, 1].ravel()  # Eq. 19, tangential
     matrix[18, 2 : at.cmm : 3] = 1.0  # Eq. 19, axial
@@ -179,20 +179,20 @@ def null_space(problem: BallPlateProblem) -> Floats:
     """
     at = offsets(problem)
     space = np.zeros((at.total, N_CONSTRAINTS))
-    one = np.eye(3)
+    identity = np.eye(3)
     turn = rotations(problem.angles).reshape(-1, 3)
-    all_cmm = np.tile(one, (len(problem.positions), 1))
-    ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.positions]
+    all_cmm = np.tile(identity, (len(problem.cmm_positions), 1))
+    ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.cmm_positions]
     cross_ball = cross_unit(ball_angles).reshape(-1, 3)
     cross_cmm = cross_unit(cmm_angles).reshape(-1, 3)
     plate, cmm = slice(at.plate, at.cmm), slice(at.cmm, at.rotation)
     rotation, translation = slice(at.rotation, at.translation), slice(at.translation, -6)
-    space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(one, (len(ball_angles), 1))
+    space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(identity, (len(ball_angles), 1))
     space[rotation, 3:6], space[plate, 3:6] = turn, -cross_ball
-    space[translation, 6:9], space[cmm, 6:9] = np.tile(one, (problem.grid, 1)), -all_cmm
-    space[rotation, 9:12], space[cmm, 9:12] = np.tile(one, (problem.grid, 1)), -cross_cmm
-    space[at.axis_shift :, 12:15], space[cmm, 12:15] = one, -all_cmm
-    space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = one, -cross_cmm
+    space[translation, 6:9], space[cmm, 6:9] = np.tile(identity, (problem.grid, 1)), -all_cmm
+    space[rotation, 9:12], space[cmm, 9:12] = np.tile(identity, (problem.grid, 1)), -cross_cmm
+    space[at.axis_shift :, 12:15], space[cmm, 12:15] = identity, -all_cmm
+    space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = identity, -cross_cmm
     space[plate, 18] = -rotations(ball_angles)[:, :, 0].ravel()
     space[cmm, 18] = rotations(cmm_angles)[:, :, 0].ravel()
     return space

@@ -85,7 +85,7 @@ def choose(problem: BallPlateProblem, test: CentreTest) -> Ints:
             continue
         shares = (
             problem.ball_step[row] == problem.ball_step[chosen],
-            problem.table_index[row] == problem.table_index[chosen],
+            problem.position[row] == problem.position[chosen],
             problem.cmm_index[row] == problem.cmm_index[chosen],
         )
         if not np.any(shares):

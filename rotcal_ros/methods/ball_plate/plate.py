@@ -34,11 +34,6 @@ class Plate:
     )
 
     @property
-    def nominal_centres(self) -> Floats:
-        """Nominal ball centres (R, 3) at table position 0, metres."""
-        return self.places[list(self.ball_steps)]
-
-    @property
     def places(self) -> Floats:
         """Nominal places (grid, 3) of all steps at table position 0, metres."""
         angle = grid_angles(self.grid)

@@ -16,7 +16,7 @@ class BallPlateProblem:
     """Ball centres measured on a plate that stands on a rotary table.
 
     Row ``r`` is the centre ``centres[r]`` (n, 3), in metres, of the ball on grid step
-    ``ball_step[r]`` while the table stood at position ``table_index[r]``; the table turns
+    ``ball_step[r]`` while the table stood at position ``position[r]``; the table turns
     counter-clockwise by ``2 pi / grid`` per position. The frame is fixed to the CMM: z along
     the table axis, origin on the axis at the height of the ball centres, ball step 0 at table
     position 0 near the +x axis. ``radius`` is the nominal radius of the ball circle in metres.
@@ -35,7 +35,7 @@ class BallPlateProblem:
 
     grid: int
     radius: float
-    table_index: Ints
+    position: Ints
     ball_step: Ints
     centres: Floats
     sigma: float | None = None
@@ -44,7 +44,7 @@ class BallPlateProblem:
     separate_groups: bool = False
 
     def __post_init__(self) -> None:
-        table = np.asarray(self.table_index, dtype=np.int64)
+        table = np.asarray(self.position, dtype=np.int64)
         ball = np.asarray(self.ball_step, dtype=np.int64)
         centres = np.asarray(self.centres, dtype=np.float64)
         row = np.arange(len(table)) if self.row is None else np.asarray(self.row, dtype=np.int64)
@@ -53,7 +53,7 @@ class BallPlateProblem:
         _check_shapes(table, ball, centres, row, std)
         _check_indices(table, ball, row, self.grid)
         order = np.lexsort((row, table, ball))
-        object.__setattr__(self, "table_index", table[order])
+        object.__setattr__(self, "position", table[order])
         object.__setattr__(self, "ball_step", ball[order])
         object.__setattr__(self, "centres", centres[order])
         object.__setattr__(self, "row", row[order])
@@ -62,13 +62,12 @@ class BallPlateProblem:
     @cached_property
     def rows(self) -> Ints:
         """Row numbers (n,) in the order of measurement."""
-        assert self.row is not None  # set in __post_init__
-        return self.row
+        return np.asarray(self.row, dtype=np.int64)
 
     @cached_property
     def cmm_index(self) -> Ints:
         """CMM position k = table position + ball step, modulo the grid, (n,)."""
-        return (self.table_index + self.ball_step) % self.grid
+        return (self.position + self.ball_step) % self.grid
 
     @cached_property
     def balls(self) -> Ints:
@@ -76,7 +75,7 @@ class BallPlateProblem:
         return np.unique(self.ball_step)
 
     @cached_property
-    def positions(self) -> Ints:
+    def cmm_positions(self) -> Ints:
         """The CMM positions in use, ascending, (S,)."""
         return np.unique(self.cmm_index)
 
@@ -88,7 +87,7 @@ class BallPlateProblem:
     @cached_property
     def complete(self) -> bool:
         """Whether every ball was measured exactly once at every table position."""
-        cells = self.ball_step * self.grid + self.table_index
+        cells = self.ball_step * self.grid + self.position
         return len(cells) == len(self.balls) * self.grid and len(np.unique(cells)) == len(cells)
 
     @cached_property
@@ -103,7 +102,7 @@ class BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
         return replace(
             self,
-            table_index=self.table_index[keep],
+            position=self.position[keep],
             ball_step=self.ball_step[keep],
             centres=self.centres[keep],
             row=self.rows[keep],
@@ -115,7 +114,7 @@ def select(
     problem: BallPlateProblem,
     *,
     balls: Ints | list[int] | None = None,
-    positions: Ints | list[int] | None = None,
+    cmm_positions: Ints | list[int] | None = None,
     coarser: int = 1,
 ) -> BallPlateProblem:
     """Evaluate the same data with fewer balls, fewer CMM positions or a coarser grid.
@@ -126,10 +125,10 @@ def select(
     """
     if coarser < 1 or problem.grid % coarser:
         raise PlanError(f"a grid of {problem.grid} steps cannot be made {coarser} times coarser")
-    keep = (problem.ball_step % coarser == 0) & (problem.table_index % coarser == 0)
+    keep = (problem.ball_step % coarser == 0) & (problem.position % coarser == 0)
     for wanted, column, name in (
         (balls, problem.ball_step, "ball steps"),
-        (positions, problem.cmm_index, "CMM positions"),
+        (cmm_positions, problem.cmm_index, "CMM positions"),
     ):
         if wanted is None:
             continue
@@ -143,7 +142,7 @@ def select(
     return replace(
         part,
         grid=part.grid // coarser,
-        table_index=part.table_index // coarser,
+        position=part.position // coarser,
         ball_step=part.ball_step // coarser,
     )
 
@@ -165,7 +164,7 @@ def _check_constants(grid: int, radius: float, sigma: float | None) -> None:
 
 def _check_shapes(table: Ints, ball: Ints, centres: Floats, row: Ints, std: Floats | None) -> None:
     n = len(table)
-    shapes = {"table_index": table.shape, "ball_step": ball.shape, "row": row.shape}
+    shapes = {"position": table.shape, "ball_step": ball.shape, "row": row.shape}
     wrong = [f"{name} {shape}" for name, shape in shapes.items() if shape != (n,)]
     if centres.shape != (n, 3):
         wrong.append(f"centres {centres.shape}")

@@ -66,7 +66,7 @@ def screen(problem: BallPlateProblem) -> Screened:
 def _where(problem: BallPlateProblem, r: int | np.integer) -> str:
     return (
         f"row {problem.rows[r]} (ball step {problem.ball_step[r]}, "
-        f"table position {problem.table_index[r]})"
+        f"table position {problem.position[r]})"
     )
 
 
@@ -101,7 +101,7 @@ def _displaced(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
     """Return rows whose centre is not where ball and table position put it."""
     angle = np.arctan2(problem.centres[:, 1], problem.centres[:, 0])
     step = 2.0 * np.pi / problem.grid
-    on_plate = angle - problem.angles[problem.table_index]
+    on_plate = angle - problem.angles[problem.position]
     off = _wrap(on_plate - problem.angles[problem.ball_step]) / step
     bad = np.flatnonzero(np.abs(off) > PLACE_TOLERANCE)
     if len(bad) > FEW * len(off):
@@ -137,7 +137,7 @@ def _check_whole_balls(problem: BallPlateProblem, bad: Ints, steps: Floats) -> N
 
 def _mistake(problem: BallPlateProblem, angle: Floats) -> str:
     """Name the mistake behind a table of which most rows are misplaced."""
-    grid, table = problem.grid, problem.angles[problem.table_index]
+    grid, table = problem.grid, problem.angles[problem.position]
     if _coherence(problem, angle - table) < 0.9:
         if _coherence(problem, angle + table) > 0.9:
             return (
@@ -145,7 +145,7 @@ def _mistake(problem: BallPlateProblem, angle: Floats) -> str:
                 "be counter-clockwise seen from +z; reverse the sign of the table angle"
             )
         return (
-            "the centres of a ball do not turn with the table: the columns table_index and "
+            "the centres of a ball do not turn with the table: the columns position and "
             "ball_step, or the grid of the plate, do not belong to these centres"
         )
     found = np.array(
@@ -201,13 +201,13 @@ def _off_height(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
 
 def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
     """Return rows of a ball measured twice at a table position where another is missing."""
-    cell = problem.table_index * problem.grid + problem.ball_step
+    cell = problem.position * problem.grid + problem.ball_step
     cells, count = np.unique(cell, return_counts=True)
     bad: list[int] = []
     reasons = []
     for twice in cells[count > 1]:
         position = int(twice) // problem.grid
-        there = problem.ball_step[problem.table_index == position]
+        there = problem.ball_step[problem.position == position]
         missing = np.setdiff1d(problem.balls, there)
         for r in np.flatnonzero(cell == twice) if len(missing) else ():
             bad.append(int(r))

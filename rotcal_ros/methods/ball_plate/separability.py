@@ -102,7 +102,7 @@ def require_separable(problem: BallPlateProblem) -> Separability:
     if not found.separable:
         raise ObservabilityError(
             f"{len(problem.balls)} balls at steps {problem.balls.tolist()} of {problem.grid}, "
-            f"{len(problem.positions)} CMM positions: " + "; ".join(found.sentences())
+            f"{len(problem.cmm_positions)} CMM positions: " + "; ".join(found.sentences())
         )
     return found
 

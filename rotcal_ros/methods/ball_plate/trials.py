@@ -10,9 +10,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.ball_plate import general, model
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.rejection import fit_and_reject
-from rotcal_ros.methods.ball_plate.screening import screen
-from rotcal_ros.methods.ball_plate.solve import solve
+from rotcal_ros.methods.ball_plate.solution import PlateSolution, adjust
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +39,11 @@ class SolvedTrials:
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return the same as :class:`LinearTrials`."""
-        return np.stack([self._one(rng.standard_normal(self.std.shape)) for _ in range(count)])
+        return np.stack([self._trial(rng.standard_normal(self.std.shape)) for _ in range(count)])
 
-    def _one(self, noise: Floats) -> Floats:
-        result = solve(replace(self.problem, centres=self.problem.centres + self.std * noise))
-        return np.concatenate([result.deviations[name] for name in COMPONENTS])
+    def _trial(self, noise: Floats) -> Floats:
+        centres = self.problem.centres + self.std * noise
+        return _in_order(adjust(replace(self.problem, centres=centres)))
 
 
 def plate_trials(problem: BallPlateProblem) -> LinearTrials | SolvedTrials:
@@ -54,13 +52,17 @@ def plate_trials(problem: BallPlateProblem) -> LinearTrials | SolvedTrials:
     Rejected centres stay rejected; the noise is the one that the standard deviations of the
     result belong to.
     """
-    result = solve(problem)
-    scale = float(result.details["sigma_used"])
+    solution = adjust(problem)
     large = model.offsets(problem).total > general.MAX_UNKNOWNS
-    if problem.separate_groups or large:
-        unit = np.ones_like(problem.centres) if problem.std is None else problem.std
-        return SolvedTrials(problem, scale * unit)
-    used = fit_and_reject(screen(problem).problem).problem
-    unit = np.ones_like(used.centres) if used.std is None else used.std
-    value = np.concatenate([result.deviations[name] for name in COMPONENTS])
-    return LinearTrials(value, general.table_gain(used).T, (scale * unit).ravel())
+    alone = problem.separate_groups or large
+    used = problem if alone else solution.fits[0].problem
+    std = solution.noise.used * (np.ones_like(used.centres) if used.std is None else used.std)
+    if alone:
+        return SolvedTrials(used, std)
+    return LinearTrials(_in_order(solution), general.table_gain(used).T, std.ravel())
+
+
+def _in_order(solution: PlateSolution) -> Floats:
+    """Return all deviations, component by component."""
+    deviations = solution.deviations()
+    return np.concatenate([deviations[name] for name in COMPONENTS])

@@ -50,7 +50,7 @@ def offset_warning(count: int) -> str:
 
 def _group(problem: BallPlateProblem, first: int, count: int) -> Group:
     """Cut out the table positions first, first + count, ... and turn them to start at zero."""
-    rows = np.flatnonzero(problem.table_index % count == first)
+    rows = np.flatnonzero(problem.position % count == first)
     if not len(rows):
         raise ObservabilityError(
             f"no centre was measured at the table positions {first}, {first + count}, ...: "
@@ -67,7 +67,7 @@ def _group(problem: BallPlateProblem, first: int, count: int) -> Group:
     group_problem = replace(
         part,
         grid=problem.grid // count,
-        table_index=(part.table_index - first) // count,
+        position=(part.position - first) // count,
         ball_step=(part.ball_step - start) // count,
         centres=part.centres @ back.T,
         std=std,

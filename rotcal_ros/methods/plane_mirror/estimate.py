@@ -1,13 +1,16 @@
 """From points to deviations, for one measurement or for thousands of trials at once.
 
-What depends only on the layout and on the noise is prepared once; the estimates then take points
-with any leading axes.
+What depends only on the layout and on the noise is prepared once, in the type that belongs to the
+way; the estimates then take points with any leading axes.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.plane_mirror import cone, joint
@@ -16,48 +19,96 @@ from rotcal_ros.methods.plane_mirror.layout import Nests, Pairs, Reflectors
 from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import Poses, adjust_stations
+from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.methods.plane_mirror.stitching import stitch
 
 _TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared, then rounding
 
 
-@dataclass(frozen=True)
-class Prepared:
+@dataclass(frozen=True, eq=False)
+class Prepared(ABC):
     """A screened problem with all that does not change from trial to trial.
 
-    ``angles`` (N,) are those of the positions that were measured; the positions of ``pairs`` and
-    ``reflectors`` count in them. ``joining`` (N, readings) makes deviations of readings.
-    ``poses`` are the nominal stations, or all at the origin where the way needs none.
-    ``mirror`` is the nominal joint solution.
+    ``angles`` (N,) are those of the positions that were measured; the positions of pairs and
+    reflectors count in them. ``poses`` are the nominal stations, or all at the origin where the
+    way needs none. ``joining`` (N, readings) makes deviations of readings.
     """
 
     problem: PlaneMirrorProblem
     angles: Floats
-    pairs: Pairs | None
-    reflectors: Reflectors | None
     nests: Nests
-    pair_weight: Floats
     nest_weight: Floats
     poses: Poses
     joining: Floats
-    mirror: joint.Mirror | None = None
+
+    @abstractmethod
+    def estimate(self, points: Floats) -> Floats:
+        """Return deviations (..., N) in rad, from the first position, of points (..., n, 3)."""
+
+    def stations_of(self, points: Floats) -> Poses:
+        """Return the adjusted stations for points (..., n, 3)."""
+        if self.poses.rotation.shape[-3] == 1:
+            return self.poses
+        return adjust_stations(points, self.nests, self.nest_weight, self.poses, _TRIAL_STEPS)
 
 
-def estimate(prepared: Prepared, points: Floats) -> Floats:
-    """Return the deviations (..., N) in rad, from the first position, of points (..., n, 3)."""
-    if prepared.problem.way == "direct":
-        readings = _direct(prepared, points)
-    else:
-        assert prepared.pairs is not None
-        normals = fit_normals(points, prepared.pairs, prepared.pair_weight)
-        if prepared.problem.way == "joint":
-            return _joint(prepared, points, normals)
-        if prepared.problem.way == "stitching":
-            readings = stitch(normals.normal, prepared.pairs, prepared.angles)
+@dataclass(frozen=True, eq=False)
+class PreparedPoints(Prepared):
+    """The way "direct": reflectors that the table carries."""
+
+    reflectors: Reflectors
+
+    def estimate(self, points: Floats) -> Floats:
+        """Return the deviations about the circles of the reflectors."""
+        own = points[..., self.reflectors.row, :]
+        placed = self.stations_of(points).placed(own, self.reflectors.station)
+        readings = direct_readings(placed, self.reflectors, self.angles)
+        return np.asarray(readings @ self.joining.T, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedNormals(Prepared):
+    """The ways "stitching" and "registration": a mirror, seen in pairs of points."""
+
+    pairs: Pairs
+    pair_weight: Floats
+
+    def normals(self, points: Floats) -> Normals:
+        """Return the mirror's planes that points (..., n, 3) show."""
+        return fit_normals(points, self.pairs, self.pair_weight)
+
+    def estimate(self, points: Floats) -> Floats:
+        """Return the deviations of the normals, each in its station or all in the first one's."""
+        normal = self.normals(points).normal
+        if self.problem.way == STITCHING:
+            readings = stitch(normal, self.pairs, self.angles)
         else:
-            readings = _registered(prepared, points, normals)
-    result: Floats = readings @ prepared.joining.T
-    return result
+            placed = self.stations_of(points).turned(normal, self.pairs.station)
+            readings = registered_readings(placed, self.pairs, self.angles)
+        return np.asarray(readings @ self.joining.T, dtype=np.float64)
+
+    @property
+    def adjusted_together(self) -> joint.Together:
+        """What the way "joint" adjusts together."""
+        return joint.Together(self.pairs, self.nests, self.nest_weight, self.problem.tilt_std)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedJoint(PreparedNormals):
+    """The way "joint", with its nominal solution ``mirror``."""
+
+    mirror: joint.Mirror
+
+    def estimate(self, points: Floats) -> Floats:
+        """Return the deviations by the least squares of everything at once."""
+        mirror = joint.adjust_joint(
+            points, self.normals(points), self.adjusted_together, self.mirror, _TRIAL_STEPS
+        )
+        return cone.deviation(mirror.psi, self.angles)
+
+
+PreparedWay = PreparedPoints | PreparedNormals
+"""A prepared problem of any way; that of "joint" is one of normals."""
 
 
 def registered_readings(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
@@ -65,44 +116,3 @@ def registered_readings(normals: Floats, pairs: Pairs, angles: Floats) -> Floats
     commanded = angles[pairs.position]
     axis, _ = cone.fit_cone(normals, commanded)
     return cone.deviation(cone.azimuths(normals, axis), commanded)
-
-
-def stations_of(prepared: Prepared, points: Floats) -> Poses:
-    """Return the adjusted stations for points (..., n, 3)."""
-    if prepared.poses.rotation.shape[-3] == 1:
-        return prepared.poses
-    return adjust_stations(
-        points, prepared.nests, prepared.nest_weight, prepared.poses, _TRIAL_STEPS
-    )
-
-
-def _direct(prepared: Prepared, points: Floats) -> Floats:
-    reflectors = prepared.reflectors
-    assert reflectors is not None
-    placed = stations_of(prepared, points).placed(
-        points[..., reflectors.row, :], reflectors.station
-    )
-    return direct_readings(placed, reflectors, prepared.angles)
-
-
-def _registered(prepared: Prepared, points: Floats, normals: Normals) -> Floats:
-    assert prepared.pairs is not None
-    poses = stations_of(prepared, points)
-    placed = poses.turned(normals.normal, prepared.pairs.station)
-    return registered_readings(placed, prepared.pairs, prepared.angles)
-
-
-def _joint(prepared: Prepared, points: Floats, normals: Normals) -> Floats:
-    assert prepared.pairs is not None
-    assert prepared.mirror is not None
-    mirror, _ = joint.adjust_joint(
-        points,
-        normals,
-        prepared.pairs,
-        prepared.nests,
-        prepared.nest_weight,
-        prepared.problem.tilt_std,
-        prepared.mirror,
-        _TRIAL_STEPS,
-    )
-    return cone.deviation(mirror.psi, prepared.angles)

@@ -30,8 +30,8 @@ from rotcal_ros.methods.plane_mirror.registration import (
     station_columns,
 )
 
-_MAX_STEPS: Final = 30
-_TOLERANCE: Final = 1e-13
+_MAX_STEPS: Final = 30  # the start is near: what has not settled then never will
+_TOLERANCE: Final = 1e-13  # change (rad, m) that is rounding
 _SHARED: Final = 3  # tilt of the axis about two directions, and beta
 
 
@@ -49,6 +49,19 @@ class Mirror:
     psi: Floats
     eps: Floats
     distance: Floats
+
+
+@dataclass(frozen=True)
+class Together:
+    """What is adjusted together, the same in every step: groups, nests, and how they weigh.
+
+    ``nest_weight`` (Q, 3, 3) are inverse covariances (1/m^2), ``tilt_std`` (rad) is the table's.
+    """
+
+    pairs: Pairs
+    nests: Nests
+    nest_weight: Floats
+    tilt_std: float
 
 
 @dataclass(frozen=True)
@@ -80,34 +93,26 @@ def start_mirror(normals: Normals, pairs: Pairs, poses: Poses, angles: Floats) -
 def adjust_joint(
     points: Floats,
     normals: Normals,
-    pairs: Pairs,
-    nests: Nests,
-    nest_weight: Floats,
-    tilt_std: float,
+    together: Together,
     start: Mirror,
     steps: int = _MAX_STEPS,
-) -> tuple[Mirror, Equations]:
-    """Iterate Gauss-Newton; returns the unknowns and the equations of the last step."""
+) -> Mirror:
+    """Return the unknowns that fit best, by Gauss-Newton."""
     mirror = _for_trials(start, normals.offset.shape[:-1])
     for _ in range(steps):
-        equations = joint_equations(points, normals, pairs, nests, nest_weight, tilt_std, mirror)
+        equations = joint_equations(points, normals, together, mirror)
         change, shared = solve_equations(equations)
         mirror = _moved(mirror, change, shared)
         if max(np.abs(change).max(), np.abs(shared).max()) < _TOLERANCE:
             break
-    return mirror, equations
+    return mirror
 
 
 def joint_equations(
-    points: Floats,
-    normals: Normals,
-    pairs: Pairs,
-    nests: Nests,
-    nest_weight: Floats,
-    tilt_std: float,
-    mirror: Mirror,
+    points: Floats, normals: Normals, together: Together, mirror: Mirror
 ) -> Equations:
     """Linearise at ``mirror``; positions are in ascending order, all of them observed."""
+    pairs, nests, tilt_std = together.pairs, together.nests, together.tilt_std
     local, shared, discrepancy, weight = _group_terms(normals, pairs, mirror)
     order = np.argsort(pairs.position, kind="stable")
     start = np.searchsorted(pairs.position[order], np.arange(mirror.psi.shape[-1]))
@@ -130,12 +135,11 @@ def joint_equations(
     chi_square = chi_square + (mirror.eps**2).sum(axis=-1) * tilt_std**-2
     p = flat[-1] - _SHARED
     if p:
-        nest_normal, nest_right, residual = nest_equations(
-            points, nests, nest_weight, mirror.poses
-        )
+        weights, poses = together.nest_weight, mirror.poses
+        nest_normal, nest_right, residual = nest_equations(points, nests, weights, poses)
         matrix[..., :p, :p] += nest_normal
         right[..., :p] += nest_right
-        chi_square = chi_square + nest_chi_square(residual, nests, nest_weight, mirror.poses)
+        chi_square = chi_square + nest_chi_square(residual, nests, weights, poses)
     return Equations(
         block, per_position(local_weight @ shared, -3), matrix, local_right, right, chi_square
     )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,23 @@ from rotcal_ros.methods.plane_mirror.direct import (
     fit_circle,
     local_axes,
 )
-from rotcal_ros.methods.plane_mirror.estimate import Prepared, registered_readings
+from rotcal_ros.methods.plane_mirror.estimate import (
+    Prepared,
+    PreparedJoint,
+    PreparedNormals,
+    PreparedPoints,
+    PreparedWay,
+    registered_readings,
+)
 from rotcal_ros.methods.plane_mirror.nest_tests import NestFit, nest_fit
-from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals
+from rotcal_ros.methods.plane_mirror.normals import Normals
 from rotcal_ros.methods.plane_mirror.registration import nest_equations
 from rotcal_ros.methods.plane_mirror.residuals import enter, enter_nests, enter_pairs
+from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.results import Residuals
+
+_CERTAIN = 1e-300
+"""Smallest variance (m^2) that is divided by: exact points leave rounding over nothing."""
 
 
 @dataclass(frozen=True)
@@ -36,162 +48,186 @@ class Outcome:
     covariance: Floats
     chi_square: float
     dof: int
-    details: dict[str, Any]
+    details: Mapping[str, Any]
 
 
-def stitched(prepared: Prepared, residuals: Residuals) -> Outcome:
+@dataclass(frozen=True)
+class _Fit:
+    """Chi square and degrees of freedom of what was fitted, and plain values for the result."""
+
+    chi_square: float = 0.0
+    dof: int = 0
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Cones:
+    """Normals (G, 3) and the axes (G, 3) of their cones; those of one ``zero`` (G,) share one.
+
+    ``covariance`` (2 G, 2 G): of all tau, then all eta. ``height``: of the cones, their sine.
+    """
+
+    normals: Floats
+    axes: Floats
+    zero: Ints
+    covariance: Floats
+    height: float
+
+
+def outcome_of(prepared: PreparedWay, residuals: Residuals) -> Outcome:
+    """Return the outcome of the way that ``prepared`` belongs to; enters the residuals."""
+    if isinstance(prepared, PreparedPoints):
+        return _direct(prepared, residuals)
+    if isinstance(prepared, PreparedJoint):
+        return _joined(prepared, residuals)
+    if prepared.problem.way == STITCHING:
+        return _stitched(prepared, residuals)
+    return _registered(prepared, residuals)
+
+
+def _stitched(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
     """Stitching: a plane per station, zeros tied by shared positions."""
     pairs, angles = prepared.pairs, prepared.angles
-    assert pairs is not None
-    normals = _pairs_fit(prepared, residuals)
+    normals, groups = _groups(prepared, residuals)
     covariance, axes = unc.stitched_covariance(normals, pairs, angles, prepared.problem.tilt_std)
-    readings = stitching.stitch(normals.normal, pairs, angles)
-    response = stitching.stitch_response(normals.normal, pairs, angles)
     height = float(stitching.cone_height(normals.normal, pairs, angles))
     _, zero = np.unique(pairs.station, return_inverse=True)
-    outcome = _from_readings(prepared, normals, readings, response, covariance, axes, zero)
-    outcome.details["lean_rad"] = float(np.arcsin(height))
-    return _with_crosstalk(prepared, outcome, height)
+    cones = _Cones(normals.normal, axes, zero, covariance, height)
+    readings = stitching.stitch(normals.normal, pairs, angles)
+    response = stitching.stitch_response(normals.normal, pairs, angles)
+    details = {"lean_rad": float(np.arcsin(height))}
+    return _of_readings(prepared, readings, response, cones, groups, _Fit(details=details))
 
 
-def registered(prepared: Prepared, residuals: Residuals) -> Outcome:
+def _registered(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
     """Registration: one plane for all normals in the frame of the first station."""
-    pairs, angles = prepared.pairs, prepared.angles
-    assert pairs is not None
-    normals = _pairs_fit(prepared, residuals)
-    nests = _nests_fit(prepared, residuals)
-    placed = prepared.poses.turned(normals.normal, pairs.station)
+    pairs, angles, poses = prepared.pairs, prepared.angles, prepared.poses
+    normals, groups = _groups(prepared, residuals)
+    nests = _nests(prepared, residuals)
+    placed = poses.turned(normals.normal, pairs.station)
     axis, height = cone.fit_cone(placed, angles[pairs.position])
     covariance = unc.normal_covariance(
-        normals,
-        pairs,
-        prepared.poses,
-        axis,
-        _pose_covariance(prepared),
-        prepared.problem.tilt_std,
+        normals, pairs, poses, axis, _pose_covariance(prepared), prepared.problem.tilt_std
     )
+    axes, zero = np.broadcast_to(axis, placed.shape), np.zeros_like(pairs.station)
+    cones = _Cones(placed, axes, zero, covariance, float(height))
     readings = registered_readings(placed, pairs, angles)
     response = unc.registered_response(pairs, angles, float(height))
-    zero = np.zeros_like(pairs.station)
-    axes = np.broadcast_to(axis, placed.shape)
-    outcome = _from_readings(prepared, normals, readings, response, covariance, axes, zero, placed)
-    outcome.details.update(axis=axis, lean_rad=float(np.arcsin(height)))
-    return _with_crosstalk(prepared, _with_nests(prepared, outcome, nests), float(height))
+    details = {"axis": axis, "lean_rad": float(np.arcsin(height)), **nests.details}
+    rest = _Fit(nests.chi_square, nests.dof, details)
+    return _of_readings(prepared, readings, response, cones, groups, rest)
 
 
-def joined(prepared: Prepared, residuals: Residuals) -> Outcome:
-    """Joint: the least squares of everything at once."""
-    pairs, mirror = prepared.pairs, prepared.mirror
-    assert pairs is not None
-    assert mirror is not None
-    normals = _pairs_fit(prepared, residuals)
-    nests = _nests_fit(prepared, residuals)
-    equations = joint.joint_equations(
-        prepared.problem.xyz,
-        normals,
-        pairs,
-        prepared.nests,
-        prepared.nest_weight,
-        prepared.problem.tilt_std,
-        mirror,
-    )
+def _joined(prepared: PreparedJoint, residuals: Residuals) -> Outcome:
+    """Joint: the least squares of everything at once; the nests are in its chi square."""
+    problem, pairs, mirror = prepared.problem, prepared.pairs, prepared.mirror
+    normals, groups = _groups(prepared, residuals)
+    nests = _nests(prepared, residuals)
+    equations = joint.joint_equations(problem.xyz, normals, prepared.adjusted_together, mirror)
     n = len(prepared.angles)
     contrast = np.eye(n)
     contrast[:, 0] -= 1.0
-    n_nests, n_points = len(prepared.nests.row), prepared.nests.n_points
-    dof = 3 * (len(pairs.direct) + n_nests - n_points) - equations.shared.shape[0] - 2 * n
-    outcome = Outcome(
+    covariance = contrast @ joint.angle_covariance(equations) @ contrast.T
+    n_known = len(pairs.direct) + len(prepared.nests.row) - prepared.nests.n_points
+    return Outcome(
         deviations=cone.deviation(mirror.psi, prepared.angles),
-        covariance=contrast @ joint.angle_covariance(equations) @ contrast.T,
-        chi_square=float(equations.chi_square) + _groups_fit(prepared, normals)[0],
-        dof=dof,
+        covariance=covariance + unc.tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
+        chi_square=float(equations.chi_square) + groups.chi_square,
+        dof=3 * n_known - equations.shared.shape[0] - 2 * n,
         details={
             "axis": mirror.frame[:, 2],
             "lean_rad": float(mirror.beta),
             "tilts_rad": mirror.eps,
+            **nests.details,
         },
     )
-    return _with_crosstalk(
-        prepared, _with_nests(prepared, outcome, nests, count=False), float(np.sin(mirror.beta))
-    )
 
 
-def direct(prepared: Prepared, residuals: Residuals) -> Outcome:
+def _direct(prepared: PreparedPoints, residuals: Residuals) -> Outcome:
     """Direct: plane and circle through the places of reflectors on the table."""
     reflectors, angles, problem = prepared.reflectors, prepared.angles, prepared.problem
-    assert reflectors is not None
-    nests = _nests_fit(prepared, residuals)
+    nests = _nests(prepared, residuals)
     placed = prepared.poses.placed(problem.xyz[reflectors.row], reflectors.station)
     axes, radii = local_axes(placed, reflectors, angles)
     covariance = unc.point_covariance(
         problem, reflectors, prepared.poses, axes, _pose_covariance(prepared)
     )
     m = len(radii)
+    off_circle = _off_circle(prepared, placed, axes, radii)
+    circles = _circles(prepared, residuals, off_circle, covariance[m:, m:])
     gain = prepared.joining @ direct_response(reflectors, angles, radii)
-    readings = direct_readings(placed, reflectors, angles)
-    design = circle_design(reflectors, angles)
-    off_circle: Floats = _off_circle(prepared, placed, axes, radii)
-    both = np.asarray(np.kron(np.eye(2), design), dtype=np.float64)
-    chi_square, dof = unc.misfit(off_circle.T.ravel(), both, covariance[m:, m:])
-    leverage: Floats = np.einsum("ij,ji->i", design, np.linalg.pinv(design))
-    spread = np.diag(covariance)[m:].reshape(2, m).T * (1.0 - leverage)[:, None]
-    test = np.sqrt((off_circle**2 / np.maximum(spread, 1e-300)).mean(axis=1))
-    length = np.linalg.norm(off_circle, axis=1)
-    enter(residuals, reflectors.row, length, 2.0 / 3.0 * (1.0 - leverage), test)
-    axis = axes[0, 2]
-    outcome = Outcome(
-        deviations=prepared.joining @ readings,
+    return Outcome(
+        deviations=prepared.joining @ direct_readings(placed, reflectors, angles),
         covariance=gain @ covariance[: 2 * m, : 2 * m] @ gain.T,
-        chi_square=chi_square,
-        dof=dof,
-        details={"axis": axis, "radii_m": [float(r) for r in dict.fromkeys(radii)]},
+        chi_square=circles.chi_square + nests.chi_square,
+        dof=circles.dof + nests.dof,
+        details={
+            "axis": axes[0, 2],
+            "radii_m": [float(r) for r in dict.fromkeys(radii)],
+            **nests.details,
+        },
     )
-    return _with_nests(prepared, outcome, nests)
 
 
-def _from_readings(
-    prepared: Prepared,
-    normals: Normals,
+def _of_readings(
+    prepared: PreparedNormals,
     readings: Floats,
     response: Floats,
-    covariance: Floats,
-    axes: Floats,
-    zero: Ints,
-    placed: Floats | None = None,
+    cones: _Cones,
+    groups: _Fit,
+    rest: _Fit,
 ) -> Outcome:
-    """Deviations from readings; chi square of groups, cones and positions seen repeatedly."""
+    """Join readings; chi square of groups, cones, positions seen repeatedly, and the rest."""
     pairs, angles = prepared.pairs, prepared.angles
-    assert pairs is not None
-    n = pairs.n_groups
-    reading_covariance = response @ covariance @ response.T
-    seen = normals.normal if placed is None else placed
+    n, zero = pairs.n_groups, cones.zero
+    reading_covariance = response @ cones.covariance @ response.T
+    # Fewer than three normals have no plane of their own that they could leave.
     known = np.isin(zero, np.flatnonzero(np.bincount(zero) >= 3))
-    cones = unc.cone_misfit(
-        seen[known],
-        axes[known],
+    about_cones = unc.cone_misfit(
+        cones.normals[known],
+        cones.axes[known],
         zero[known],
         angles[pairs.position[known]],
-        covariance[n:, n:][np.ix_(known, known)],
+        cones.covariance[n:, n:][np.ix_(known, known)],
     )
     design = np.zeros((n, len(angles) + zero.max() + 1))
     design[np.arange(n), pairs.position] = 1.0
     design[np.arange(n), len(angles) + zero] = 1.0
     overlaps = unc.misfit(readings, design, reading_covariance)
-    groups = _groups_fit(prepared, normals)
     gain = prepared.joining
+    crosstalk = unc.tilt_crosstalk(prepared.problem, cones.height, len(angles))
     return Outcome(
         deviations=gain @ readings,
-        covariance=gain @ reading_covariance @ gain.T,
-        chi_square=groups[0] + cones[0] + overlaps[0],
-        dof=groups[1] + cones[1] + overlaps[1],
-        details={},
+        covariance=gain @ reading_covariance @ gain.T + crosstalk,
+        chi_square=groups.chi_square + about_cones[0] + overlaps[0] + rest.chi_square,
+        dof=groups.dof + about_cones[1] + overlaps[1] + rest.dof,
+        details=rest.details,
     )
 
 
-def _off_circle(prepared: Prepared, placed: Floats, axes: Floats, radii: Floats) -> Floats:
+def _circles(
+    prepared: PreparedPoints, residuals: Residuals, off_circle: Floats, covariance: Floats
+) -> _Fit:
+    """Fit of the points about their circles, radially and axially; enters the residuals.
+
+    ``covariance`` (2 M, 2 M): of all radial, then all axial movements, m^2.
+    """
+    m, reflectors = len(off_circle), prepared.reflectors
+    design = circle_design(reflectors, prepared.angles)
+    both = np.asarray(np.kron(np.eye(2), design), dtype=np.float64)
+    chi_square, dof = unc.misfit(off_circle.T.ravel(), both, covariance)
+    leverage: Floats = np.einsum("ij,ji->i", design, np.linalg.pinv(design))
+    spread = np.diag(covariance).reshape(2, m).T * (1.0 - leverage)[:, None]
+    test = np.sqrt((off_circle**2 / np.maximum(spread, _CERTAIN)).mean(axis=1))
+    length = np.linalg.norm(off_circle, axis=1)
+    # Two of a point's three coordinates are checked by its circle; the third is the angle.
+    enter(residuals, reflectors.row, length, 2.0 / 3.0 * (1.0 - leverage), test)
+    return _Fit(chi_square, dof)
+
+
+def _off_circle(prepared: PreparedPoints, placed: Floats, axes: Floats, radii: Floats) -> Floats:
     """Radial and axial distance (M, 2) of each point from its reflector's circle, metres."""
     reflectors = prepared.reflectors
-    assert reflectors is not None
     off = np.zeros((len(placed), 2))
     for reflector in range(len(reflectors.name)):
         at = np.flatnonzero(reflectors.reflector == reflector)
@@ -203,47 +239,30 @@ def _off_circle(prepared: Prepared, placed: Floats, axes: Floats, radii: Floats)
     return off
 
 
-def _pairs_fit(prepared: Prepared, residuals: Residuals) -> Normals:
-    assert prepared.pairs is not None
-    normals = fit_normals(prepared.problem.xyz, prepared.pairs, prepared.pair_weight)
-    enter_pairs(residuals, prepared.problem, prepared.pairs, normals, prepared.pair_weight)
-    return normals
+def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, _Fit]:
+    """Return the normals, and the fit of the pairs about the plane of their group."""
+    pairs, weight = prepared.pairs, prepared.pair_weight
+    normals = prepared.normals(prepared.problem.xyz)
+    enter_pairs(residuals, prepared.problem, pairs, normals, weight)
+    e = normals.misclosure
+    chi_square = float(np.einsum("pi,pij,pj->", e, weight, e))
+    return normals, _Fit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
 
 
-def _nests_fit(prepared: Prepared, residuals: Residuals) -> NestFit | None:
-    if not len(prepared.nests.row):
-        return None
-    fit = nest_fit(prepared.problem.xyz, prepared.nests, prepared.nest_weight, prepared.poses)
-    enter_nests(residuals, prepared.nests, fit)
-    return fit
+def _nests(prepared: Prepared, residuals: Residuals) -> _Fit:
+    """Return the fit of the fixed nests, if there are any; enters the residuals."""
+    nests, problem = prepared.nests, prepared.problem
+    if not len(nests.row):
+        return _Fit()
+    fit = nest_fit(problem.xyz, nests, prepared.nest_weight, prepared.poses)
+    enter_nests(residuals, nests, fit)
+    return _Fit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})
 
 
-def _groups_fit(prepared: Prepared, normals: Normals) -> tuple[float, int]:
-    """Chi square and dof of the pairs about the plane of their group."""
-    e, pairs = normals.misclosure, prepared.pairs
-    assert pairs is not None
-    chi_square = float(np.einsum("pi,pij,pj->", e, prepared.pair_weight, e))
-    return chi_square, 3 * (len(pairs.direct) - pairs.n_groups)
-
-
-def _pose_covariance(prepared: Prepared) -> Floats:
-    if not len(prepared.nests.row):
-        return np.zeros((0, 0))
-    normal, _, _ = nest_equations(
-        prepared.problem.xyz, prepared.nests, prepared.nest_weight, prepared.poses
-    )
-    return np.asarray(np.linalg.inv(normal), dtype=np.float64)
-
-
-def _with_nests(
-    prepared: Prepared, outcome: Outcome, fit: NestFit | None, count: bool = True
-) -> Outcome:
-    """Add the nests to the details and, unless the way has counted them, to chi square."""
-    if fit is None:
-        return outcome
+def _nest_entries(prepared: Prepared, fit: NestFit) -> list[dict[str, Any]]:
     nests, problem = prepared.nests, prepared.problem
     placed = prepared.poses.placed(problem.xyz[nests.row], nests.station)
-    outcome.details["nests"] = [
+    return [
         {
             "nest": nests.name[nests.point[q]],
             "station": problem.station_name(int(nests.station[q])),
@@ -253,23 +272,12 @@ def _with_nests(
         }
         for q in range(len(nests.row))
     ]
-    if not count:
-        return outcome
-    return Outcome(
-        outcome.deviations,
-        outcome.covariance,
-        outcome.chi_square + fit.chi_square,
-        outcome.dof + fit.dof,
-        outcome.details,
-    )
 
 
-def _with_crosstalk(prepared: Prepared, outcome: Outcome, height: float) -> Outcome:
-    extra = unc.tilt_crosstalk(prepared.problem, height, len(prepared.angles))
-    return Outcome(
-        outcome.deviations,
-        outcome.covariance + extra,
-        outcome.chi_square,
-        outcome.dof,
-        outcome.details,
+def _pose_covariance(prepared: Prepared) -> Floats:
+    if not len(prepared.nests.row):
+        return np.zeros((0, 0))
+    normal, _, _ = nest_equations(
+        prepared.problem.xyz, prepared.nests, prepared.nest_weight, prepared.poses
     )
+    return np.asarray(np.linalg.inv(normal), dtype=np.float64)

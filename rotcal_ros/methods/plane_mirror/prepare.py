@@ -10,7 +10,12 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror import screening
 from rotcal_ros.methods.plane_mirror.direct import fit_circle, require_circles
-from rotcal_ros.methods.plane_mirror.estimate import Prepared
+from rotcal_ros.methods.plane_mirror.estimate import (
+    PreparedJoint,
+    PreparedNormals,
+    PreparedPoints,
+    PreparedWay,
+)
 from rotcal_ros.methods.plane_mirror.joint import adjust_joint, start_mirror
 from rotcal_ros.methods.plane_mirror.layout import (
     Nests,
@@ -31,7 +36,7 @@ from rotcal_ros.results import Rejection
 class Screened:
     """A prepared problem with what the screening left out and what the user must know."""
 
-    prepared: Prepared
+    prepared: PreparedWay
     rejected: tuple[Rejection, ...]
     warnings: tuple[str, ...]
 
@@ -65,16 +70,15 @@ def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
         zero = np.zeros_like(pairs.station)
         _require_three(problem, angles)
     joining = joining_map(pairs.position, zero, 1.0 / np.bincount(pairs.group), len(angles))
-    prepared = Prepared(
+    prepared = PreparedNormals(
         problem=problem,
         angles=angles,
-        pairs=pairs,
-        reflectors=None,
         nests=nests,
-        pair_weight=weight,
         nest_weight=problem.noise.weight(problem.xyz[nests.row]),
         poses=poses,
         joining=joining,
+        pairs=pairs,
+        pair_weight=weight,
     )
     if problem.way == "joint":
         prepared = _with_mirror(prepared)
@@ -95,16 +99,14 @@ def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
         at = np.flatnonzero(reflectors.reflector == reflector)
         variance[at] = 1.0 / fit_circle(placed[at], angles[reflectors.position[at]])[2] ** 2
     joining = joining_map(reflectors.position, reflectors.reflector, variance, len(angles))
-    prepared = Prepared(
+    prepared = PreparedPoints(
         problem=problem,
         angles=angles,
-        pairs=None,
-        reflectors=reflectors,
         nests=nests,
-        pair_weight=np.zeros((0, 3, 3)),
         nest_weight=problem.noise.weight(problem.xyz[nests.row]),
         poses=poses,
         joining=joining,
+        reflectors=reflectors,
     )
     return Screened(prepared, (), tuple(warnings))
 
@@ -124,21 +126,12 @@ def _no_nests() -> Nests:
     return Nests(none, none, none, none, none)
 
 
-def _with_mirror(prepared: Prepared) -> Prepared:
-    assert prepared.pairs is not None
+def _with_mirror(prepared: PreparedNormals) -> PreparedJoint:
     xyz = prepared.problem.xyz
-    normals = fit_normals(xyz, prepared.pairs, prepared.pair_weight)
+    normals = prepared.normals(xyz)
     start = start_mirror(normals, prepared.pairs, prepared.poses, prepared.angles)
-    mirror, _ = adjust_joint(
-        xyz,
-        normals,
-        prepared.pairs,
-        prepared.nests,
-        prepared.nest_weight,
-        prepared.problem.tilt_std,
-        start,
-    )
-    return replace(prepared, mirror=mirror, poses=mirror.poses)
+    mirror = adjust_joint(xyz, normals, prepared.adjusted_together, start)
+    return PreparedJoint(**{**vars(prepared), "poses": mirror.poses}, mirror=mirror)
 
 
 def _absent(problem: PlaneMirrorProblem, used: Ints) -> list[str]:

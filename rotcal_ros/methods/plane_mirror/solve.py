@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_isf
-from rotcal_ros.methods.plane_mirror import outcomes, screening
-from rotcal_ros.methods.plane_mirror.estimate import Prepared
-from rotcal_ros.methods.plane_mirror.normals import fit_normals, incidence
-from rotcal_ros.methods.plane_mirror.outcomes import Outcome
+from rotcal_ros.methods.plane_mirror import screening
+from rotcal_ros.methods.plane_mirror.estimate import PreparedNormals, PreparedWay
+from rotcal_ros.methods.plane_mirror.normals import incidence
+from rotcal_ros.methods.plane_mirror.outcomes import Outcome, outcome_of
 from rotcal_ros.methods.plane_mirror.prepare import prepare
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.residuals import empty_residuals
-from rotcal_ros.methods.plane_mirror.settings import Way
-from rotcal_ros.results import Residuals, Result
+from rotcal_ros.results import Result
 
 METHOD: Final = "plane_mirror"
-
-_WAYS: Final[Mapping[Way, Callable[[Prepared, Residuals], Outcome]]] = {
-    "direct": outcomes.direct,
-    "stitching": outcomes.stitched,
-    "registration": outcomes.registered,
-    "joint": outcomes.joined,
-}
 
 
 def solve(problem: PlaneMirrorProblem) -> Result:
@@ -41,20 +32,15 @@ def solve(problem: PlaneMirrorProblem) -> Result:
 
     Raises DataError, GeometryError (see :mod:`~rotcal_ros.methods.plane_mirror.screening`).
     """
-    screened = prepare(problem)
+    screened, residuals = prepare(problem), empty_residuals(problem)
     prepared = screened.prepared
-    residuals = empty_residuals(problem)
-    outcome = _WAYS[problem.way](prepared, residuals)
+    outcome = outcome_of(prepared, residuals)
     screening.check_size(problem, prepared.angles, outcome.deviations)
     sigma0 = float(np.sqrt(outcome.chi_square / outcome.dof)) if outcome.dof else 1.0
     covariance, warnings = _judge(problem, outcome, sigma0)
-    repeats, differing = screening.repeats(
-        prepared.angles, outcome.deviations, covariance, problem.significance
-    )
+    curve = prepared.angles, outcome.deviations, covariance
+    repeats, differing = screening.repeats(*curve, problem.significance)
     warnings = [*screened.warnings, *warnings, *differing]
-    details = {"way": problem.way, **outcome.details, **_layout_details(prepared)}
-    details["repeats"] = repeats
-    details.update(_closure(prepared.angles, repeats))
     steps = np.diff(np.eye(len(prepared.angles)), axis=0)
     step_covariance = steps @ covariance @ steps.T
     return Result(
@@ -72,8 +58,22 @@ def solve(problem: PlaneMirrorProblem) -> Result:
         adjacent_deviations=np.diff(outcome.deviations),
         adjacent_std=np.sqrt(np.maximum(np.diag(step_covariance), 0.0)),
         residuals=residuals,
-        details=details,
+        details=_details(prepared, outcome, repeats),
     )
+
+
+def _details(
+    prepared: PreparedWay, outcome: Outcome, repeats: list[dict[str, float | int]]
+) -> dict[str, Any]:
+    """Return the method's own part of the result; SI, plain arrays and numbers."""
+    return {
+        "way": prepared.problem.way,
+        **outcome.details,
+        **_stations(prepared),
+        **_normals(prepared),
+        "repeats": repeats,
+        **_closure(prepared.angles, repeats),
+    }
 
 
 def _judge(
@@ -91,26 +91,34 @@ def _judge(
     return outcome.covariance * sigma0**2, [text]
 
 
-def _layout_details(prepared: Prepared) -> dict[str, Any]:
-    """Stations and normals for the report."""
-    problem, poses = prepared.problem, prepared.poses
-    details: dict[str, Any] = {}
-    if len(poses.rotation) > 1:
-        details["stations"] = [
+def _stations(prepared: PreparedWay) -> dict[str, Any]:
+    """Return where the tracker stood, if the way brings its stations together."""
+    poses = prepared.poses
+    if len(poses.rotation) == 1:
+        return {}
+    return {
+        "stations": [
             {
-                "station": problem.station_name(s),
+                "station": prepared.problem.station_name(s),
                 "position_m": poses.translation[s],
                 "rotation": poses.rotation[s],
             }
             for s in range(len(poses.rotation))
         ]
-    pairs = prepared.pairs
-    if pairs is not None:
-        normals = fit_normals(problem.xyz, pairs, prepared.pair_weight)
-        angle = incidence(problem.xyz, pairs, normals.normal)
-        steepest = np.maximum.reduceat(angle, pairs.start)
-        details["incidence_limit_rad"] = problem.incidence_limit
-        details["normals"] = [
+    }
+
+
+def _normals(prepared: PreparedWay) -> dict[str, Any]:
+    """Return the mirror's normals and how steeply they were seen, if there is a mirror."""
+    if not isinstance(prepared, PreparedNormals):
+        return {}
+    problem, pairs = prepared.problem, prepared.pairs
+    normals = prepared.normals(problem.xyz)
+    angle = incidence(problem.xyz, pairs, normals.normal)
+    steepest = np.maximum.reduceat(angle, pairs.start)
+    return {
+        "incidence_limit_rad": problem.incidence_limit,
+        "normals": [
             {
                 "angle_rad": prepared.angles[pairs.position[g]],
                 "station": problem.station_name(int(pairs.station[g])),
@@ -118,8 +126,8 @@ def _layout_details(prepared: Prepared) -> dict[str, Any]:
                 "normal": normals.normal[g],
             }
             for g in range(pairs.n_groups)
-        ]
-    return details
+        ],
+    }
 
 
 def _closure(angles: Floats, repeats: list[dict[str, float | int]]) -> dict[str, float]:

@@ -9,9 +9,8 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.plane_mirror.cone import fit_cone
-from rotcal_ros.methods.plane_mirror.estimate import Prepared, estimate
-from rotcal_ros.methods.plane_mirror.layout import Pairs
-from rotcal_ros.methods.plane_mirror.normals import fit_normals, image_response, tangent_frame
+from rotcal_ros.methods.plane_mirror.estimate import PreparedNormals, PreparedPoints, PreparedWay
+from rotcal_ros.methods.plane_mirror.normals import image_response, tangent_frame
 from rotcal_ros.methods.plane_mirror.prepare import prepare
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.stitching import cone_height, station_axes
@@ -27,14 +26,14 @@ class MirrorTrials:
     movement of all coordinates per tilt (rad) of the table across and along the normal.
     """
 
-    prepared: Prepared
+    prepared: PreparedWay
     factor: Floats
     tilt: Floats
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return the deviations (count, N) in rad of ``count`` simulated measurements."""
         parts = [
-            estimate(self.prepared, self.draw(rng, min(_CHUNK, count - done)))
+            self.prepared.estimate(self.draw(rng, min(_CHUNK, count - done)))
             for done in range(0, count, _CHUNK)
         ]
         return np.concatenate(parts)
@@ -53,10 +52,9 @@ def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
     """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses."""
     prepared = prepare(problem).prepared
     covariance = problem.noise.covariance(problem.xyz)
-    pairs = prepared.pairs
-    if pairs is None:
+    if isinstance(prepared, PreparedPoints):
         return MirrorTrials(prepared, _factor(covariance), np.zeros((0, problem.xyz.size)))
-    normals = fit_normals(problem.xyz, pairs, prepared.pair_weight)
+    pairs, normals = prepared.pairs, prepared.normals(problem.xyz)
     response = image_response(
         problem.xyz[pairs.direct],
         problem.xyz[pairs.mirrored],
@@ -65,7 +63,7 @@ def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
     )
     slope = problem.noise.mirror_slope_std * response
     covariance[pairs.mirrored] += slope @ np.swapaxes(slope, 1, 2)
-    axes, height = _axes(prepared, pairs, normals.normal)
+    axes, height = _axes(prepared, normals.normal)
     t, b = tangent_frame(normals.normal, axes)
     tilt = np.zeros((len(prepared.angles), 2, *problem.xyz.shape))
     for which, change in enumerate((b, height * t)):
@@ -78,9 +76,9 @@ def _factor(covariance: Floats) -> Floats:
     return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
 
 
-def _axes(prepared: Prepared, pairs: Pairs, normals: Floats) -> tuple[Floats, float]:
+def _axes(prepared: PreparedNormals, normals: Floats) -> tuple[Floats, float]:
     """Table axis (G, 3) as each group's station sees it, and the height of the cone."""
-    angles = prepared.angles
+    angles, pairs = prepared.angles, prepared.pairs
     if prepared.problem.way == "stitching":
         height = float(cone_height(normals, pairs, angles))
         return station_axes(normals, pairs, angles), height

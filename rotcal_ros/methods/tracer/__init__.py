@@ -11,8 +11,8 @@ from rotcal_ros.methods.tracer.trials import TracerTrials, tracer_trials
 
 __all__ = [
     "METHOD",
-    "TracerProblem",
     "TracerLimits",
+    "TracerProblem",
     "TracerSolverSettings",
     "TracerTrials",
     "solve",

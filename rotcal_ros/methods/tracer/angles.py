@@ -24,14 +24,13 @@ from rotcal_ros.geometry.rotations import wrap_angle
 class TableMotion:
     """How the table has carried the tracer through its m stations.
 
-    ``projected`` (m, 3) are the stations on the plane, ``centre`` (3,) the circle's centre in
-    space, ``in_plane`` (m, 2) the projected stations seen from that centre in the plane's basis.
+    ``centre`` (3,) is the circle's centre in space, ``in_plane`` (m, 2) are the stations,
+    projected on the plane, seen from that centre in the plane's basis.
     ``cumulative`` (m,) and ``adjacent`` (m - 1,) are deviations in radians; ``cumulative[0]`` is
     zero. ``tilt`` is the angle between the plane normal and +z in radians.
     """
 
     plane: Plane
-    projected: Floats
     centre: Floats
     radius: float
     in_plane: Floats
@@ -76,7 +75,6 @@ def table_motion(stations: ArrayLike, table_angles: ArrayLike) -> TableMotion:
     excess = bearing - commanded
     return TableMotion(
         plane=plane,
-        projected=plane.project(points),
         centre=plane.centroid + circle.centre @ basis,
         radius=circle.radius,
         in_plane=in_plane,

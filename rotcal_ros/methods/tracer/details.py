@@ -2,44 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
-from rotcal_ros.methods.tracer.angles import TableMotion, algorithm_error, scatter
-from rotcal_ros.methods.tracer.grid import Grid
+from rotcal_ros.methods.tracer.angles import algorithm_error, scatter
 from rotcal_ros.methods.tracer.observability import weakest_direction
-from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.screening import rejection_limit
-from rotcal_ros.methods.tracer.uncertainty import HALF_OF_95_PERCENT, AngleUncertainty
-from rotcal_ros.methods.tracer.verdict import Evidence
+from rotcal_ros.methods.tracer.solution import TracerSolution
+from rotcal_ros.methods.tracer.uncertainty import HALF_OF_95_PERCENT
 
 
-class Solution(NamedTuple):
-    """Everything that is known before the verdict; ``scale`` enlarges the covariance."""
-
-    grid: Grid
-    fit: Adjustment
-    covariance: StationCovariance
-    motion: TableMotion
-    angles: AngleUncertainty
-    scale: float
-    evidence: Evidence
-    rejected: dict[int, str]
-
-
-def details(problem: TracerProblem, solution: Solution) -> dict[str, Any]:
+def details(solution: TracerSolution) -> dict[str, Any]:
     """Return the method's own part of the result.
 
-    ``station_ids`` (m,) and ``target_ids`` (n,) are the problem's indices of ``stations`` (m, 3)
-    and ``targets`` (n, 3), all other arrays follow them. ``distances``: range at reading zero.
-    ``radial``, ``axial``: distances of the stations from circle and plane. ``budget``: shares of
-    the cumulative standard deviation by source, which add in squares. ``algorithm_error``: Eq. 36
+    ``station_ids`` (m,), which are table positions, and ``target_ids`` (n,) are the problem's
+    indices of ``stations`` (m, 3) and ``targets`` (n, 3), all other arrays follow them.
+    ``distances``: range at reading zero. ``radial``, ``axial``: distances of the stations from
+    circle and plane. ``budget``: shares of the cumulative standard deviation by source, which add
+    in squares. ``algorithm_error``: Eq. 36
     at the commanded steps, ``scatter``: Eq. 34.
     """
-    angles = problem.table_angles[solution.grid.station_ids]
-    motion = solution.motion
+    problem, motion = solution.problem, solution.motion
     return {
         "variant": problem.variant,
         "datum": problem.datum if problem.variant == "joint" else "targets",
@@ -49,12 +33,12 @@ def details(problem: TracerProblem, solution: Solution) -> dict[str, Any]:
         "radial": motion.radial,
         "axial": motion.plane.distances(solution.fit.stations),
         "tilt": motion.tilt,
-        "algorithm_error": algorithm_error(np.diff(angles), motion.tilt),
+        "algorithm_error": algorithm_error(np.diff(solution.table_angles), motion.tilt),
         "scatter": scatter(motion.adjacent),
         "budget": dict(solution.angles.budget),
         "covariance_scale": solution.scale,
         "coverage_factor": HALF_OF_95_PERCENT,
-        **_tests(problem, solution),
+        **_tests(solution),
         "closure": [
             {"first": c.first, "last": c.last, "error": c.error, "std": c.std}
             for c in solution.evidence.closures
@@ -62,13 +46,13 @@ def details(problem: TracerProblem, solution: Solution) -> dict[str, Any]:
     }
 
 
-def _network(solution: Solution) -> dict[str, Any]:
+def _network(solution: TracerSolution) -> dict[str, Any]:
     """Return stations, distances and targets, and which direction is known worst."""
     grid, fit = solution.grid, solution.fit
     blocks = solution.scale**2 * solution.covariance.position_blocks()
     weak, std, direction = weakest_direction(blocks)
     return {
-        "station_ids": grid.station_ids,
+        "station_ids": grid.position_ids,
         "stations": fit.stations,
         "station_std": np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)),
         "station_covariance": blocks,
@@ -78,14 +62,14 @@ def _network(solution: Solution) -> dict[str, Any]:
         "unknowns": fit.unknowns,
         "rank": fit.rank,
         "weakest": {
-            "station": int(grid.station_ids[weak]),
+            "station": int(grid.position_ids[weak]),
             "direction": direction,
             "std": std,
         },
     }
 
 
-def _tests(problem: TracerProblem, solution: Solution) -> dict[str, Any]:
+def _tests(solution: TracerSolution) -> dict[str, Any]:
     """Return the outcomes of the tests, and residuals judged per station."""
     grid, fit, evidence = solution.grid, solution.fit, solution.evidence
     redundancy = fit.redundancy.sum(axis=1)
@@ -102,5 +86,5 @@ def _tests(problem: TracerProblem, solution: Solution) -> dict[str, Any]:
         },
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squared / np.maximum(redundancy, 1e-9)),
-        "rejection_limit": rejection_limit(grid, problem.settings.rejection_significance),
+        "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
     }

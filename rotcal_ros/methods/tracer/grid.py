@@ -1,4 +1,4 @@
-"""The lengths as a station by target grid: what can be used, and what is dropped and why.
+"""The lengths as a position by target grid: what can be used, and what is dropped and why.
 
 The flat rows of a problem come in any order and with gaps. On the grid every length has its
 place, so that the order of the rows cannot change a single bit of the result.
@@ -23,19 +23,21 @@ REACH: Final = 100.0
 """No tracer reaches further (metres): targets that lie further apart are in another unit."""
 IMPOSSIBLE_SHARE: Final = 0.25
 """From this share of impossible lengths on, it is the unit or the plan that is wrong."""
+MILLIMETRES: Final = 1e-3
+"""Below this spread of the lengths, as a share of that of the targets, the units differ."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The usable part of a problem, m stations by n targets.
+    """The usable part of a problem, m table positions (one station each) by n targets.
 
-    ``station_ids`` (m,), ``target_ids`` (n,): indices in the problem. ``row`` (m, n): row of the
+    ``position_ids`` (m,), ``target_ids`` (n,): indices in the problem. ``row`` (m, n): row of the
     problem that fills the place, -1 for none. ``used`` (m, n): the length takes part.
     ``length``, ``length_std`` (m, n): metres, 0 and 1 where there is none.
     ``targets``, ``target_std`` (n, 3): metres. ``free``: the targets carry no prior.
     """
 
-    station_ids: Ints
+    position_ids: Ints
     target_ids: Ints
     row: Ints
     used: Bools
@@ -44,6 +46,10 @@ class Grid:
     targets: Floats
     target_std: Floats
     free: bool
+
+    def missing_of(self, count: int) -> tuple[int, ...]:
+        """Return which of ``count`` positions have no station."""
+        return tuple(np.setdiff1d(np.arange(count), self.position_ids).tolist())
 
     @property
     def weights(self) -> Floats:
@@ -65,11 +71,11 @@ def arrange(problem: TracerProblem) -> tuple[Grid, dict[int, str], dict[int, str
     _check_unit_of_targets(problem)
     _drop_impossible(problem, row, why)
     _drop_undetermined(problem, row, why)
-    stations, targets = (np.flatnonzero((row >= 0).any(axis=axis)) for axis in (1, 0))
-    row = row[np.ix_(stations, targets)]
+    positions, targets = (np.flatnonzero((row >= 0).any(axis=axis)) for axis in (1, 0))
+    row = row[np.ix_(positions, targets)]
     used = row >= 0
     grid = Grid(
-        station_ids=stations,
+        position_ids=positions,
         target_ids=targets,
         row=row,
         used=used,
@@ -85,13 +91,13 @@ def arrange(problem: TracerProblem) -> tuple[Grid, dict[int, str], dict[int, str
 def _place_rows(problem: TracerProblem, why: dict[int, str]) -> Ints:
     """Return the row (m, n) that fills each place; the first of identical repetitions stays."""
     shape = (len(problem.table_angles), len(problem.targets))
-    place = problem.station * shape[1] + problem.target
+    place = problem.position * shape[1] + problem.target
     order = np.argsort(place, kind="stable")
     first = np.ones(len(order), dtype=np.bool_)
     first[1:] = np.diff(place[order]) != 0
     keeper = order[np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))]
     for again, kept in zip(order[~first], keeper[~first], strict=True):
-        name = f"station {problem.station[kept]}, target {problem.target[kept]}"
+        name = f"station {problem.position[kept]}, target {problem.target[kept]}"
         a, b = problem.length[kept], problem.length[again]
         if a != b or problem.length_std[kept] != problem.length_std[again]:
             raise DataError(
@@ -125,6 +131,7 @@ def _drop_impossible(problem: TracerProblem, row: Ints, why: dict[int, str]) -> 
     middle = np.zeros(len(row))
     middle[measured] = np.nanmedian(length[measured], axis=1)
     seen = problem.targets[used.any(axis=0)]
+    # The noise of lengths and coordinates may add to the distance; ten of it is never noise.
     span = _diagonal(seen) + 10.0 * problem.length_std.max() + 10.0 * problem.target_std.max()
     excess = np.abs(np.where(used, problem.length[row] - middle[:, None], 0.0))
     _check_unit_of_lengths(excess[used], span)
@@ -137,13 +144,14 @@ def _drop_impossible(problem: TracerProblem, row: Ints, why: dict[int, str]) -> 
 
 
 def _check_unit_of_lengths(excess: Floats, span: float) -> None:
+    # Most lengths tell the unit: a few may be spikes, and a few targets lie near the median.
     ratio = float(np.quantile(excess, 0.9)) / span
     if np.mean(excess > span) > IMPOSSIBLE_SHARE:
         raise DataError(
             f"the lengths of one station spread over {2 * ratio * span:.4g} m, but the targets "
             f"lie at most {span:.4g} m apart: are the lengths in millimetres? Metres are expected"
         )
-    if ratio < 1e-3:
+    if ratio < MILLIMETRES:
         raise DataError(
             f"the lengths of one station spread over {2 * ratio * span:.4g} m only, but the "
             f"targets lie {span:.4g} m apart: are the targets in millimetres, or all lengths of "

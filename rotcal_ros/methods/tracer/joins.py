@@ -17,8 +17,9 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.solve import solve
-from rotcal_ros.methods.tracer.trials import TracerTrials, tracer_trials
+from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
+from rotcal_ros.methods.tracer.solve import result_of
+from rotcal_ros.methods.tracer.trials import TracerTrials, trials_about
 from rotcal_ros.results import Result, Verdict
 
 
@@ -97,26 +98,38 @@ class Runs:
     pairs: Sequence[Pairs]
 
 
-def solve_joined(runs: Runs) -> Result:
-    """Solve lengths of several runs as those of one.
+@dataclass(frozen=True, eq=False)
+class JoinedSolution:
+    """Lengths of several runs, solved as those of a single one, and the joins between the runs."""
+
+    solution: TracerSolution
+    joins: Sequence[Join]
+    trials: TracerTrials
+
+    def result(self) -> Result:
+        """Return the result; what it owes to the errors of the zeros joins the covariance.
+
+        The joins are in the warnings; one that fails its test (``test_significance``) makes the
+        verdict suspect.
+        """
+        significance = self.solution.problem.settings.test_significance
+        moves = _moves(self.trials)
+        return _concluded(result_of(self.solution), self.joins, moves, significance)
+
+
+def adjust_joined(runs: Runs) -> JoinedSolution:
+    """Solve lengths of several runs as those of a single one.
 
     Each later run is reduced to the zero of the first: offsets from the pairs, with the lengths
-    first reduced to equal places of the targets along the beams of a first solution. What the
-    result owes to the errors of the offsets joins the covariance. The joins are in
-    ``details["joins"]`` and in the warnings; one that fails its test (``test_significance``) makes
-    the verdict suspect.
+    first reduced to equal places of the targets along the beams of a first solution. The trials
+    draw the zeros of later runs too.
 
     Raises DataError when a later run has no pair.
     """
-    one, joins = _joined(runs)
-    moves = _moves(_with_zeros(tracer_trials(one), runs.run, joins))
-    return _concluded(solve(one), joins, moves, one.settings.test_significance)
-
-
-def joined_trials(runs: Runs) -> TracerTrials:
-    """Prepare Monte Carlo trials about several runs: the zeros of later ones are drawn too."""
-    one, joins = _joined(runs)
-    return _with_zeros(tracer_trials(one), runs.run, joins)
+    problem, joins = _joined(runs)
+    solution = adjust(problem)
+    trials = _with_zeros(trials_about(solution), runs.run, joins)
+    return JoinedSolution(solution, joins, trials)
 
 
 def _with_zeros(trials: TracerTrials, run: Ints, joins: Sequence[Join]) -> TracerTrials:
@@ -143,8 +156,7 @@ def _moves(trials: TracerTrials) -> Floats:
     grid = trials.grid
     lengths = grid.length + np.concatenate([np.zeros((1, *grid.length.shape)), trials.zeros])
     places = np.broadcast_to(grid.targets, (len(lengths), *grid.targets.shape))
-    still = np.zeros((len(lengths), len(trials.angles), 3))
-    found = trials.solve(lengths, places, still)
+    found = trials.solve(lengths, places, np.zeros((len(lengths), len(trials.angles), 3)))
     return wrap_angle(found[1:] - found[0])
 
 
@@ -157,9 +169,9 @@ def _joined(runs: Runs) -> tuple[TracerProblem, list[Join]]:
                 f"no step of the runs before was measured again in run {later.run}: nothing tells "
                 "its zero of the lengths; resume once more, or measure from the start"
             )
-    still = np.zeros((len(run), 3))
-    joins = _joins(problem, run, still, pairs, still)
-    first = solve(_reduced(problem, run, joins, np.zeros(len(run))))
+    none = np.zeros((len(run), 3))  # where the stations are, and so the beams, is not known yet
+    joins = _joins(problem, run, none, pairs, none)
+    first = adjust(_reduced(problem, run, joins, np.zeros(len(run))))
     beams = _beams(problem, first)
     along = np.einsum("ka,ka->k", beams, shift)
     joins = _joins(problem, run, shift, pairs, beams)
@@ -190,19 +202,15 @@ def _reduced(
     return replace(problem, length=length)
 
 
-def _beams(problem: TracerProblem, result: Result) -> Floats:
+def _beams(problem: TracerProblem, first: TracerSolution) -> Floats:
     """Return unit vectors (k, 3) from station to target; zero where a station was not solved."""
-    place = {int(j): p for j, p in zip(*_solved(result), strict=True)}
-    beams = np.zeros((len(problem.station), 3))
-    for row, (station, target) in enumerate(zip(problem.station, problem.target, strict=True)):
-        if int(station) in place:
-            beam = problem.targets[target] - place[int(station)]
+    place = dict(zip(first.positions.tolist(), first.fit.stations, strict=True))
+    beams = np.zeros((len(problem.position), 3))
+    for row, (position, target) in enumerate(zip(problem.position, problem.target, strict=True)):
+        if int(position) in place:
+            beam = problem.targets[target] - place[int(position)]
             beams[row] = beam / np.linalg.norm(beam)
     return beams
-
-
-def _solved(result: Result) -> tuple[Ints, Floats]:
-    return result.details["station_ids"], result.details["stations"]
 
 
 def _concluded(

@@ -255,7 +255,7 @@ def _rank(network: Network, grid: Grid) -> int:
     if missing:
         index = int(np.argmax(np.abs(reduced.scale * vectors[:, 0])))
         size, ids, name = (
-            (4, grid.station_ids, "station")
+            (4, grid.position_ids, "station")
             if network.stations_kept
             else (3, grid.target_ids, "target")
         )

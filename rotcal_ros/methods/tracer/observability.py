@@ -39,7 +39,7 @@ def check_counts(grid: Grid) -> None:
         )
 
 
-def check_station_rank(design: Floats, station_ids: Ints) -> None:
+def check_station_rank(design: Floats, position_ids: Ints) -> None:
     """Raise ObservabilityError where the rows ``design`` (m, n, 4) leave a direction open."""
     values, vectors = np.linalg.eigh(design.swapaxes(1, 2) @ design)
     weak = values[:, 0] < RANK_TOLERANCE * values[:, -1]
@@ -47,13 +47,13 @@ def check_station_rank(design: Floats, station_ids: Ints) -> None:
         j = int(np.flatnonzero(weak)[0])
         direction = vectors[j, :3, 0]
         raise ObservabilityError(
-            f"station {station_ids[j]}: the targets cannot tell the tracer's place along "
+            f"station {position_ids[j]}: the targets cannot tell the tracer's place along "
             f"{name_direction(direction)}: {CURE}"
         )
 
 
 def check_station_spread(
-    stations: Floats, blocks: Floats, station_ids: Ints, largest: float
+    stations: Floats, blocks: Floats, position_ids: Ints, largest: float
 ) -> None:
     """Raise ObservabilityError when a station is known worse than ``largest`` circle radii.
 
@@ -64,7 +64,7 @@ def check_station_spread(
     radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
     if std > largest * radius:
         raise ObservabilityError(
-            f"station {station_ids[j]} is known to {std:.3g} m only along "
+            f"station {position_ids[j]} is known to {std:.3g} m only along "
             f"{name_direction(direction)}, more than {largest:g} of the {radius:.3g} m radius of "
             f"the stations: this geometry cannot tell the angle; {CURE}"
         )

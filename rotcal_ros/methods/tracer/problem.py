@@ -17,9 +17,10 @@ _DEFAULTS = TracerSolverSettings()
 
 @dataclass(frozen=True, eq=False)
 class TracerProblem:
-    """One calibration run: k lengths between m stations and n targets, in any order.
+    """One calibration run: k lengths from m table positions to n targets, in any order.
 
-    ``station`` (k,), ``target`` (k,): indices into ``table_angles`` (m,) and ``targets`` (n, 3).
+    ``position`` (k,), ``target`` (k,): indices into ``table_angles`` (m,) and ``targets`` (n, 3).
+    At each position of the table the tracer has one station, whose place is unknown.
     ``length`` (k,): tracer readings in metres, growing with distance, relative to an unknown zero
     that is common to each station; ``length_std`` (k,) or one number: their standard deviation.
     ``targets``: positions of the reflector in the machine's frame, metres; ``target_std``: their
@@ -43,14 +44,14 @@ class TracerProblem:
     found by linear multilateration. They also settle which of two mirror images is meant when
     all targets lie in one plane.
 
-    Lengths may be missing (a blocked beam): leave the row out. A pair (station, target) has one
+    Lengths may be missing (a blocked beam): leave the row out. A pair (position, target) has one
     length; an identical repetition is dropped and counted as rejected, a different one raises.
 
     Raises DataError for values that are not finite, indices out of range, and standard
     deviations that are not positive; ConfigurationError for unknown names.
     """
 
-    station: Ints
+    position: Ints
     target: Ints
     length: Floats
     length_std: Floats
@@ -68,9 +69,9 @@ class TracerProblem:
         self._check_names()
         angles = self._store("table_angles", _vector("table_angles", self.table_angles))
         targets = self._store("targets", _matrix("targets", self.targets))
-        station = self._store("station", _indices("station", self.station, len(angles)))
-        length = self._store("length", _vector("length", self.length, len(station)))
-        self._store("target", _indices("target", self.target, len(targets), len(station)))
+        position = self._store("position", _indices("position", self.position, len(angles)))
+        length = self._store("length", _vector("length", self.length, len(position)))
+        self._store("target", _indices("target", self.target, len(targets), len(position)))
         std = _broadcast("length_std", self.length_std, length.shape)
         self._store("length_std", _require(std > 0.0, std, "length_std", "a positive number"))
         std = _broadcast("target_std", self.target_std, targets.shape)

@@ -69,7 +69,7 @@ def adjust_and_screen(
 
 
 def _reason(grid: Grid, fit: Adjustment, j: int, i: int, limit: float) -> str:
-    name = f"station {grid.station_ids[j]}, target {grid.target_ids[i]}"
+    name = f"station {grid.position_ids[j]}, target {grid.target_ids[i]}"
     value = fit.test_value[j, i]
     if fit.target_test[i] > max(limit, abs(value)):
         miss = float(np.linalg.norm(fit.targets[i] - grid.targets[i]))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import setting
 
 Variant = Literal["station", "joint"]
@@ -44,6 +45,15 @@ class TracerLimits:
         minimum=1e-6,
         maximum=0.999,
     )
+
+    def __post_init__(self) -> None:
+        """Refuse shares and probabilities that are none; a file's ranges are narrower."""
+        for limit in fields(TracerLimits):
+            value = getattr(self, limit.name)
+            if not 0.0 < value < 1.0:
+                raise ConfigurationError(
+                    f"tracer setting {limit.name} is {value}, expected 0 < value < 1"
+                )
 
 
 @dataclass(frozen=True)

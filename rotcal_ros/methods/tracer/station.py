@@ -64,12 +64,14 @@ def locate_stations(
         if not active.any():
             break
         # Eq. 16-17; a predicted change that is all rounding says nothing against the step
-        change -= slack
-        damping *= np.where(
-            change < 0.75 * predicted, 0.1, np.where(change > 0.25 * predicted, 10.0, 1.0)
-        )
+        damping *= _damping_factor(change - slack, predicted)
         np.maximum(damping, misfit.floor, out=damping)
     return _polish(state, h, products, misfit), ~active
+
+
+def _damping_factor(change: Floats, predicted: Floats) -> Floats:
+    """Return by what to multiply the damping (Eq. 17): the quadratic model fits well, or badly."""
+    return np.where(change < 0.75 * predicted, 0.1, np.where(change > 0.25 * predicted, 10.0, 1.0))
 
 
 class Misfit:
@@ -167,9 +169,9 @@ def adjust_stations(grid: Grid, start: Floats) -> Adjustment:
     state, settled = locate_stations(grid.targets, grid.length, weights, start)
     distance, unit = ranges(state[:, :3], grid.targets)
     design = np.concatenate([unit, -np.ones((*distance.shape, 1))], axis=2)
-    check_station_rank(design * grid.used[:, :, None], grid.station_ids)
+    check_station_rank(design * grid.used[:, :, None], grid.position_ids)
     if not settled.all():
-        worst = grid.station_ids[np.flatnonzero(~settled)[0]]
+        worst = grid.position_ids[np.flatnonzero(~settled)[0]]
         raise DataError(
             f"station {worst} does not settle in {MAX_ITERATIONS} iterations: its lengths do not "
             "fit the targets; check the order of the targets and the sign of the lengths"

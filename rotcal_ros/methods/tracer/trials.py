@@ -19,10 +19,12 @@ from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.joint import linearise, relax
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.schur import Reduced
-from rotcal_ros.methods.tracer.solve import adjusted
+from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 
 STEPS: Final = 3
+"""Each step leaves 1e-5 of the error before it: from noise of 1e-6 m, two reach rounding."""
 MOST_STEPS: Final = 6
+"""Twice as many for a network; what has not settled then is quicker solved alone."""
 SETTLED: Final = 1e-10
 """Squared length, in standard deviations, of a last step that left nothing to do."""
 PLACES: Final = 200_000
@@ -30,15 +32,26 @@ PLACES: Final = 200_000
 
 
 @dataclass(frozen=True, eq=False)
+class StationGain:
+    """The variant "station": ``inverse`` (m, 4, 4) are the inverse normal matrices."""
+
+    inverse: Floats
+
+    def step(self, station: Floats) -> Floats:
+        """Return the Gauss-Newton steps (t, m, 4), to be subtracted, for gradients (t, m, 4)."""
+        return np.asarray((self.inverse @ station[..., None])[..., 0], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
 class NetworkGain:
-    """What gradients (t, m, 4) of stations and (t, n, 3) of targets do to them."""
+    """The variant "joint": the kept covariance, and the way back to the eliminated side."""
 
     kept: Floats
     reduced: Reduced
     stations_kept: bool
 
     def step(self, station: Floats, target: Floats) -> tuple[Floats, Floats]:
-        """Return the Gauss-Newton steps, to be subtracted, in the shapes of the gradients."""
+        """Return the Gauss-Newton steps, to be subtracted, for gradients (t, m, 4), (t, n, 3)."""
         a, b = station.reshape(len(station), -1), target.reshape(len(target), -1)
         kept, other = (a, b) if self.stations_kept else (b, a)
         blocks = len(self.reduced.inverse)
@@ -54,8 +67,7 @@ class TracerTrials:
     """Draws measurements like the given one and solves them; made by :func:`tracer_trials`.
 
     ``state`` (m, 4) and ``targets`` (n, 3) are the solution, ``weights`` (m, n) those of the
-    solver. ``inverse`` (m, 4, 4) are the inverse normal matrices of the variant "station",
-    ``network`` the gain of the variant "joint". ``scale`` enlarges the stated noise as the
+    solver, ``gain`` belongs to its variant. ``scale`` enlarges the stated noise as the
     solver does, ``wobble`` (2, 3) are standard error motions in the plane of the stations,
     ``zeros`` (r, m, n) standard errors that all lengths of a run have in common (m).
     """
@@ -68,8 +80,7 @@ class TracerTrials:
     scale: float
     wobble: Floats
     zeros: Floats
-    inverse: Floats | None
-    network: NetworkGain | None
+    gain: StationGain | NetworkGain
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return the cumulative deviations (count, m) in rad of simulated measurements."""
@@ -94,29 +105,30 @@ class TracerTrials:
     def solve(self, length: Floats, places: Floats, wobble: Floats) -> Floats:
         """Return the cumulative deviations (t, m) for t sets of what :meth:`draw` returns."""
         state = np.broadcast_to(self.state, (len(length), *self.state.shape)).copy()
-        if self.network is None:
-            assert self.inverse is not None
-            targets = places
+        if isinstance(self.gain, StationGain):
             for _ in range(STEPS):
-                by_station, _ = self._gradients(state, targets, length)
-                state -= (self.inverse @ by_station[..., None])[..., 0]
+                state -= self.gain.step(self._gradients(state, places, length)[0])
         else:
-            targets = np.broadcast_to(self.targets, places.shape).copy()
-            for _ in range(MOST_STEPS):
-                by_station, by_target = self._gradients(state, targets, length)
-                if not self.grid.free:
-                    by_target += (targets - places) / self.grid.target_std**2
-                steps = self.network.step(by_station, by_target)
-                state -= steps[0]
-                targets -= steps[1]
-                left = (by_station * steps[0]).sum(axis=(1, 2))
-                left += (by_target * steps[1]).sum(axis=(1, 2))
-                if (open_ := ~(np.abs(left) < SETTLED)).sum() == 0:
-                    break
-            for t in np.flatnonzero(open_):
-                grid = replace(self.grid, length=length[t], targets=places[t])
-                state[t] = relax(grid, self.state, self.targets).state
+            self._settle(self.gain, state, length, places)
         return cumulative_deviations(state[:, :, :3] + wobble, self.angles)
+
+    def _settle(self, gain: NetworkGain, state: Floats, length: Floats, places: Floats) -> None:
+        """Bring the stations ``state`` (t, m, 4) of networks to their minimum, in place."""
+        targets = np.broadcast_to(self.targets, places.shape).copy()
+        for _ in range(MOST_STEPS):
+            by_station, by_target = self._gradients(state, targets, length)
+            if not self.grid.free:
+                by_target += (targets - places) / self.grid.target_std**2
+            steps = gain.step(by_station, by_target)
+            state -= steps[0]
+            targets -= steps[1]
+            left = (by_station * steps[0]).sum(axis=(1, 2))
+            left += (by_target * steps[1]).sum(axis=(1, 2))
+            if (open_ := ~(np.abs(left) < SETTLED)).sum() == 0:
+                break
+        for t in np.flatnonzero(open_):
+            grid = replace(self.grid, length=length[t], targets=places[t])
+            state[t] = relax(grid, self.state, self.targets).state
 
     def _gradients(self, state: Floats, targets: Floats, length: Floats) -> tuple[Floats, Floats]:
         """Return half the slope of chi-squared for stations (t, m, 4) and targets (t, n, 3)."""
@@ -133,11 +145,14 @@ def tracer_trials(problem: TracerProblem) -> TracerTrials:
 
     Rejected lengths stay rejected. The output quantities are the deviations ECC of the result.
     """
-    solution = adjusted(problem)
-    grid, fit = solution.grid, solution.fit
-    gain: NetworkGain | None = None
-    inverse: Floats | None = None
+    return trials_about(adjust(problem))
+
+
+def trials_about(solution: TracerSolution) -> TracerTrials:
+    """Prepare Monte Carlo trials about a solved problem."""
+    problem, grid, fit = solution.problem, solution.grid, solution.fit
     weights = grid.used / fit.std**2
+    gain: StationGain | NetworkGain
     if problem.variant == "joint":
         network = linearise(grid, fit.state, fit.targets)
         gain = NetworkGain(network.reduced.covariance(), network.reduced, network.stations_kept)
@@ -146,18 +161,17 @@ def tracer_trials(problem: TracerProblem) -> TracerTrials:
         unit = difference / np.linalg.norm(difference, axis=2, keepdims=True)
         design = np.concatenate([unit, -np.ones((*unit.shape[:2], 1))], axis=2)
         normal = design.swapaxes(1, 2) @ (design * weights[..., None])
-        inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+        gain = StationGain(np.asarray(np.linalg.inv(normal), dtype=np.float64))
     return TracerTrials(
         grid=grid,
-        angles=problem.table_angles[grid.station_ids],
+        angles=solution.table_angles,
         state=fit.state,
         targets=fit.targets,
         weights=weights,
         scale=solution.scale,
         wobble=problem.error_motion_std * solution.motion.plane.basis(),
         zeros=np.zeros((0, *grid.used.shape)),
-        inverse=inverse,
-        network=gain,
+        gain=gain,
     )
 
 

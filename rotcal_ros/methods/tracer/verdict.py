@@ -4,7 +4,7 @@ suspect
     the chi-squared test of the lengths fails (the covariance is then enlarged by sigma0^2), more
     than ``max_rejected_share`` of the lengths were rejected, a closure is larger than its
     uncertainty allows, the stations leave the circle by more than the stated error motion, or a
-    station of the plan is missing.
+    position of the plan is missing.
 failed
     sigma0 beyond 10 (the model does not describe the data) or more than a fifth of the lengths
     rejected.
@@ -26,13 +26,15 @@ from rotcal_ros.results import Verdict
 FAILED_SIGMA0: Final = 10.0
 FAILED_SHARE: Final = 0.2
 TURN: Final = 2.0 * np.pi
+SAME_ANGLE: Final = 1e-9
+"""Turns that the sum of commanded steps may be off by rounding; 1.3 milliarcsec."""
 
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Two stations at the same table angle, whole turns apart: what should agree, and how well.
+    """Two positions at the same table angle, whole turns apart: what should agree, and how well.
 
-    ``error`` is the deviation at station ``last`` minus that at ``first``, with its standard
+    ``error`` is the deviation at position ``last`` minus that at ``first``, with its standard
     deviation ``std``; radians.
     """
 
@@ -43,21 +45,21 @@ class Closure:
 
 
 def closures(
-    angles: Floats, cumulative: Floats, covariance: Floats, station_ids: Ints
+    angles: Floats, cumulative: Floats, covariance: Floats, position_ids: Ints
 ) -> tuple[Closure, ...]:
-    """Return the closures of ``angles`` (m,): later stations against the first at their angle."""
+    """Return the closures of ``angles`` (m,): later positions against the first at their angle."""
     found = []
     for last in range(1, len(angles)):
         apart = (angles[last] - angles[:last]) / TURN
-        same = np.flatnonzero(np.abs(apart - np.round(apart)) < 1e-9)
+        same = np.flatnonzero(np.abs(apart - np.round(apart)) < SAME_ANGLE)
         if len(same):
             first = int(same[0])
             pair = np.ix_([first, last], [first, last])
             variance = float(np.array([-1.0, 1.0]) @ covariance[pair] @ np.array([-1.0, 1.0]))
             found.append(
                 Closure(
-                    first=int(station_ids[first]),
-                    last=int(station_ids[last]),
+                    first=int(position_ids[first]),
+                    last=int(position_ids[last]),
                     error=float(cumulative[last] - cumulative[first]),
                     std=float(np.sqrt(max(variance, 0.0))),
                 )
@@ -67,7 +69,7 @@ def closures(
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the verdict rests on; ``missing`` are indices of stations without a result."""
+    """What the verdict rests on; ``missing`` are positions without a result."""
 
     lengths: GlobalTest
     circle: GlobalTest

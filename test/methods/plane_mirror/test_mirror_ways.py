@@ -16,7 +16,6 @@ from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
     ring_cell,
 )
 from rotcal_ros.methods.plane_mirror import TrackerNoise, solve
-from rotcal_ros.methods.plane_mirror.estimate import estimate
 from rotcal_ros.methods.plane_mirror.prepare import prepare
 from rotcal_ros.observations import PointKind
 from rotcal_ros.results import Result
@@ -90,8 +89,8 @@ def test_covariance_is_the_noise_sent_through_the_numerical_derivative(way):
     n, step = problem.xyz.size, 1e-6
     moved = problem.xyz + step * np.eye(n).reshape(n, *problem.xyz.shape)
     prepared = prepare(problem).prepared
-    ahead = estimate(prepared, moved)
-    behind = estimate(prepared, 2.0 * problem.xyz - moved)
+    ahead = prepared.estimate(moved)
+    behind = prepared.estimate(2.0 * problem.xyz - moved)
     derivative = ((ahead - behind) / (2.0 * step)).reshape(-1, 3, 17)
     noise = problem.noise.covariance(problem.xyz)
     expected = np.einsum("rik,rij,rjl->kl", derivative, noise, derivative)
@@ -155,7 +154,7 @@ def errors(runs):
     found = {}
     for way in MIRROR_WAYS:
         one = replace(problem, way=way)
-        found[way] = estimate(prepare(one).prepared, points) - truth, solve(one)
+        found[way] = prepare(one).prepared.estimate(points) - truth, solve(one)
     return found
 
 
@@ -179,7 +178,7 @@ def test_95_percent_intervals_hold_the_truth(way, errors):
 
 def test_95_percent_intervals_hold_the_truth_direct(direct_runs):
     problem, points, truth = direct_runs
-    error = estimate(prepare(problem).prepared, points) - truth
+    error = prepare(problem).prepared.estimate(points) - truth
     require_coverage(error, solve(problem))
 
 

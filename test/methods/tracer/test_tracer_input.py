@@ -23,7 +23,9 @@ VARIANTS = [
 def rows(**changes):
     """The scene's problem with some rows appended or values replaced."""
     base = SCENE.problem()
-    return {name: getattr(base, name).copy() for name in ("station", "target", "length")} | changes
+    return {
+        name: getattr(base, name).copy() for name in ("position", "target", "length")
+    } | changes
 
 
 def spoilt(row, value):
@@ -37,9 +39,9 @@ def spoilt(row, value):
     [
         ({"length": spoilt(17, np.nan)}, "length in row 17 is nan"),
         ({"length": spoilt(3, np.inf)}, "length in row 3 is inf"),
-        ({"station": np.full(704, 11)}, r"station index in row 0 is 11, expected 0 to 10"),
+        ({"position": np.full(704, 11)}, r"position index in row 0 is 11, expected 0 to 10"),
         ({"target": np.full(704, -1)}, "target index in row 0 is -1"),
-        ({"station": np.zeros(704)}, "whole numbers"),
+        ({"position": np.zeros(704)}, "whole numbers"),
         ({"length": np.zeros(3)}, r"length has shape \(3,\)"),
         ({"length_std": 0.0}, "length_std in row 0 is 0.0"),
         ({"target_std": -1e-6}, "target_std"),
@@ -101,7 +103,7 @@ def test_identical_repetition_is_dropped_and_counted():
     problem = SCENE.problem()
     again = {
         name: np.append(getattr(problem, name), getattr(problem, name)[5])
-        for name in ("station", "target", "length")
+        for name in ("position", "target", "length")
     }
     result = solve(SCENE.problem(**again))
     assert [(r.index, r.why) for r in result.rejected] == [
@@ -117,7 +119,7 @@ def test_contradictory_repetition_names_both_rows():
     with pytest.raises(DataError, match="rows 5 and 704 both give a length for station 0"):
         solve(
             SCENE.problem(
-                station=np.append(problem.station, 0),
+                position=np.append(problem.position, 0),
                 target=np.append(problem.target, 5),
                 length=np.append(problem.length, problem.length[5] + 1e-6),
             )
@@ -234,10 +236,12 @@ def test_clockwise_table_is_told():
 
 def test_blocked_station_is_left_out_and_said():
     problem = SCENE.problem()
-    keep = (problem.station != 4) | (problem.target < 3)
+    keep = (problem.position != 4) | (problem.target < 3)
     result = solve(
         SCENE.problem(
-            station=problem.station[keep], target=problem.target[keep], length=problem.length[keep]
+            position=problem.position[keep],
+            target=problem.target[keep],
+            length=problem.length[keep],
         )
     )
     assert result.angles.tolist() == np.delete(SCENE.angles, 4).tolist()

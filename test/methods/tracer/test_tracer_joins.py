@@ -7,7 +7,7 @@ import pytest
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, join_of, joined_trials, solve_joined
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined, join_of
 from rotcal_ros.methods.tracer.solve import solve
 
 STD = 2e-7
@@ -47,7 +47,7 @@ def test_the_weighted_mean_and_its_test():
 @pytest.mark.parametrize("variant", ["station", "joint"])
 def test_another_zero_is_found_and_leaves_no_trace(variant):
     _, whole, changed, run, pairs = interrupted(variant=variant)
-    result = solve_joined(runs(changed, run, pairs))
+    result = adjust_joined(runs(changed, run, pairs)).result()
     undisturbed = solve(whole)
     join = result.details["joins"][0]
     assert abs(join["offset_m"] - OFFSET) < 4 * join["offset_std_m"]
@@ -65,7 +65,7 @@ def test_the_stated_uncertainty_holds_over_many_interruptions():
     scores = []
     for seed in range(40):
         scene, _, changed, run, pairs = interrupted(seed)
-        result = solve_joined(runs(changed, run, pairs))
+        result = adjust_joined(runs(changed, run, pairs)).result()
         error = result.deviations["ECC"] - scene.deviation
         scores.append(error[1:] / result.std["ECC"][1:])
     # std also holds the targets' prior of 1e-7, which the simulation does not use: at most 1.
@@ -76,7 +76,8 @@ def test_trials_of_joined_runs_scatter_as_the_solver_states():
     _, _, changed, run, pairs = interrupted(again=2, variant="joint")
     # Lengths so uncertain that the zero matters: without it the trials are too quiet.
     together = runs(changed, run, replace(pairs, length_std=300 * pairs.length_std))
-    result, trials = solve_joined(together), joined_trials(together)
+    joined = adjust_joined(together)
+    result, trials = joined.result(), joined.trials
     values = trials(np.random.default_rng(7), 3000)
     within = 4.5 / np.sqrt(2 * 3000)
     np.testing.assert_allclose(values.std(axis=0)[1:], result.std["ECC"][1:], rtol=within)
@@ -104,7 +105,8 @@ def interrupted_twice(seed, loose):
 
 def test_an_error_of_one_join_reaches_the_runs_that_lean_on_it():
     _, together = interrupted_twice(0, 1.0)
-    trials, result = joined_trials(together), solve_joined(together)
+    joined = adjust_joined(together)
+    trials, result = joined.trials, joined.result()
     first, second = (join["offset_std_m"] for join in result.details["joins"])
     run = together.run[trials.grid.row]
     np.testing.assert_allclose(trials.zeros[0], np.where(run > 0, first, 0.0))
@@ -115,7 +117,7 @@ def test_the_stated_uncertainty_holds_after_two_interruptions():
     scores = []
     for seed in range(60):
         scene, together = interrupted_twice(seed, 100.0)
-        result = solve_joined(together)
+        result = adjust_joined(together).result()
         scores.append((result.deviations["ECC"] - scene.deviation)[1:] / result.std["ECC"][1:])
     # The zeros dominate, two numbers in each of 60 measurements: 13 % are two standard deviations.
     assert 0.8 < np.sqrt(np.mean(np.square(scores))) < 1.2
@@ -123,7 +125,7 @@ def test_the_stated_uncertainty_holds_after_two_interruptions():
 
 def test_something_that_moved_makes_the_result_suspect():
     _, _, changed, run, pairs = interrupted(moved=20 * STD)
-    result = solve_joined(runs(changed, run, pairs))
+    result = adjust_joined(runs(changed, run, pairs)).result()
     assert result.verdict == "suspect"
     assert "something moved during the interruption" in " ".join(result.warnings)
 
@@ -135,8 +137,8 @@ def test_a_probe_that_came_back_elsewhere_is_reduced_along_the_beam():
     beam /= np.linalg.norm(beam, axis=1)[:, None]
     shift = np.random.default_rng(5).normal(scale=1e-5, size=beam.shape)
     there = replace(pairs, length=pairs.length + np.einsum("ka,ka->k", beam, shift), shift=shift)
-    plain = solve_joined(runs(changed, run, pairs)).details["joins"][0]
-    reduced = solve_joined(runs(changed, run, there)).details["joins"][0]
+    plain = adjust_joined(runs(changed, run, pairs)).result().details["joins"][0]
+    reduced = adjust_joined(runs(changed, run, there)).result().details["joins"][0]
     assert reduced["offset_m"] == pytest.approx(plain["offset_m"], abs=2e-9)
 
 
@@ -144,4 +146,4 @@ def test_without_anything_measured_again_there_is_no_result():
     _, _, changed, run, pairs = interrupted()
     none = Pairs(1, pairs.row[:0], pairs.length[:0], pairs.length_std[:0], pairs.shift[:0])
     with pytest.raises(DataError, match="was measured again in run 1"):
-        solve_joined(runs(changed, run, none))
+        adjust_joined(runs(changed, run, none)).result()

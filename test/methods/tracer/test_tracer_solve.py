@@ -69,7 +69,7 @@ def test_order_of_rows_does_not_change_a_bit(options):
     problem = scene.problem(**options)
     order = np.random.default_rng(1).permutation(len(problem.length))
     shuffled = scene.problem(
-        station=problem.station[order],
+        position=problem.position[order],
         target=problem.target[order],
         length=problem.length[order],
         **options,
@@ -96,7 +96,7 @@ def test_stations_measured_in_reverse_give_the_reversed_steps():
     scene = simulate(seed=7)
     problem = scene.problem(target_std=1e-6)
     reverse = scene.problem(
-        target_std=1e-6, station=10 - problem.station, table_angles=scene.angles[::-1]
+        target_std=1e-6, position=10 - problem.position, table_angles=scene.angles[::-1]
     )
     forward, backward = solve(problem), solve(reverse)
     assert backward.adjacent_deviations == pytest.approx(
@@ -113,7 +113,7 @@ def test_unequal_steps_full_circle_and_missing_lengths(options):
     problem = scene.problem(**options)
     keep = ~blocked
     gaps = scene.problem(
-        station=problem.station[keep],
+        position=problem.position[keep],
         target=problem.target[keep],
         length=problem.length[keep],
         **options,

@@ -80,12 +80,12 @@ def test_missing_lengths_and_pickling():
     task = problem({"variant": "joint"})
     keep = np.arange(len(task.length)) % 17 != 0
     rows = {name: getattr(task, name)[keep] for name in
-            ("station", "target", "length", "length_std")}  # fmt: skip
+            ("position", "target", "length", "length_std")}  # fmt: skip
     part = replace(task, **rows)
     trials = pickle.loads(pickle.dumps(tracer_trials(part)))
     lengths, places, _ = trials.draw(np.random.default_rng(1), 1)
     grid = trials.grid
-    answer = solve(replace(part, length=lengths[0][part.station, part.target], targets=places[0]))
+    answer = solve(replace(part, length=lengths[0][part.position, part.target], targets=places[0]))
     assert not grid.used.all()
     np.testing.assert_allclose(
         trials(np.random.default_rng(1), 1)[0], answer.deviations["ECC"], atol=2e-12

@@ -18,15 +18,16 @@ class Scene:
 
     def problem(self, length_std=2e-7, target_std=0.0, **options):
         m, n = self.length.shape
-        station, target = np.divmod(np.arange(m * n), n)
+        position, target = np.divmod(np.arange(m * n), n)
         rows = {
-            "station": station,
+            "position": position,
             "target": target,
             "length": self.length.ravel(),
             "length_std": length_std,
             "targets": self.targets,
             "target_std": target_std,
             "table_angles": self.angles,
+            "variant": "station",
         }
         return TracerProblem(**{**rows, **options})
 

@@ -4,13 +4,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
+from rotcal_ros.catalogue.plane_mirror.table import read_points, write_points
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror import (
     PlaneMirrorProblem,
     problem_from_observations,
-    read_points,
     solve,
-    write_points,
 )
 from rotcal_ros.observations import Observation, PointKind
 

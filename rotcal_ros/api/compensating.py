@@ -1,0 +1,114 @@
+"""From a result to what a controller is fed, or to a correction in your own software."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any, Literal
+
+from numpy.typing import ArrayLike
+
+from rotcal_ros.api.reading import Name
+from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.export import prepare_export
+from rotcal_ros.compensation.lookup import Correction
+from rotcal_ros.compensation.table import CompensationTable, table_from_result
+from rotcal_ros.compensation.writing import write_files
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.observations import Approach
+from rotcal_ros.results import Result
+
+
+def make_table(
+    result: Result,
+    *,
+    reverse: Result | None = None,
+    axis: str = "C",
+    reference_angle: float | None = None,
+    spacing: float | None = None,
+    harmonics: int | None = None,
+) -> CompensationTable:
+    """Turn the ECC deviations of a result into a compensation table of the positioning.
+
+    Correction = -deviation = commanded - actual: add it to the command. ``angles``,
+    ``correction_forward``, ``correction_reverse`` and ``std`` (k = 1) are (n,) rad. ``reverse`` is
+    the result of the approach with decreasing angle; ``reference_angle`` (rad) is where the
+    correction is zero; ``spacing`` (rad) puts rows between the measured angles, on a spline or on
+    the fit of so many ``harmonics``. Raises DataError for a result without ECC or that does not
+    close, ConfigurationError for an impossible axis or spacing.
+
+    >>> import rotcal_ros as rc
+    >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
+    >>> table.axis, len(table.angles), table.closed
+    ('C', 12, True)
+    """
+    return table_from_result(
+        result,
+        reverse=reverse,
+        axis=axis,
+        reference_angle=reference_angle,
+        spacing=spacing,
+        harmonics=harmonics,
+    )
+
+
+def correction(
+    table: CompensationTable,
+    angle: ArrayLike,
+    approach: Literal["positive", "negative"] = "positive",
+) -> Floats:
+    """Look the correction up (rad), in the shape of ``angle`` (rad): add it to the command.
+
+    The periodic cubic spline through the rows of the table. ``approach`` is the side from which
+    the table comes. Raises DataError outside of a table that covers an arc only,
+    ConfigurationError for another side.
+
+    >>> import rotcal_ros as rc
+    >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
+    >>> command = 30 * rc.DEGREE
+    >>> bool(rc.correction(table, command) == table.correction_forward[1])
+    True
+    """
+    sides = {"positive": Approach.POSITIVE, "negative": Approach.NEGATIVE}
+    if approach not in sides:
+        raise ConfigurationError(f"approach {approach!r}: expected {' or '.join(sides)}")
+    return Correction(table)(angle, sides[approach])
+
+
+def write_controller_files(
+    table: CompensationTable,
+    controller: str,
+    folder: Name,
+    *,
+    spacing: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+    name: str | None = None,
+    accept_unverified: bool = False,
+) -> tuple[Path, ...]:
+    """Write the table for one of ``controller_names()`` into ``folder``; return the files.
+
+    They are read back and run through the controller's own rule before they are written, all or
+    none, and nothing is overwritten. ``spacing`` is the distance of the rows in rad, ``settings``
+    go to the controller, ``name`` begins the file names. Raises DataError for a verdict other
+    than ok or a file that would make things worse, ConfigurationError for what the controller
+    cannot take or nobody has verified (unless ``accept_unverified``), BagError when not written.
+
+    >>> import tempfile
+    >>> import rotcal_ros as rc
+    >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = rc.write_controller_files(table, "csv", folder, spacing=10 * rc.DEGREE)
+    >>> sorted(file.name for file in files)
+    ['c_csv.csv', 'c_csv.provenance.json']
+    """
+    export = prepare_export(
+        table,
+        controller,
+        now=datetime.now(timezone.utc),
+        spacing=spacing,
+        settings=settings,
+        stem=name,
+        accept_unverified=accept_unverified,
+    )
+    return write_files(export.files, Path(folder))

@@ -1,0 +1,178 @@
+"""Is it true, how sure is it, and what another plate would give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from rotcal_ros.api.reading import Name
+from rotcal_ros.catalogue.calibration import Calibration, prepare
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.measurements import PlannedMeasurements
+from rotcal_ros.catalogue.method import Measurements
+from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
+from rotcal_ros.evaluation.compare import Comparison
+from rotcal_ros.evaluation.compare import compare as compare_curves
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
+from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
+from rotcal_ros.evaluation.monte_carlo import BLOCK, propagate
+from rotcal_ros.evaluation.propagated import Propagated
+from rotcal_ros.observations import Observation
+from rotcal_ros.planning.ball_layout import WEIGHTS, Layout, best_layout
+from rotcal_ros.recordings.replay import Recording
+from rotcal_ros.recordings.sources import read_curve, read_result, read_text
+from rotcal_ros.results import Result
+
+Curve = Result | MeasuredCurve | Name
+
+
+def compare(
+    first: Curve, second: Curve, component: str = "ECC", *, align_order: int = 0
+) -> Comparison:
+    """Compare two independent measurements of one table within their stated uncertainties.
+
+    Each is a result, its file, a bag, or a reference table (.csv). The offset that no method can
+    know is taken off, and ``align_order`` harmonics. ``difference`` (n,) = first - second, m or
+    rad; ``normalised_error`` is E_n with k = 2; ``agree`` is the verdict. Raises DataError for a
+    component that is absent and for too few common angles.
+
+    >>> import rotcal_ros as rc
+    >>> folder = "examples/data"
+    >>> compared = rc.compare(f"{folder}/result_tracer.json", f"{folder}/result_ball_plate.json")
+    >>> compared.agree, compared.dof
+    (True, 11)
+    """
+    one, other = (_curve(curve, component) for curve in (first, second))
+    return compare_curves(one, other, align_order)
+
+
+def iso230(runs: BidirectionalRuns | Result | Name) -> Iso230:
+    """Evaluate repeated runs from both directions after ISO 230-2.
+
+    ``runs`` are deviations (m, n) in rad (actual - commanded), a table
+    ``angle_deg,run,direction,deviation_arcsec``, or a result, its file or a bag of a plan with
+    runs. Every figure is in rad: ``accuracy`` A, ``repeatability`` R, ``reversal`` B ... Raises
+    DataError for runs that are not complete.
+
+    >>> import rotcal_ros as rc
+    >>> figures = rc.iso230("examples/data/runs.csv")
+    >>> figures.targets.shape, figures.warnings
+    ((12,), ())
+    """
+    if isinstance(runs, str | PathLike):
+        path = Path(runs)
+        if path.suffix == ".csv":
+            return evaluate_runs(read_runs(read_text(path), str(path)))
+        return evaluate_runs(require_runs(read_result(path), str(path)))
+    if isinstance(runs, Result):
+        return evaluate_runs(require_runs(runs, f"the {runs.method} result"))
+    return evaluate_runs(runs)
+
+
+def uncertainty(
+    source: Configuration | Recording | Measurements,
+    *,
+    trials: int = 10_000,
+    seed: int = 1,
+    digits: int = 2,
+    workers: int = 1,
+) -> Propagated:
+    """Propagate the stated noise through the solver by Monte Carlo, after JCGM 101.
+
+    A configuration: about what its plan would see, before anything is measured. A recording or a
+    table: about what was measured. ``components`` maps each to value, linear_std, mean, std, low
+    and high (95 %), arrays (n,) in m or rad; ``warnings`` say where the trials contradict the
+    solver. ``trials`` at most; they end when the figures are stable to ``digits``. Raises
+    ConfigurationError where the method or the table brings no trials.
+
+    >>> import rotcal_ros as rc
+    >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
+    >>> spread = rc.uncertainty(configuration, trials=200)
+    >>> spread.components["ECC"].std.shape
+    (12,)
+    """
+    calibration, observations = _measured(source)
+    model = calibration.trials(observations)
+    spread = propagate(
+        model,
+        seed=seed,
+        max_trials=trials,
+        digits=digits,
+        workers=workers,
+        block=min(BLOCK, trials),
+    )
+    return Propagated(calibration.solve(observations), spread, seed)
+
+
+def plan_plate(
+    grid: int,
+    balls: int,
+    *,
+    min_gap: int = 1,
+    subset_of: Sequence[int] | None = None,
+    weights: tuple[float, ...] = WEIGHTS,
+    seed: int = 0,
+    starts: int = 40,
+) -> Layout:
+    """Find the ball steps on a grid of table positions that give the smallest uncertainty.
+
+    ``min_gap`` grid steps lie between neighbours, ``subset_of`` are the steps of an existing
+    plate, ``weights`` those of ECC, EXC and EYC, EAC and EBC, EZC. ``steps`` is the layout,
+    ``predicted_std(sigma, radius)`` (m) its standard deviations (m, rad), ``optimal`` tells that
+    none is better. Raises PlanError when no layout separates table, plate and machine.
+
+    >>> import rotcal_ros as rc
+    >>> layout = rc.plan_plate(12, 6)
+    >>> layout.steps, layout.optimal
+    ((0, 1, 3, 5, 8, 9), True)
+    """
+    steps = None if subset_of is None else list(subset_of)
+    return best_layout(
+        grid, balls, min_gap=min_gap, subset_of=steps, weights=weights, seed=seed, starts=starts
+    )
+
+
+def write_report(recording: Recording, path: Name, truth: Mapping[str, Any] | None = None) -> Path:
+    """Write the self-contained HTML report of a recording and return its path.
+
+    ``truth`` is the content of the truth.json of a simulation, SI. Raises BagError when the page
+    cannot be written, DataError when the recording cannot be solved.
+
+    >>> import tempfile
+    >>> import rotcal_ros as rc
+    >>> recording = rc.read_bag("examples/data/ball_plate_bag")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     rc.write_report(recording, folder + "/report.html").name
+    'report.html'
+    """
+    # Figures take a second to load.
+    from rotcal_ros.report.page import write_report as write_page
+    from rotcal_ros.report.recorded import report_of
+
+    write_page(report_of(recording, recording.solve(), truth), Path(path))
+    return Path(path)
+
+
+def _curve(curve: Curve, component: str) -> MeasuredCurve:
+    if isinstance(curve, str | PathLike):
+        return read_curve(Path(curve), component, None)
+    return measured_curve(curve, component) if isinstance(curve, Result) else curve
+
+
+def _measured(
+    source: Configuration | Recording | Measurements,
+) -> tuple[Calibration, tuple[Observation, ...]]:
+    """Return the calibration and its observations: nominal ones of a configuration."""
+    if isinstance(source, Configuration):
+        calibration = prepare(source)
+        return calibration, calibration.nominal_observations()
+    if isinstance(source, Recording | PlannedMeasurements):
+        return source.calibration, source.observations
+    raise ConfigurationError(
+        "the rows of this table are no steps of a plan, which Monte Carlo trials need: give the "
+        "configuration or a bag"
+    )

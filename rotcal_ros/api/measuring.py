@@ -1,0 +1,130 @@
+"""From records to observations to a result, be the records measured or simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.capture.capture import Observations, Record
+from rotcal_ros.catalogue.calibration import prepare
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.observations import Observation
+from rotcal_ros.results import Result
+from rotcal_ros.simulation import SimulatedCell
+
+_SLICE_S = 0.2
+_MOST_SLICES = 18_000
+"""One hour at a step: something is missing."""
+
+
+def capture_records(
+    records: Iterable[Record], configuration: Configuration
+) -> tuple[Observation, ...]:
+    """Turn records of the instruments into observations, as the capture node does live.
+
+    ``records`` are those of ``rotcal_ros.observations`` (TracerSample, TableSample, ProbeSample,
+    TemperatureSample), ns, m and rad, in the order in which they came. There is one observation
+    per attempt at a step of the plan; a rejected one says why. Raises PlanError and
+    ConfigurationError for a configuration that cannot work.
+
+    >>> import rotcal_ros as rc
+    >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
+    >>> observations = rc.capture_records(rc.simulate_records(configuration), configuration)
+    >>> observations == rc.simulate_observations(configuration)
+    True
+    """
+    capture = prepare(configuration).capture()
+    return tuple(found for record in records for found in capture.feed(record))
+
+
+def simulate_records(configuration: Configuration) -> Iterator[Record]:
+    """Yield what the instruments of the simulated cell deliver, step by step, without ROS.
+
+    The cell is that of the group ``simulation``: its seed makes the same records again. Units as
+    in :func:`capture_records`; errors as there.
+
+    >>> import rotcal_ros as rc
+    >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
+    >>> type(next(rc.simulate_records(configuration))).__name__
+    'TemperatureSample'
+    """
+    return (record for record, _ in _simulated(configuration))
+
+
+def simulate_observations(configuration: Configuration) -> tuple[Observation, ...]:
+    """Return the observations of one simulated attempt at every step, without ROS.
+
+    ``mean`` and ``std`` are metres, ``table_angle`` radians; errors as in :func:`capture_records`.
+
+    >>> import rotcal_ros as rc
+    >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
+    >>> observations = rc.simulate_observations(configuration)
+    >>> len(observations), observations[0].accepted
+    (72, True)
+    """
+    return tuple(found for _, observed in _simulated(configuration) for found in observed)
+
+
+def simulated_truth(configuration: Configuration) -> dict[str, Floats]:
+    """Return the deviations that the simulation injects, as far as the method can see them.
+
+    Component -> (n,) in m or rad at the table angles of the plan; deviation = actual -
+    commanded. Compare them with ``Result.deviations``. Errors as in :func:`capture_records`.
+
+    >>> import rotcal_ros as rc
+    >>> configuration = rc.read_configuration("examples/data/tracer.yaml")
+    >>> float(rc.simulated_truth(configuration)["ECC"][0])  # counted from the first angle
+    0.0
+    """
+    calibration = prepare(configuration)
+    angles = np.array(calibration.plan.table_angles)
+    truth = SimulatedCell(configuration.simulation).truth(angles)
+    return calibration.method.gauge(angles, truth)
+
+
+def solve(observations: Iterable[Observation], configuration: Configuration) -> Result:
+    """Return the deviations that the observations show, by the method of the configuration.
+
+    The last accepted attempt at every step counts; the order of the observations does not. For
+    the result see ``read_result``: SI, deviation = actual - commanded. Raises DataError for data
+    that are contradictory or too few, ObservabilityError where the geometry cannot tell.
+
+    >>> import rotcal_ros as rc
+    >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
+    >>> result = rc.solve(rc.simulate_observations(configuration), configuration)
+    >>> sorted(result.deviations)
+    ['EAC', 'EBC', 'ECC', 'EXC', 'EYC', 'EZC']
+    """
+    return prepare(configuration).solve(observations)
+
+
+def _simulated(configuration: Configuration) -> Iterator[tuple[Record, Observations]]:
+    """Yield every record of the simulated cell with the observations that it completes."""
+    calibration = prepare(configuration)
+    cell, capture = SimulatedCell(configuration.simulation), calibration.capture()
+    for step in calibration.plan.steps:
+        command = step.command(0)
+        cell.order_table(command)
+        cell.order_probe(command)
+        observed: Observations = ()
+        for _ in range(_MOST_SLICES):
+            for record in _delivered(cell):
+                found = capture.feed(record)
+                observed += found
+                yield record, found
+            if observed:
+                break
+        else:
+            raise ConfigurationError(
+                f"{configuration.source}: the simulated cell does not finish step {step.index} "
+                "within an hour; an external table or silent instruments cannot be simulated alone"
+            )
+
+
+def _delivered(cell: SimulatedCell) -> tuple[Record, ...]:
+    """Let a little time pass and return what the instruments deliver in it."""
+    out = cell.advance(_SLICE_S)
+    return (*out.temperature, *out.table, *out.tracer, *out.probe)

@@ -1,0 +1,95 @@
+"""The raw streams of a bag as numpy tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.arrays import Ints
+from rotcal_ros.bags.reader import bag_files, read_blocks
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.observations import ProbeSample, TableSample, TemperatureSample
+from rotcal_ros.recordings.replay import Decoders, find_configuration
+from rotcal_ros.recordings.streams import StreamFeeder
+from rotcal_ros.recordings.topics import Topics
+
+Rows = NDArray[np.void]
+"""A structured array (n,)."""
+
+_LENGTHS: Final = [("stamp_ns", "i8"), ("sequence", "i8"), ("length", "f8"), ("status", "i8")]
+_ANGLES: Final = [("stamp_ns", "i8"), ("angle", "f8"), ("velocity", "f8")]
+_POINTS: Final = [
+    ("stamp_ns", "i8"), ("sequence", "i8"), ("step", "i8"), ("attempt", "i8"), ("kind", "i8"),
+    ("target", "i8"), ("station", "i8"), ("point", "i8"), ("position", "f8", 3),
+    ("position_std", "f8", 3), ("tip_radius", "f8"),
+]  # fmt: skip
+_TEMPERATURES: Final = [("stamp_ns", "i8"), ("sensor", "O"), ("temperature_c", "f8")]
+
+
+@dataclass(frozen=True, eq=False)
+class RawStreams:
+    """Structured arrays (n,), one row per message; columns as in ``rotcal_ros.observations``.
+
+    ``lengths``: stamp_ns, sequence, length (m), status (1: good). ``angles``: stamp_ns, angle
+    (rad), velocity (rad/s). ``points``: stamp_ns, the step and attempt that were carried out, kind
+    (a ``PointKind``), target, station, point, position and position_std (n, 3) in m, tip_radius
+    (m). ``temperatures``: stamp_ns, sensor, temperature_c.
+    """
+
+    lengths: Rows
+    angles: Rows
+    points: Rows
+    temperatures: Rows
+
+
+@dataclass
+class _Collector:
+    """Takes the place of the capture and keeps what comes."""
+
+    counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    lengths: list[Rows] = field(default_factory=list)
+    records: dict[type[Any], list[Any]] = field(default_factory=dict)
+
+    def feed(self, record: Any) -> tuple[()]:
+        self.records.setdefault(type(record), []).append(record)
+        return ()
+
+    def feed_tracer(
+        self, stamp_ns: Ints, sequence: NDArray[Any], length: NDArray[Any], status: NDArray[Any]
+    ) -> tuple[()]:
+        columns = (stamp_ns, sequence, length, status)
+        rows = np.zeros(len(stamp_ns), _LENGTHS)
+        for (name, _), column in zip(_LENGTHS, columns, strict=True):
+            rows[name] = column
+        self.lengths.append(rows)
+        return ()
+
+    def table(self, kind: type[Any], columns: list[Any]) -> Rows:
+        """Return the records of one kind."""
+        names = [column[0] for column in columns]
+        rows = [tuple(getattr(r, n) for n in names) for r in self.records.get(kind, ())]
+        return np.array(rows, dtype=columns)
+
+
+def raw_streams(path: Path, configuration: Configuration | None, topics: Topics) -> RawStreams:
+    """Return the streams of the bag at ``path``; see :func:`rotcal_ros.read_streams`."""
+    files = bag_files(path)
+    setup = configuration or find_configuration(files, topics)
+    topics.renamed = setup.topics.renamed()
+    kept = _Collector()
+    feeder = StreamFeeder(lambda _run: kept, setup.cell.joint, topics=setup.topics)
+    decoders: Decoders = {}
+    for scan, block in read_blocks(files):
+        if block is not None:
+            feeder.feed(block, topics.split(block, scan.channels, decoders))
+    return RawStreams(
+        lengths=np.concatenate([np.zeros(0, _LENGTHS), *kept.lengths]),
+        angles=kept.table(TableSample, _ANGLES),
+        points=kept.table(ProbeSample, _POINTS),
+        temperatures=kept.table(TemperatureSample, _TEMPERATURES),
+    )

@@ -1,0 +1,111 @@
+"""Every example runs alone in an empty folder and finds the truth; its data can be made again."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rotcal_ros as rc
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+DATA = EXAMPLES / "data"
+KEY_FIGURES = {
+    "01_lengths_from_csv": (r"against the truth: (\S+) arcsec", 0.0, 1.0),
+    "02_ball_plate_from_csv": (r"rms error / stated standard uncertainty: (\S+)", 0.8, 1.2),
+    "03_tracker_and_mirror": (r"joint .* rms error (\S+) arcsec", 0.0, 1.0),
+    "04_solve_a_bag": (r"against the truth: (\S+) arcsec", 0.0, 0.15),
+    "05_compare_two_results": (r"^agree: rms (\S+) arcsec", 0.0, 0.5),
+    "06_iso230_of_repeated_runs": (r"mean reversal: (\S+) arcsec", -1.6, -1.4),
+    "07_uncertainty_before_measuring": (r"trials / solver: (\S+)", 0.95, 1.05),
+    "08_plan_a_ball_plate": (r"solver / prediction: (\S+)", 0.999999, 1.000001),
+    "09_table_for_my_controller": (r"left: (\S+) arcsec", 0.0, 0.3),
+    "10_own_solver_on_raw_streams": (r"against the truth: (\S+) arcsec", 0.0, 0.25),
+}
+"""Example -> its key figure, with the bounds that truth and uncertainty set."""
+WITH_ROS = {"11_calibrate_from_a_script"}
+SCRIPTS = sorted(path.stem for path in EXAMPLES.glob("[0-9]*.py"))
+NO_ROS_NO_NETWORK = """
+import socket, sys, runpy
+for name in ("rclpy", "rotcal_msgs"):
+    sys.modules[name] = None
+def refuse(*_): raise OSError("no network here")
+socket.socket.connect = refuse
+sys.path.insert(0, sys.argv[1].rpartition("/")[0])
+sys.argv[:1] = []
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+def run(script, folder, *words):
+    """Run a script in ``folder`` without ROS and network; return what it prints."""
+    paths = os.pathsep.join([str(EXAMPLES.parent), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", NO_ROS_NO_NETWORK, str(script), *map(str, words)],
+        cwd=folder, capture_output=True, text=True, timeout=120,
+        env={**os.environ, "PYTHONPATH": paths},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_every_example_has_a_key_figure():
+    assert set(SCRIPTS) - WITH_ROS == set(KEY_FIGURES)
+
+
+@pytest.mark.parametrize("name", KEY_FIGURES)
+def test_an_example_finds_the_truth(name, tmp_path):
+    pattern, low, high = KEY_FIGURES[name]
+    found = re.findall(pattern, run(EXAMPLES / f"{name}.py", tmp_path), re.M)
+    assert found
+    assert all(low <= float(figure) <= high for figure in found), found
+
+
+def test_examples_leave_what_they_say(tmp_path):
+    run(EXAMPLES / "04_solve_a_bag.py", tmp_path)
+    text = run(EXAMPLES / "09_table_for_my_controller.py", tmp_path)
+    assert "<html" in (tmp_path / "report.html").read_text()
+    assert all((tmp_path / file).is_file() for file in re.findall(r"written: (\S+)", text))
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_an_example_is_short_and_listed(name):
+    text = (EXAMPLES / f"{name}.py").read_text()
+    assert len(text.splitlines()) < 60
+    first = text.removeprefix('"""').splitlines()[0].removesuffix('"""')
+    row = f"| [{name}]({name}.py) | {first} |"
+    assert row in (EXAMPLES / "README.md").read_text().splitlines()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    run(DATA / "make_data.py", folder, folder)
+    return folder
+
+
+@pytest.mark.parametrize("pattern", ["*.csv", "*.yaml"])
+def test_tables_are_the_same_when_made_again(made, pattern):
+    again = {path.name: path.read_text() for path in made.glob(pattern)}
+    assert again == {path.name: path.read_text() for path in DATA.glob(pattern)}
+
+
+@pytest.mark.parametrize("name", ["result_tracer.json", "result_ball_plate.json"])
+def test_results_are_the_same_when_made_again(made, name):
+    again, kept = rc.read_result(made / name), rc.read_result(DATA / name)
+    for component, deviation in kept.deviations.items():
+        assert again.deviations[component] == pytest.approx(deviation, abs=1e-12)
+
+
+def test_the_bag_is_the_same_when_made_again(made):
+    again, kept = (rc.read_streams(folder / "ball_plate_bag") for folder in (made, DATA))
+    assert again.points["position"].ravel() == pytest.approx(
+        kept.points["position"].ravel(), abs=1e-12
+    )
+
+
+def test_the_data_stay_small():
+    files = [path for path in DATA.rglob("*") if "__pycache__" not in path.parts]
+    assert sum(path.stat().st_size for path in files if path.is_file()) < 500_000

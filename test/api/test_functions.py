@@ -1,0 +1,147 @@
+"""What the front door adds of its own: raw streams, data frames, sources of every kind."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import rotcal_ros as rc
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / "examples" / "data"
+GOLDEN = ROOT / "test" / "golden"
+
+
+@pytest.fixture(scope="module")
+def plate():
+    return rc.read_result(DATA / "result_ball_plate.json")
+
+
+def test_raw_streams_are_all_that_the_capture_received():
+    """The tracer's golden bag has two files, damaged lengths, and all four streams."""
+    streams = rc.read_streams(GOLDEN / "tracer" / "bag")
+    counts = rc.read_bag(GOLDEN / "tracer" / "bag").counts
+    received = {name: stream["received"] for name, stream in counts.items()}
+    assert len(streams.lengths) == received["tracer"]
+    assert len(streams.angles) == received["table"]
+    assert len(streams.points) == received["probe"]
+    assert len(streams.temperatures) == received["temperature"]
+    assert np.median(np.diff(streams.angles["stamp_ns"])) == 40_000_000  # 25 Hz
+    assert np.any(streams.lengths["status"] != 1)
+
+
+def test_raw_lengths_average_to_what_the_capture_found():
+    streams = rc.read_streams(GOLDEN / "tracer" / "bag")
+    observation = next(
+        o for o in rc.read_bag(GOLDEN / "tracer" / "bag").observations if o.accepted
+    )
+    stamps = streams.lengths["stamp_ns"]
+    inside = (stamps >= observation.window_start_ns) & (stamps <= observation.window_end_ns)
+    good = streams.lengths["length"][inside & (streams.lengths["status"] == 1)]
+    assert np.median(good) == pytest.approx(observation.mean[0], abs=1e-6)
+
+
+def test_raw_streams_of_no_bag(tmp_path):
+    with pytest.raises(BagError, match="does not exist"):
+        rc.read_streams(tmp_path / "nothing")
+
+
+def test_the_bag_of_the_examples_is_what_the_cell_delivers():
+    recording = rc.read_bag(DATA / "ball_plate_bag")
+    configuration = rc.read_configuration(DATA / "ball_plate.yaml")
+    simulated = rc.simulate_observations(configuration)
+    assert [o.step for o in recording.observations] == [o.step for o in simulated]
+    for found, known in zip(recording.observations, simulated, strict=True):
+        assert found.mean == pytest.approx(known.mean, abs=1e-9)  # another processor
+
+
+def test_a_data_frame_has_a_row_for_each_angle(monkeypatch, plate):
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=dict))
+    frame = plate.to_dataframe()
+    assert list(frame)[:3] == ["angle_rad", "EXC", "EXC_std"]
+    assert len(frame) == 13
+    np.testing.assert_array_equal(frame["ECC"], plate.deviations["ECC"])
+    np.testing.assert_array_equal(frame["ECC_std"], plate.std["ECC"])
+
+
+def test_without_pandas_a_data_frame_says_what_to_install(monkeypatch, plate):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match="pip install pandas"):
+        plate.to_dataframe()
+
+
+def test_compare_takes_results_and_files_alike(plate):
+    files = rc.compare(DATA / "result_tracer.json", DATA / "result_ball_plate.json")
+    results = rc.compare(rc.read_result(DATA / "result_tracer.json"), plate)
+    np.testing.assert_array_equal(files.difference, results.difference)
+    with pytest.raises(DataError, match="holds no EXC"):
+        rc.compare(DATA / "result_tracer.json", plate, "EXC")
+
+
+def test_iso230_takes_runs_a_result_and_a_file(plate, tmp_path):
+    angles = np.radians(np.arange(0, 360, 45))
+    forward = np.sin(angles)[:, None] * 1e-5 + 1e-7 * np.arange(5)
+    runs = BidirectionalRuns(angles, forward, forward + 5e-6)
+    figures = rc.iso230(runs)
+    assert figures.reversal == pytest.approx(5e-6)
+    kept = {name: getattr(runs, name) for name in ("targets", "forward", "reverse")}
+    result = replace(plate, details={"runs": kept})
+    assert rc.iso230(result).to_dict() == figures.to_dict()
+    (tmp_path / "result.json").write_text(result.to_json())
+    assert rc.iso230(tmp_path / "result.json").to_dict() == figures.to_dict()
+    with pytest.raises(DataError, match="no repeated runs"):
+        rc.iso230(plate)
+
+
+def test_uncertainty_of_a_plan_and_of_what_was_measured():
+    configuration = rc.read_configuration(DATA / "ball_plate.yaml")
+    before = rc.uncertainty(configuration, trials=2000).components["ECC"].std
+    after = rc.uncertainty(rc.read_bag(DATA / "ball_plate_bag"), trials=2000).components["ECC"].std
+    assert before == pytest.approx(after, rel=0.1)
+    points = rc.read_table(DATA / "tracker.csv", DATA / "plane_mirror.yaml")
+    with pytest.raises(ConfigurationError, match="no steps of a plan"):
+        rc.uncertainty(points)
+
+
+def test_the_correction_has_a_sign_and_a_side(plate):
+    reverse = replace(plate, deviations={"ECC": plate.deviations["ECC"] + 2e-6})
+    table = rc.make_table(plate, reverse=reverse, reference_angle=0.0)
+    up = rc.correction(table, plate.angles)
+    assert up == pytest.approx(plate.deviations["ECC"][0] - plate.deviations["ECC"], abs=1e-15)
+    down = rc.correction(table, plate.angles, "negative")
+    assert down == pytest.approx(up - 2e-6, abs=1e-15)
+    with pytest.raises(ConfigurationError, match="sideways"):
+        rc.correction(table, 0.0, "sideways")
+
+
+def test_controller_files_are_never_overwritten(plate, tmp_path):
+    table = rc.make_table(plate, reference_angle=0.0)
+    files = rc.write_controller_files(table, "linuxcnc", tmp_path, spacing=10 * rc.DEGREE)
+    assert all(file.parent == tmp_path for file in files)
+    with pytest.raises(rc.RotcalError, match="exists already"):
+        rc.write_controller_files(table, "linuxcnc", tmp_path, spacing=10 * rc.DEGREE)
+    with pytest.raises(rc.RotcalError, match="did you mean 'linuxcnc'"):
+        rc.write_controller_files(table, "linuxcn", tmp_path)
+
+
+def test_changes_of_a_configuration_are_checked():
+    with pytest.raises(ConfigurationError, match="points_per_ball"):
+        rc.read_configuration(DATA / "ball_plate.yaml", "plan.points_per_bal=9")
+
+
+def test_a_cell_that_nobody_turns_is_not_simulated_for_ever():
+    external = rc.read_configuration(
+        DATA / "ball_plate.yaml", "simulation.table.external=true", "simulation.time_scale=1.0"
+    )
+    with pytest.raises(ConfigurationError, match="does not finish step 0"):
+        rc.simulate_observations(external)
+
+
+def test_methods_and_controllers_have_names():
+    assert {"tracer_multistation", "ball_plate", "plane_mirror"} <= set(rc.method_names())
+    assert {"csv", "linuxcnc", "sinumerik"} <= set(rc.controller_names())

@@ -1,0 +1,94 @@
+"""The names of the front door: one list in code, types and page, and loaded when used."""
+
+import ast
+import pkgutil
+import pydoc
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import rotcal_ros as rc
+
+ROOT = Path(__file__).parents[2]
+HEAVY = ("numpy", "scipy", "yaml", "matplotlib", "rosbags", "rclpy")
+
+
+def in_fresh_process(code):
+    """Return what a new interpreter prints."""
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return run.stdout.split()
+
+
+def test_the_import_loads_next_to_nothing():
+    new = in_fresh_process(
+        "import sys; import importlib; before = set(sys.modules); import rotcal_ros; "
+        "print(*sorted(set(sys.modules) - before))"
+    )
+    assert new == ["rotcal_ros"]
+
+
+@pytest.mark.parametrize("name", ["RotcalError", "ARCSEC", "unit_of"])
+def test_a_light_name_stays_light(name):
+    loaded = in_fresh_process(f"import sys, rotcal_ros; rotcal_ros.{name}; print(*sys.modules)")
+    assert not set(HEAVY) & set(loaded)
+
+
+@pytest.mark.parametrize("name", [name for name in rc.__all__ if name != "ros"])
+def test_every_name_is_there_and_says_what_it_is(name):
+    value = getattr(rc, name)
+    assert name in vars(rc)  # found once
+    if not isinstance(value, float):
+        assert value.__doc__.strip()
+
+
+def test_no_name_hides_a_room():
+    rooms = {module.name for module in pkgutil.iter_modules(rc.__path__)}
+    assert rooms & set(rc.__all__) <= {"ros"}
+
+
+def test_a_type_checker_sees_the_same_names_at_the_same_places():
+    tree = ast.parse((ROOT / "rotcal_ros" / "__init__.pyi").read_text())
+    seen = {
+        alias.asname: f"{node.module}.{alias.name}"
+        for node in tree.body
+        if isinstance(node, ast.ImportFrom) and node.module.startswith("rotcal_ros")
+        for alias in node.names
+    }
+    places = {name: f"rotcal_ros.{module}.{name}" for name, module in rc._PLACES.items()}
+    places |= {name: f"rotcal_ros.{module}" for name, module in rc._MODULES.items()}
+    del places["ros"]  # any module, for those who have no ROS
+    assert seen == places
+    declared = {node.target.id for node in tree.body if isinstance(node, ast.AnnAssign)}
+    assert declared == {"__all__", "__version__", "ros"}
+
+
+def test_the_page_lists_every_name():
+    rows = re.findall(r"^\| `(?:rc\.)?(\w+)", (ROOT / "docs" / "api.md").read_text(), re.M)
+    assert sorted(rows) == rc.__all__
+
+
+def test_dir_and_help_show_the_names():
+    assert set(rc.__all__) <= set(dir(rc))
+    assert "read_bag" in pydoc.render_doc(rc)
+
+
+def test_a_misspelt_name_is_no_attribute():
+    with pytest.raises(AttributeError, match="no attribute 'read_bags'"):
+        rc.read_bags  # noqa: B018
+
+
+def test_without_ros_the_submodule_says_what_is_missing():
+    code = (
+        "import sys; sys.modules['rclpy'] = sys.modules['rotcal_ros.ros'] = None\n"
+        "import rotcal_ros\n"
+        "try: rotcal_ros.ros\n"
+        "except AttributeError as error: print(error)"
+    )
+    text = " ".join(in_fresh_process(code))
+    assert "rotcal_ros.ros needs ROS 2" in text
+    assert "source a workspace" in text
