@@ -79,7 +79,7 @@ def command(
         _write_volumetric(forward, axis or measured, name, out, as_json)
         return 0
     table = _table(forward, backward, measured, harmonics, spacing)
-    made = prepare_export(
+    export = prepare_export(
         table,
         controller,
         now=datetime.now(timezone.utc),
@@ -91,11 +91,11 @@ def command(
         accept_unverified=accept_unverified,
         sources=sources,
     )
-    paths = write_files(made.files, out)
+    paths = write_files(export.files, out)
     if as_json:
-        print_json(_facts(made, paths))
+        print_json(_facts(export, paths))
     else:
-        _print(made, paths)
+        _print(export, paths)
     return 0
 
 
@@ -109,9 +109,9 @@ def _read(path: Path) -> Source:
     return source
 
 
-def _facts(made: ExportFiles, paths: tuple[Path, ...]) -> dict[str, Any]:
+def _facts(export: ExportFiles, paths: tuple[Path, ...]) -> dict[str, Any]:
     """Return what was written, in the form of ``--json``."""
-    side = next(text for name, text in made.files.items() if name.endswith(".provenance.json"))
+    side = next(text for name, text in export.files.items() if name.endswith(".provenance.json"))
     facts: dict[str, Any] = json.loads(side)
     return {"files": [str(path.absolute()) for path in paths], "provenance": facts}
 
@@ -154,9 +154,9 @@ def _write_volumetric(
         click.echo(path.absolute())
 
 
-def _print(made: ExportFiles, paths: tuple[Path, ...]) -> None:
+def _print(export: ExportFiles, paths: tuple[Path, ...]) -> None:
     for path in paths:
         click.echo(path.absolute())
-    say(made.residual.in_words())
-    for warning in made.warnings:
+    say(export.residual.in_words())
+    for warning in export.warnings:
         say(f"warning: {warning}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
@@ -15,7 +15,7 @@ from rotcal_ros.units import DEGREE, MICROMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.planning.ball_layout import Layout
-    from rotcal_ros.planning.ball_plan import BallPlan, Kinematics
+    from rotcal_ros.planning.ball_plan import BallPlan
 
 grid_option = click.option(
     "--grid", type=click.IntRange(min=3), required=True, help="Table positions in a turn."
@@ -86,6 +86,7 @@ def plate(
     layout can beat.
     """
     from rotcal_ros.planning.ball_layout import best_layout
+    from rotcal_ros.planning.ball_plan import Kinematics, Order, plan_measurement
 
     with progress("layouts") as shown:
         layout = best_layout(
@@ -99,7 +100,13 @@ def plate(
             progress=shown,
         )
     std = layout.predicted_std(sigma_um * MICROMETRE, radius_m)
-    orders = _orders(grid, list(layout.steps), radius_m, touches)
+    kinematics = Kinematics(touches_per_ball=touches)
+    orders = {
+        name: plan_measurement(
+            grid, list(layout.steps), order=name, radius=radius_m, kinematics=kinematics
+        )
+        for name in get_args(Order)
+    }
     if as_json:
         print_json(_layout_dict(layout, std, orders))
     else:
@@ -134,7 +141,7 @@ def effort(
     as_json: bool,
 ) -> int:
     """Say how many balls and CMM positions an uncertainty needs, the least work first."""
-    from rotcal_ros.planning.ball_plan import plan_measurement
+    from rotcal_ros.planning.ball_plan import Kinematics, plan_measurement
     from rotcal_ros.planning.effort import required_effort
 
     component, limit = _need(need)
@@ -153,7 +160,7 @@ def effort(
         steps = list(way.layout.steps)
         order = plan_measurement(
             grid, steps, positions=list(way.positions), radius=radius_m,
-            kinematics=_kinematics(touches),
+            kinematics=Kinematics(touches_per_ball=touches),
         )  # fmt: skip
         rows.append(
             {
@@ -243,38 +250,13 @@ def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> N
         )
 
 
-def _orders(grid: int, steps: list[int], radius: float, touches: int) -> dict[str, BallPlan]:
-    """Return both orders of measuring a layout at all positions."""
-    from rotcal_ros.planning.ball_plan import plan_measurement
-
-    kinematics = _kinematics(touches)
-    return {
-        "table_once": plan_measurement(
-            grid, steps, order="table_once", radius=radius, kinematics=kinematics
-        ),
-        "probe_rests": plan_measurement(
-            grid, steps, order="probe_rests", radius=radius, kinematics=kinematics
-        ),
-    }
-
-
-def _kinematics(touches: int) -> Kinematics:
-    from rotcal_ros.planning.ball_plan import Kinematics
-
-    return Kinematics(touches_per_ball=touches)
-
-
 def _layout_dict(
     layout: Layout, std: dict[str, float], orders: dict[str, BallPlan]
 ) -> dict[str, Any]:
     return {
         "grid": layout.grid,
         "ball_steps": list(layout.steps),
-        "score": layout.score,
-        "bound": layout.bound,
-        "gap": layout.gap,
-        "optimal": layout.optimal,
-        "evaluated": layout.evaluated,
+        **{n: getattr(layout, n) for n in ("score", "bound", "gap", "optimal", "evaluated")},
         "predicted_std": std,
         "orders": {name: _order_dict(rows) for name, rows in orders.items()},
     }

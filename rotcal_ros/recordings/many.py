@@ -8,6 +8,7 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -185,25 +186,17 @@ def _filesystem(source: str) -> tuple[Any, str]:
     return filesystem, path
 
 
-class _local:  # noqa: N801  used like a function
-    """The bag as a local path, fetched into a temporary folder when it lies elsewhere."""
-
-    def __init__(self, source: str) -> None:
-        self._source = source
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-
-    def __enter__(self) -> Path:
-        if "://" not in self._source:
-            return Path(self._source)
-        filesystem, path = _filesystem(self._source)
-        self._folder = tempfile.TemporaryDirectory(prefix="rotcal_")
-        target = Path(self._folder.name) / Path(path).name
+@contextmanager
+def _local(source: str) -> Iterator[Path]:
+    """Give the bag as a local path, fetched into a temporary folder when it lies elsewhere."""
+    if "://" not in source:
+        yield Path(source)
+        return
+    filesystem, path = _filesystem(source)
+    with tempfile.TemporaryDirectory(prefix="rotcal_") as folder:
+        target = Path(folder) / Path(path).name
         filesystem.get_file(path, str(target))
-        return target
-
-    def __exit__(self, *_: object) -> None:
-        if self._folder is not None:
-            self._folder.cleanup()
+        yield target
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -142,12 +142,12 @@ def _trend(outcomes: Sequence[Outcome], name: str) -> str:
     factor, unit = unit_of(name)
     (axes,) = style.grid(height=2.8)
     for table in sorted({outcome.table for outcome in outcomes}):
-        points = []
-        for outcome in outcomes:
-            result = outcome.deviations()
-            known = result is not None and name in result.deviations
-            if known and outcome.table == table and outcome.start_ns is not None:
-                points.append((outcome.start_ns, result.deviations[name], result.std[name]))  # type: ignore[union-attr]
+        points = [
+            (outcome.start_ns, result.deviations[name], result.std[name])
+            for outcome in outcomes
+            if outcome.table == table and outcome.start_ns is not None
+            if (result := outcome.deviations()) is not None and name in result.deviations
+        ]
         if points:
             times = np.array([p[0] for p in points], dtype="datetime64[ns]")
             spans = [np.ptp(p[1]) / factor for p in points]

@@ -29,7 +29,7 @@ def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
     Its raw streams say what is left to measure.
 
     Raises ConfigurationError when there is no such session, it is finished, or it was configured
-    otherwise; BagError when another process still works there.
+    otherwise; BagError when another process works there.
     """
     folder = SessionFolder(path.absolute())
     calibration = checked_calibration(source, changes)

@@ -1,8 +1,10 @@
 """What the report says about the axis: harmonic content and ISO 230-2."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.results import RepeatedRuns, Result
@@ -61,6 +63,26 @@ def test_iso_section_with_figures_and_warnings():
     ):
         assert row in text
     assert "3 runs in each direction, the standard asks for 5" in text
+
+
+@pytest.mark.parametrize(
+    ("sides", "kept"),
+    [
+        ({}, ["targets", "forward", "reverse"]),
+        ({"reverse": None}, ["targets", "forward"]),
+        ({"repeatability_std": 1e-7}, ["targets", "forward", "reverse", "repeatability_std"]),
+    ],
+)
+def test_runs_stand_among_the_details_of_a_file_and_are_read_back(sides, kept):
+    given = replace(result(runs=replace(runs(missing=True), **sides)), details={"tilt": 1.0})
+    text = given.to_json()
+    stored = json.loads(text)["details"]
+    assert list(stored) == ["tilt", "runs"]
+    assert list(stored["runs"]) == kept
+    again = Result.from_dict(json.loads(text))
+    assert again.details == {"tilt": 1.0}
+    np.testing.assert_array_equal(again.runs.forward, given.runs.forward)
+    assert again.to_json() == text
 
 
 def test_no_runs_no_section_and_a_missing_arrival_is_named():
