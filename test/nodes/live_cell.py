@@ -10,8 +10,8 @@ from threading import Thread
 
 import pytest
 
+from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
-from rotcal_ros.sessions.session import node_environment
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
 SUITE = ("planner", "capture", "solver", "recorder")
