@@ -11,8 +11,8 @@ from threading import Thread
 import pytest
 
 from rotcal_ros.node_names import NODES
+from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
-from rotcal_ros.sessions.session import node_environment
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
 SUITE = NODES
