@@ -39,7 +39,8 @@ class Rejection:
 class Residuals:
     """One row per observation, used or not; all arrays have shape (n,).
 
-    ``residual`` is observed - computed in metres, ``redundancy`` lies in [0, 1] and
+    ``residual`` is observed - computed in the unit of the observations, metres for all built-in
+    methods; ``redundancy`` lies in [0, 1] and
     ``test_value`` is the normalised residual (dimensionless). Rows that were not used keep
     their residual against the final solution and have ``used`` False.
     """
