@@ -14,13 +14,15 @@ import pytest
 import yaml
 
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
-from rotcal_ros.evaluation.one_table import by_ball_plate
 from rotcal_ros.methods import ball_plate
 from rotcal_ros.sessions.domains import free_domain
 from rotcal_ros.settings import load
 from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import SimulatedTable, deviations
 from rotcal_ros.units import ARCSEC, DEGREE
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
+from one_table import by_ball_plate
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "own_method"
