@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import PlanError
+
+Order = Literal["table_once", "probe_rests"]
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ def plan_measurement(
     balls: list[int] | Ints,
     *,
     positions: list[int] | Ints | None = None,
-    order: str = "table_once",
+    order: Order = "table_once",
     rounds: int = 1,
     backlash: bool = True,
     radius: float = 0.185,
@@ -103,7 +106,7 @@ def _check_steps(grid: int, balls: Ints, cmm: Ints, rounds: int) -> None:
 
 
 def _ordered(
-    order: str, grid: int, balls: Ints, cmm: Ints, rounds: int, backlash: bool
+    order: Order, grid: int, balls: Ints, cmm: Ints, rounds: int, backlash: bool
 ) -> tuple[Ints, Ints]:
     """Return turn of the table and ball step (n,) of every centre, in the order of measurement."""
     if order == "table_once":

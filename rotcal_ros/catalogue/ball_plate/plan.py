@@ -123,7 +123,7 @@ def measuring_order(
         settings.plate.grid,
         list(settings.plate.ball_steps),
         positions=list(settings.cmm_positions) or None,
-        order=settings.order,
+        order="probe_rests" if settings.order == "probe_rests" else "table_once",
         rounds=settings.rounds,
         backlash=settings.backlash,
         radius=settings.plate.circle_radius_m,
