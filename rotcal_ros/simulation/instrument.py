@@ -46,13 +46,13 @@ class Instrument(ABC):
 
     def unasked(self, now_ns: int) -> ProbeSample:
         """Return where it believes to be, as a point of kind UNKNOWN."""
-        return self._point(now_ns, _NO_ORDER, self.positions(np.array([now_ns]))[0], 0.0)
+        return self.point(now_ns, _NO_ORDER, self.positions(np.array([now_ns]))[0], 0.0)
 
     def lengths(self, now_ns: int) -> tuple[TracerSample, ...]:
         """Return the lengths since the call before; an instrument for points has none."""
         return ()
 
-    def _point(
+    def point(
         self,
         stamp_ns: int,
         order: Command,

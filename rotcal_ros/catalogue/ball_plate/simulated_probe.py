@@ -146,7 +146,7 @@ class SimulatedTouchProbe(Instrument):
             tip = self.settings.tip_radius_m
         place = place + self._error(place[None])[0] + noise
         std = self.settings.noise_um * MICROMETRE
-        return self._point(stamp_ns, order, place, std, number, tip)
+        return self.point(stamp_ns, order, place, std, number, tip)
 
 
 def _nanoseconds(duration_s: float) -> int:

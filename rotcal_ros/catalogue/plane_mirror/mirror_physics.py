@@ -115,31 +115,30 @@ class MirrorCell:
     reach: float = 1.5
 
 
-def paper_cell(
-    lean: float = 1.4 * DEGREE, reflectors: int = 1, radius: float = 2.0, **mirror: Any
-) -> MirrorCell:
+def paper_cell(reflectors: int = 1, **mirror: Any) -> MirrorCell:
     """Return the experiment of Muralikrishnan et al.: 17 positions, 6 stations, 6 nests.
 
     Stations see the positions 1-4, 4-7, 7-10, 10-13, 13-16 and 16-17 (counted from one).
     """
     visits = (*(tuple(range(s, s + 4)) for s in range(0, 15, 3)), (15, 16))
     angles = np.arange(17) * 2.0 * np.pi / 16
-    return ring_cell(angles, visits, 6, lean, reflectors, radius, **mirror)
+    return ring_cell(angles, visits, 6, reflectors, **mirror)
 
 
 def ring_cell(
     angles: Floats,
     visits: tuple[tuple[int, ...], ...],
     n_nests: int = 6,
-    lean: float = 1.4 * DEGREE,
     reflectors: int = 1,
-    radius: float = 2.0,
     **mirror: Any,
 ) -> MirrorCell:
-    """Return a cell whose stations stand on a circle, each facing the middle of its visits."""
+    """Return a cell whose stations stand 2 m from the axis, each facing the middle of its visits.
+
+    ``mirror`` are fields of :class:`FlatMirror`.
+    """
     middle = [float(np.mean(angles[list(visit)])) for visit in visits]
     stations = tuple(
-        TrackerStation((radius * np.cos(a), radius * np.sin(a), 0.35), heading=2.3 * a + 0.4)
+        TrackerStation((2.0 * np.cos(a), 2.0 * np.sin(a), 0.35), heading=2.3 * a + 0.4)
         for a in middle
     )
     around = np.arange(n_nests) * 2.0 * np.pi / n_nests + 0.3
@@ -147,7 +146,7 @@ def ring_cell(
     reach = 1.6 + 0.17 * (np.arange(n_nests) % 4)
     height = 0.1 + 0.45 * (np.arange(n_nests) % 3)
     nests = np.column_stack([reach * np.cos(around), reach * np.sin(around), height])
-    return MirrorCell(angles, stations, visits, nests, FlatMirror(lean=lean, **mirror), reflectors)
+    return MirrorCell(angles, stations, visits, nests, FlatMirror(**mirror), reflectors)
 
 
 def measure(
@@ -172,31 +171,24 @@ def measure(
 
 
 def look(
-    cell: MirrorCell,
-    station: int,
-    kind: PointKind,
-    nest: int,
-    angle: float = 0.0,
-    deviation: Floats | None = None,
+    cell: MirrorCell, station: int, kind: PointKind, number: int, angle: float, deviation: Floats
 ) -> Floats:
-    """Return what the tracker sees (3,), in its own frame and without noise.
+    """Return where the tracker sees reflector ``number`` (from 1), in its own frame, no noise.
 
-    ``nest`` counts from 1. A NEST stands still; DIRECT and MIRRORED are the reflector that was put
-    up for the commanded table ``angle`` (rad), the table having its ``deviation`` (6,). Raises
-    PlanError when the beam misses the mirror.
+    The reflector was put up for the commanded table ``angle`` (rad), the table having its
+    ``deviation`` (6,). Raises PlanError when the beam misses the mirror.
     """
     stand = cell.stations[station]
-    if kind is PointKind.NEST:
-        return stand.seen(cell.nests[nest - 1])
     mirror = cell.mirror
     there = mirror.pose(*table_pose(angle, np.zeros(6)))
     edge = min(mirror.width, mirror.height)
-    place = reflector_places(stand.place, *there, cell.reflectors, cell.reach, edge)[nest - 1]
+    place = reflector_places(stand.place, *there, cell.reflectors, cell.reach, edge)[number - 1]
     if kind is PointKind.DIRECT:
         return stand.seen(place)
-    actual = deviation if deviation is not None else np.zeros(6)
     where = f"table at {angle / DEGREE:g} deg, tracker station {station}"
-    return stand.seen(mirror.image(mirror.pose(*table_pose(angle, actual)), stand, place, where))
+    return stand.seen(
+        mirror.image(mirror.pose(*table_pose(angle, deviation)), stand, place, where)
+    )
 
 
 def measure_direct(

@@ -97,12 +97,12 @@ class SimulatedTracker(Instrument):
             place = self._image(stand, place, stamp_ns)
         seen = stand.seen(place)
         if not np.all(np.isfinite(seen)):
-            return self._point(stamp_ns, command, seen, 0.0)
+            return self.point(stamp_ns, command, seen, 0.0)
         covariance = self._noise.covariance(seen)
         normal = self._point_noise.normal(3 * self._points, 3)
         self._points += 1
         measured = seen + np.linalg.cholesky(covariance) @ normal
-        return self._point(stamp_ns, command, measured, np.sqrt(np.diag(covariance)))
+        return self.point(stamp_ns, command, measured, np.sqrt(np.diag(covariance)))
 
     def _place(self, command: Command, stamp_ns: int) -> Floats:
         """Return where the reflector of an order really is, machine frame."""

@@ -92,7 +92,7 @@ class TracerAndReflector(Instrument):
             return ()
         self.pending = None
         std = float(np.hypot(self.settings.systematic_um, self.settings.repeatability_um))
-        return (self._point(stamp, command, self._reported, std * MICROMETRE),)
+        return (self.point(stamp, command, self._reported, std * MICROMETRE),)
 
     def distances(self, stamps: Stamps) -> Floats:
         """Return the true distances (n,) from the tracer to the reflector, m."""
