@@ -6,13 +6,12 @@ import hashlib
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from rotcal_ros.bags.blocks import Block
-from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.mcap_records import Attachment
 from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
+from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.sqlite_scan import SqliteScan
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.errors import BagError
@@ -22,22 +21,6 @@ Progress = Callable[[int, int], None]
 
 _NUMBER: Final = re.compile(r"(.*?)_?(\d+)$")
 _HASH_BYTES: Final = 1 << 20
-
-
-class Scan(Protocol):
-    """One pass over one storage file; ``position`` is how far it has come, in bytes."""
-
-    path: Path
-    channels: dict[int, ChannelDefinition]
-    attachments: dict[str, Attachment]
-    metadata: dict[str, dict[str, str]]
-    position: int
-
-    def blocks(self) -> Iterator[Block]:
-        """Yield the readable messages in file order."""
-
-    def verdict(self) -> FileVerdict:
-        """Return what is to be said about the file, after the iteration."""
 
 
 def bag_files(path: Path) -> tuple[Path, ...]:
@@ -108,8 +91,8 @@ def sha256_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _scan_type(path: Path) -> type[McapScan] | type[SqliteScan]:
-    kinds: dict[str, type[McapScan] | type[SqliteScan]] = {".mcap": McapScan, ".db3": SqliteScan}
+def _scan_type(path: Path) -> type[McapScan | SqliteScan]:
+    kinds: dict[str, type[McapScan | SqliteScan]] = {".mcap": McapScan, ".db3": SqliteScan}
     if path.suffix not in kinds:
         raise BagError(f"{path} is no bag: expected a folder or a file ending in .mcap or .db3")
     return kinds[path.suffix]

@@ -123,23 +123,17 @@ class Sinumerik(Controller):
         rows, up = columns["1"]
         return PeriodicTable(name, rows, up, columns["-1"][1], self._cec_sign * DEGREE)
 
-    def resolution(self, table: CompensationTable) -> float:
-        """Return the last decimal, in rad."""
-        return self.position_resolution
-
     @property
     def _cec_sign(self) -> float:
         return 1.0 if self.cec_adds else -1.0
 
 
 def _enc_comp(table: CompensationTable, axis: str, system: int, spacing: float) -> list[str]:
-    errors = -mean_deg(table)
-    lines = [
-        f"$AA_ENC_COMP[{system},{k},{axis}]={fixed(value, DECIMALS)}"
-        for k, value in enumerate(errors)
-    ]
     return [
-        *lines,
+        *(
+            f"$AA_ENC_COMP[{system},{k},{axis}]={fixed(value, DECIMALS)}"
+            for k, value in enumerate(-mean_deg(table))
+        ),
         f"$AA_ENC_COMP_STEP[{system},{axis}]={fixed(spacing, DECIMALS)}",
         f"$AA_ENC_COMP_MIN[{system},{axis}]=0.0",
         f"$AA_ENC_COMP_MAX[{system},{axis}]=360.0",
