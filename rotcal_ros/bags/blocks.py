@@ -14,12 +14,7 @@ from rotcal_ros.arrays import Bools, Bytes, Ints
 from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord
 
 HEADER_TYPE: Final = np.dtype(
-    [
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
+    [("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
 )
 """What stands before the payload of a message; packed, 22 bytes."""
 

@@ -10,32 +10,11 @@ from typing import BinaryIO, Final
 import numpy as np
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema, Statistics
 
+from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block, block_of_records, split_chunk
 from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions
 from rotcal_ros.bags.framing import Framing, Record
-from rotcal_ros.bags.mcap_records import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    FOOTER_CONTENT,
-    HEADER,
-    HEADER_SIZE,
-    MAGIC,
-    MAX_RECORD,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    SCHEMA,
-    STATISTICS,
-    DamagedRecord,
-    decoded,
-    parse,
-    parse_attachment,
-    parse_message_index,
-    record_header,
-    unpack_chunk,
-)
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.verdict import Damage, FileVerdict, State
 from rotcal_ros.errors import BagError
@@ -95,15 +74,15 @@ class McapScan(Scan):
         run_size = 0
         for record in framing.records():
             self.position = record.offset
-            if record.opcode == MESSAGE:
+            if record.opcode == mcap.MESSAGE:
                 run.append(record.content)
                 run_size += len(record.content)
-            if run and (record.opcode != MESSAGE or run_size > _RUN_BYTES):
+            if run and (record.opcode != mcap.MESSAGE or run_size > _RUN_BYTES):
                 yield from self._counted(_block_of_run(run))
                 run, run_size = [], 0
             try:
                 block = self._take(record)
-            except (DamagedRecord, BagError) as fault:
+            except (mcap.DamagedRecord, BagError) as fault:
                 framing.reject(record, str(fault))
             else:
                 if block is not None:
@@ -115,22 +94,22 @@ class McapScan(Scan):
     def _take(self, part: Record) -> Block | None:
         """Take in one top-level record; returns the messages of a chunk."""
         opcode, content = part.opcode, part.content
-        if opcode == CHUNK:
+        if opcode == mcap.CHUNK:
             return self._take_chunk(content)
-        if opcode == MESSAGE_INDEX:
-            channel, messages = parse_message_index(content)
+        if opcode == mcap.MESSAGE_INDEX:
+            channel, messages = mcap.parse_message_index(content)
             if self._chunk_lost:
                 self._lost[channel] += messages
                 self._index_awaited = False
-        elif opcode == ATTACHMENT:
-            self._take_attachment(parse_attachment(content))
-        elif opcode == METADATA:
-            record = parse(Metadata, content)
+        elif opcode == mcap.ATTACHMENT:
+            self._take_attachment(mcap.parse_attachment(content))
+        elif opcode == mcap.METADATA:
+            record = mcap.parse(Metadata, content)
             self.metadata[record.name] = record.metadata
-        elif opcode == STATISTICS:
-            self._statistics = parse(Statistics, content).channel_message_counts
-        elif opcode == HEADER:
-            parse(Header, content)
+        elif opcode == mcap.STATISTICS:
+            self._statistics = mcap.parse(Statistics, content).channel_message_counts
+        elif opcode == mcap.HEADER:
+            mcap.parse(Header, content)
         else:
             self._take_definition(opcode, content)
         return None
@@ -138,7 +117,7 @@ class McapScan(Scan):
     def _take_chunk(self, content: bytes) -> Block:
         self._loss_unknown |= self._index_awaited
         self._chunk_lost = self._index_awaited = True
-        block, others = split_chunk(unpack_chunk(parse(Chunk, content)))
+        block, others = split_chunk(mcap.unpack_chunk(mcap.parse(Chunk, content)))
         for opcode, inner in others:
             self._take_definition(opcode, inner)
         self._chunk_lost = self._index_awaited = False
@@ -151,11 +130,11 @@ class McapScan(Scan):
                 self.channels.setdefault(channel.channel_id, channel)
 
     def _take_definition(self, opcode: int, content: bytes) -> None:
-        if opcode == SCHEMA:
-            schema = parse(Schema, content)
-            self._schemas[schema.id] = (schema.name, schema.encoding, decoded(schema.data))
-        elif opcode == CHANNEL:
-            channel = parse(Channel, content)
+        if opcode == mcap.SCHEMA:
+            schema = mcap.parse(Schema, content)
+            self._schemas[schema.id] = (schema.name, schema.encoding, mcap.decoded(schema.data))
+        elif opcode == mcap.CHANNEL:
+            channel = mcap.parse(Channel, content)
             definition = ChannelDefinition(
                 channel.id,
                 channel.topic,
@@ -198,24 +177,24 @@ class McapScan(Scan):
 
     def _read_summary_definitions(self, file: BinaryIO) -> None:
         """Take schemas and channels from the end of a complete file, if there are any."""
-        tail = HEADER_SIZE + FOOTER_CONTENT + len(MAGIC)
+        tail = mcap.HEADER_SIZE + mcap.FOOTER_CONTENT + len(mcap.MAGIC)
         if self._size < tail:
             return
         file.seek(self._size - tail)
         footer = file.read(tail)
-        start = int.from_bytes(footer[HEADER_SIZE : HEADER_SIZE + 8], "little")
+        start = int.from_bytes(footer[mcap.HEADER_SIZE : mcap.HEADER_SIZE + 8], "little")
         end = self._size - tail
-        if not footer.endswith(MAGIC) or not 0 < start < end or end - start > MAX_RECORD:
+        if not footer.endswith(mcap.MAGIC) or not 0 < start < end or end - start > mcap.MAX_RECORD:
             return
         file.seek(start)
         summary = file.read(end - start)
         position = 0
-        while position + HEADER_SIZE <= len(summary):
-            opcode, length = record_header.unpack_from(summary, position)
-            position += HEADER_SIZE
+        while position + mcap.HEADER_SIZE <= len(summary):
+            opcode, length = mcap.record_header.unpack_from(summary, position)
+            position += mcap.HEADER_SIZE
             try:
                 self._take_definition(opcode, summary[position : position + length])
-            except DamagedRecord:
+            except mcap.DamagedRecord:
                 return
             position += length
 

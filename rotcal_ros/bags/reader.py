@@ -31,7 +31,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     if not path.exists():
         raise BagError(f"{path} does not exist; expected a bag folder or an .mcap or .db3 file")
     if path.is_file():
-        _scan_type(path)
+        scan_file(path)
         return (path,)
     for suffix in (".mcap", ".db3"):
         files = sorted((f for f in path.iterdir() if f.suffix == suffix), key=_order)
@@ -43,8 +43,11 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
 
 def scan_file(path: Path) -> Scan:
-    """Return a pass over the storage file ``path``."""
-    return _scan_type(path)(path)
+    """Return a pass over the storage file ``path``; raises BagError for any other file."""
+    kinds: dict[str, type[McapScan | SqliteScan]] = {".mcap": McapScan, ".db3": SqliteScan}
+    if path.suffix not in kinds:
+        raise BagError(f"{path} is no bag: expected a folder or a file ending in .mcap or .db3")
+    return kinds[path.suffix](path)
 
 
 def read_blocks(
@@ -89,13 +92,6 @@ def sha256_of(path: Path) -> str:
         while part := file.read(_HASH_BYTES):
             digest.update(part)
     return digest.hexdigest()
-
-
-def _scan_type(path: Path) -> type[McapScan | SqliteScan]:
-    kinds: dict[str, type[McapScan | SqliteScan]] = {".mcap": McapScan, ".db3": SqliteScan}
-    if path.suffix not in kinds:
-        raise BagError(f"{path} is no bag: expected a folder or a file ending in .mcap or .db3")
-    return kinds[path.suffix]
 
 
 def _order(path: Path) -> tuple[str, int]:

@@ -62,9 +62,9 @@ class Controller(ABC):
     def read(self, files: Mapping[str, str]) -> Rule:
         """Return what the control makes of ``files``; BagError when they are damaged."""
 
+    @abstractmethod
     def resolution(self, table: CompensationTable) -> float:
-        """Return the step (rad) of the values in the files of ``table``, here as of positions."""
-        return self.position_resolution
+        """Return the step (rad) of the values in the files of ``table``."""
 
     @property
     def travel(self) -> tuple[float, float]:

@@ -80,5 +80,9 @@ class Fagor(Controller):
         angles, up, down = np.array(rows, dtype=np.float64).reshape(-1, 3).T
         return PeriodicTable(name, angles, up, down if np.any(down) else up, -DEGREE)
 
+    def resolution(self, table: CompensationTable) -> float:
+        """Return the last decimal, in rad."""
+        return self.position_resolution
+
 
 CONTROLLER: Final = Fagor

@@ -113,10 +113,9 @@ def simulate(table: CompensationTable, controller: Controller, rule: Rule, grid:
     every turn that the file is made for, and moves by what the control makes of the file.
     """
     first, last = controller.travel if table.closed else (0.0, TURN)
-    turns = range(round(first / TURN), round(last / TURN)) if table.closed else range(1)
     truth = Correction(table)
     worst = 0.0
-    for turn in turns:
+    for turn in range(round(first / TURN), round(last / TURN)):
         for approach in DIRECTIONS:
             command = grid + turn * TURN
             correction = rule.correction(command, approach)

@@ -123,6 +123,10 @@ class Sinumerik(Controller):
         rows, up = columns["1"]
         return PeriodicTable(name, rows, up, columns["-1"][1], self._cec_sign * DEGREE)
 
+    def resolution(self, table: CompensationTable) -> float:
+        """Return the last decimal, in rad."""
+        return self.position_resolution
+
     @property
     def _cec_sign(self) -> float:
         return 1.0 if self.cec_adds else -1.0
