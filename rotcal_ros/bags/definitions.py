@@ -49,7 +49,10 @@ def collect_definition(type_name: str, share: ShareLookup) -> str:
             texts[name] = _own_text(name, share, type_name)
             waiting += _dependencies(texts[name], name.split("/", maxsplit=1)[0])
     own = texts.pop(type_name)
-    parts = [f"{_SEPARATOR}\nMSG: {_short(name)}\n{text}" for name, text in texts.items()]
+    parts = [
+        f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/', 1)}\n{text}"
+        for name, text in texts.items()
+    ]
     return "\n".join([own, *parts])
 
 
@@ -94,8 +97,3 @@ def _full(name: str, package: str) -> str:
         return "std_msgs/msg/Header"
     parts = name.split("/")
     return f"{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}"
-
-
-def _short(name: str) -> str:
-    package, _, short = name.split("/")
-    return f"{package}/{short}"

@@ -92,12 +92,7 @@ class _Copier:
         key = (channel.topic, channel.type_name, channel.definition)
         if key not in self._channels:
             self._channels[key] = self._writer.channel(
-                channel.topic,
-                channel.type_name,
-                channel.definition,
-                channel.type_hash,
-                channel.offered_qos,
-                encoding=channel.encoding,
+                *key, channel.type_hash, channel.offered_qos, encoding=channel.encoding
             )
         return self._channels[key]
 

@@ -76,7 +76,7 @@ class BagWriter:
         self.closed = False
         self._ros_distro = ros_distro
         self._channels: dict[int, ChannelDefinition] = {}
-        self._attachments: list[tuple[str, str, bytes, int]] = []
+        self._attachments: list[tuple[int, int, str, str, bytes]] = []
         self._notes: dict[str, dict[str, str]] = {}
         self._sequences: dict[int, int] = {}
         self._unsynced = 0
@@ -100,9 +100,10 @@ class BagWriter:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put ``data`` beside the messages, in this file and in every later one."""
-        attachment = (name, media_type, data, time.time_ns())
+        now_ns = time.time_ns()
+        attachment = (now_ns, now_ns, name, media_type, data)
         self._attachments.append(attachment)
-        self._guarded(lambda: self._attach(*attachment))
+        self._guarded(lambda: self._writer.add_attachment(*attachment))
         self._unsynced += 1
 
     def note(self, name: str, values: Mapping[str, object]) -> None:
@@ -232,16 +233,13 @@ class BagWriter:
         self._writer.start(profile="ros2", library=LIBRARY)
         self._write_metadata()
         for attachment in self._attachments:
-            self._attach(*attachment)
+            self._writer.add_attachment(*attachment)
         for name, values in self._notes.items():
             self._writer.add_metadata(name, values)
         for channel in self._channels.values():
             self._register(channel)
         self._undescribed.update(self._channels)
         self._sync()
-
-    def _attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
-        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
 
     def _register(self, channel: ChannelDefinition) -> int:
         key = (channel.type_name, channel.definition)
@@ -260,7 +258,8 @@ class BagWriter:
     def _describe(self) -> None:
         """Put new definitions beside the chunks, before the first message that needs them."""
         data = dump_definitions(self._undescribed.values())
-        self._attach(names.DEFINITIONS, "application/json", data, time.time_ns())
+        now_ns = time.time_ns()
+        self._writer.add_attachment(now_ns, now_ns, names.DEFINITIONS, "application/json", data)
         self._undescribed.clear()
 
     def _sync(self) -> None:

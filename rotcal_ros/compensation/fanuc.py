@@ -134,11 +134,9 @@ class Fanuc(Controller):
     def read(self, files: Mapping[str, str]) -> PitchTable:
         """Read parameters and slots back; BagError unless they obey the rule for rotary axes."""
         name, text = only_file(files, ".txt")
-        values: dict[int, str] = {}
         line = r"N(\d{5})(?:A\d+)?P(-?[\d.]+);|%"
-        for _, match in matches(name, text, line, "N10061P-3;"):
-            if match.group(1):
-                values[int(match.group(1))] = match.group(2)
+        found = matches(name, text, line, "N10061P-3;")
+        values = {int(match[1]): match[2] for _, match in found if match[1]}
         missing = [k for k in (3620, 3621, 3622, 3623, 3624, 3625) if k not in values]
         if missing:
             raise BagError(f"{name}: parameters {missing} are missing")

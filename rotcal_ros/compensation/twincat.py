@@ -1,8 +1,7 @@
 """Beckhoff TwinCAT CNC and ISG kernel: leadscrew compensation ``kw.ssfk.*`` in achskw*.lis.
 
 Whole numbers of 0.0001 degrees, actual - commanded, one column for each direction, linear,
-modulo. Sources: Beckhoff Information System TF5200, axis compensation parameters
-P-COMP-00017 .. 00025 and 00059; ISG kernel documentation.
+modulo. Sources: ``TwinCat.facts``, and the ISG kernel's documentation.
 """
 
 from __future__ import annotations
@@ -69,10 +68,8 @@ class TwinCat(Controller):
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read a compensation list; BagError unless it is one turn in units of 0.0001 deg."""
         name, text = only_file(files, ".lis")
-        values: dict[str, int] = {}
-        line = r"kw\.ssfk\.([\w\[\].]+)\s+(\S+)"
-        for where, match in matches(name, text, line, "kw.ssfk.unit 1"):
-            values[match.group(1)] = integer(match.group(2), where)
+        found = matches(name, text, r"kw\.ssfk\.([\w\[\].]+)\s+(\S+)", "kw.ssfk.unit 1")
+        values = {match[1]: integer(match[2], where) for where, match in found}
         n = values.get("kw_nr_max", 0)
         head = (values.get("unit"), values.get("modulo"), values.get("interval", 0) * n)
         if n < 2 or head != (1, 1, TURN_UNITS):
