@@ -84,12 +84,8 @@ def _own_text(name: str, share: ShareLookup, wanted_by: str) -> str:
 
 def _dependencies(text: str, package: str) -> list[str]:
     """Return the full names of the message types that the fields of ``text`` have."""
-    names = []
-    for line in text.splitlines():
-        match = _FIELD.match(line.split("#", maxsplit=1)[0].strip())
-        if match and match["type"] not in _BUILTIN:
-            names.append(_full(match["type"], package))
-    return names
+    found = (_FIELD.match(line.split("#", maxsplit=1)[0].strip()) for line in text.splitlines())
+    return [_full(m["type"], package) for m in found if m and m["type"] not in _BUILTIN]
 
 
 def _full(name: str, package: str) -> str:

@@ -62,10 +62,8 @@ class Fagor(Controller):
         axis = table.axis
         lines = [
             f"P{k:03d} {axis} {fixed(angle, DECIMALS)} "
-            f"E{axis} {fixed(up_error, DECIMALS)} E{axis} {fixed(down_error, DECIMALS)}"
-            for k, (angle, (up_error, down_error)) in enumerate(
-                zip(angles, errors, strict=True), 1
-            )
+            f"E{axis} {fixed(forward, DECIMALS)} E{axis} {fixed(reverse, DECIMALS)}"
+            for k, (angle, forward, reverse) in enumerate(np.column_stack([angles, errors]), 1)
         ]
         return {f"{stem}.txt": "\n".join(lines) + "\n"}
 

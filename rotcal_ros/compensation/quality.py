@@ -85,12 +85,8 @@ def residual_budget(
         written = averaged(rows)
         direction = SAMPLING * _largest(np.subtract(needed, goal))
     steepest = SAMPLING * _largest(np.gradient(np.array(needed), grid, axis=1))
-    lines = np.array(
-        [
-            _neighbours(written, column, grid, controller.staircase)
-            for column in (written.correction_forward, written.correction_reverse)
-        ]
-    )
+    columns = (written.correction_forward, written.correction_reverse)
+    lines = np.array([_neighbours(written, c, grid, controller.staircase) for c in columns])
     interpolation = SAMPLING * _largest(lines - np.array(goal)[:, None, :])
     rounding = controller.resolution(rows) / 2.0
     rounding += steepest * controller.position_resolution
