@@ -118,7 +118,8 @@ class LinuxCnc(Controller):
                 f"{name}: {lines} lines, of which LinuxCNC uses {len(loaded.nominal_deg)}; "
                 f"expected all; {'; '.join(loaded.messages) or 'a line is not three numbers'}"
             )
-        if not np.isfinite([loaded.nominal_deg, loaded.forward_deg, loaded.reverse_deg]).all():
+        columns = (loaded.nominal_deg, loaded.forward_deg, loaded.reverse_deg)
+        if not all(np.isfinite(column).all() for column in columns):
             raise BagError(f"{name}: a number is too large")
         return loaded
 
