@@ -42,6 +42,11 @@ class Block:
         start = self.start[index]
         return self.data[start : start + self.size[index]]
 
+    def counts(self) -> dict[int, int]:
+        """Return the number of messages by channel id."""
+        counts = np.bincount(self.headers["channel"])
+        return {number: int(counts[number]) for number in np.flatnonzero(counts).tolist()}
+
     def select(self, rows: Bools | Ints) -> Block:
         """Return the block of some of the messages, in the same order."""
         return Block(self.data, self.start[rows], self.size[rows], self.headers[rows])

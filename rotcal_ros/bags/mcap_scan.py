@@ -146,11 +146,10 @@ class McapScan(Scan):
 
     def _counted(self, block: Block) -> Iterator[Block]:
         """Count the messages and yield those of known channels."""
-        numbers = block.headers["channel"]
-        known = np.isin(numbers, list(self.channels))
-        if not known.all():
-            self._lost.update(numbers[~known].tolist())
-            block = block.select(known)
+        unknown = {n: count for n, count in block.counts().items() if n not in self.channels}
+        if unknown:
+            self._lost.update(unknown)
+            block = block.select(~np.isin(block.headers["channel"], list(unknown)))
         if len(block):
             self._count(block)
             yield block

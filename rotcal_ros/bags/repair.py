@@ -59,10 +59,7 @@ class _Copier:
         self._run: dict[str, str] = {}
 
     def copy(self, scan: Scan, block: Block) -> None:
-        numbers = {
-            number: self._channel(scan.channels[number])
-            for number in set(block.headers["channel"].tolist())
-        }
+        numbers = {number: self._channel(scan.channels[number]) for number in block.counts()}
         for row, (channel, sequence, log_time, publish_time) in enumerate(block.headers.tolist()):
             self._writer.write(
                 numbers[channel], block.payload(row), log_time, publish_time, sequence

@@ -41,7 +41,7 @@ class Scan(ABC):
 
     def _count(self, block: Block) -> None:
         """Count the messages of ``block`` and widen the span of log times."""
-        self._counts.update(block.headers["channel"].tolist())
+        self._counts.update(block.counts())
         times = block.headers["log_time"]
         start, end = int(times.min()), int(times.max())
         known = self._span or (start, end)
