@@ -54,8 +54,7 @@ class Spheres:
     @property
     def covariance(self) -> Floats:
         """Covariance (B, 3, 3) of the centres in m^2, from each ball's own scatter."""
-        scaled: Floats = self.std[:, None, None] ** 2 * self.unit_covariance
-        return scaled
+        return self.std[:, None, None] ** 2 * self.unit_covariance
 
 
 def fit_spheres(

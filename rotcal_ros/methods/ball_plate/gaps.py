@@ -69,8 +69,7 @@ def residual_operator(problem: BallPlateProblem, gaps: Ints) -> Callable[[Floats
         centres = nominal.copy()
         centres[measured] += observed
         start = solve_spectral(replace(complete, centres=centres)).residuals
-        left: Floats = start[measured] - moved @ (inverse @ start[gaps].ravel())
-        return left
+        return start[measured] - moved @ (inverse @ start[gaps].ravel())
 
     return residuals
 

@@ -201,8 +201,7 @@ def _to_constraints(problem: BallPlateProblem, invisible: Floats) -> Floats:
     """Return the projector (P, P) along the invisible directions onto the constraints."""
     constraints = model.constraint_matrix(problem)
     step = np.linalg.solve(constraints @ invisible, constraints)
-    projector: Floats = np.eye(len(invisible)) - invisible @ step
-    return projector
+    return np.eye(len(invisible)) - invisible @ step
 
 
 def _check(problem: BallPlateProblem) -> None:

@@ -95,8 +95,7 @@ class BallPlateProblem:
         """Measured minus nominal centres m - p_k, metres, (n, 3)."""
         angle = self.angles[self.cmm_index]
         nominal = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-        deviations: Floats = self.centres - self.radius * nominal
-        return deviations
+        return self.centres - self.radius * nominal
 
     def take(self, keep: Bools | Ints) -> BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
@@ -149,8 +148,7 @@ def select(
 
 def grid_angles(grid: int) -> Floats:
     """Return the angles 2 pi i / grid in radians, (grid,)."""
-    angles: Floats = 2.0 * np.pi * np.arange(grid) / grid
-    return angles
+    return 2.0 * np.pi * np.arange(grid) / grid
 
 
 def _check_constants(grid: int, radius: float, sigma: float | None) -> None:

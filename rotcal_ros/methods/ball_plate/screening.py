@@ -220,8 +220,7 @@ def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
 
 
 def _wrap(angle: Floats) -> Floats:
-    wrapped: Floats = (angle + np.pi) % (2.0 * np.pi) - np.pi
-    return wrapped
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def _mean_angle(angle: Floats) -> float:

@@ -154,8 +154,7 @@ def _turned_std(pairs: Complexes, along: Floats, turn: Complexes) -> Floats:
     variances[..., 0] = mean[:, None] + swing
     variances[..., 1] = mean[:, None] - swing
     variances[..., 2] = along[:, None]
-    deviations: Floats = np.sqrt(variances)
-    return deviations
+    return np.sqrt(variances)
 
 
 @dataclass(frozen=True)
