@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rotcal_ros.simulation.nominal import nominal_observations
 
 from rotcal_ros import catalogue
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.estimate import residual_operator
 from rotcal_ros.methods.ball_plate.model import Solution
@@ -88,7 +89,7 @@ def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
 
 def _motion_design(problem: BallPlateProblem) -> Floats:
     """Return (n, 3, 6): displacement of a centre per unit shift, and rotation times radius."""
-    turn = model.rotations(problem.angles)[problem.position]
+    turn = rotation_about_z(problem.angles)[problem.position]
     cross = model.cross_unit(problem.angles[problem.ball_step])
     return np.concatenate([turn, turn @ cross], axis=2)
 

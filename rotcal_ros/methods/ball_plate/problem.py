@@ -93,9 +93,7 @@ class BallPlateProblem:
     @cached_property
     def deviations(self) -> Floats:
         """Measured minus nominal centres m - p_k, metres, (n, 3)."""
-        angle = self.angles[self.cmm_index]
-        nominal = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-        return self.centres - self.radius * nominal
+        return self.centres - self.radius * on_circle(self.angles[self.cmm_index])
 
     def take(self, keep: Bools | Ints) -> BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
@@ -149,6 +147,11 @@ def select(
 def grid_angles(grid: int) -> Floats:
     """Return the angles 2 pi i / grid in radians, (grid,)."""
     return 2.0 * np.pi * np.arange(grid) / grid
+
+
+def on_circle(angle: Floats) -> Floats:
+    """Return the points (n, 3) of the unit circle at ``angle`` (n,), rad from +x."""
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
 
 
 def _check_constants(grid: int, radius: float, sigma: float | None) -> None:

@@ -88,12 +88,11 @@ class PlateSolution:
 
 def adjust(problem: BallPlateProblem) -> PlateSolution:
     """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
-    screened = screen(problem)
-    whole = screened.problem
+    whole, unusable = screen(problem)
     alone = Group(np.arange(whole.grid), 0.0, whole)
     groups = split(whole) if problem.separate_groups else (alone,)
     fits = tuple(fit_and_reject(group.problem) for group in groups)
-    rejected = screened.rejected + tuple(r for fit in fits for r in fit.rejected)
+    rejected = unusable + [r for fit in fits for r in fit.rejected]
     in_order = tuple(sorted(rejected, key=lambda r: r.index))
     return PlateSolution(problem, whole, groups, fits, _noise(problem, fits), in_order)
 

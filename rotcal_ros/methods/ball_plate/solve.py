@@ -8,6 +8,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COMPONENTS
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.rejection import Fitted
@@ -130,7 +131,7 @@ def _residuals(solution: PlateSolution) -> Residuals:
 def _all_residuals(group: Group, fit: Fitted) -> Floats:
     """Observed - computed (n, 3) of all rows of a group, used or not, in the group's frame."""
     problem, found = group.problem, fit.solution.estimate
-    turn = model.rotations(problem.angles)[problem.position]
+    turn = rotation_about_z(problem.angles)[problem.position]
     cross = problem.radius * model.cross_unit(problem.angles)[problem.cmm_index]
     cmm = np.zeros((problem.grid, 3))
     cmm[fit.problem.cmm_positions] = found.cmm

@@ -13,6 +13,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
@@ -59,7 +60,7 @@ def _group(problem: BallPlateProblem, first: int, count: int) -> Group:
     part = problem.take(rows)
     start = int(problem.balls[0] % count)  # ball steps are start + multiples of count
     turn = float(problem.angles[(first + start) % problem.grid])
-    back = model.rotations(np.array([-turn]))[0]
+    back = rotation_about_z(-turn)
     std = part.std
     if std is not None:  # x and y are mixed by the turn
         plane = np.sqrt(np.mean(std[:, :2] ** 2, axis=1))
@@ -78,7 +79,7 @@ def _group(problem: BallPlateProblem, first: int, count: int) -> Group:
 
 def turned_back(group: Group, vectors: Floats) -> Floats:
     """Bring vectors (n, 3) of the group's frame back to the frame of the whole."""
-    back: Floats = vectors @ model.rotations(np.array([group.turn]))[0].T
+    back: Floats = vectors @ rotation_about_z(group.turn).T
     return back
 
 
@@ -87,7 +88,7 @@ def turned_covariance(group: Group, solution: Solution, name: str) -> Floats:
     field, axis = model.TABLE_COMPONENTS[name]
     if group.turn == 0.0:
         return solution.unit_covariance(name, name)
-    weights = model.rotations(np.array([group.turn]))[0][axis]
+    weights = rotation_about_z(group.turn)[axis]
     names = [n for n, (f, _) in model.TABLE_COMPONENTS.items() if f == field]
     total = np.zeros((len(group.positions),) * 2)
     for first, weight in zip(names, weights, strict=True):
