@@ -124,7 +124,7 @@ def _corrected_std(
 def _table_covariance(
     start: Solution, responses: tuple[Parameters, ...], inverse: Floats, first: str, second: str
 ) -> Floats:
-    """Return the unit covariance of two components: that of complete data and what the gaps add."""
+    """Return the unit covariance of two components, with what the gaps add."""
     columns = np.stack([response.component(first) for response in responses], axis=1)
     others = np.stack([response.component(second) for response in responses], axis=1)
     added: Floats = columns @ inverse @ others.T
@@ -132,6 +132,6 @@ def _table_covariance(
 
 
 def _cofactor(start: Solution, measured: Ints, moved: Floats, inverse: Floats) -> Floats:
-    """Return the unit covariance of the residuals: that of complete data less what the gaps take."""
+    """Return the unit covariance of the residuals, less what the gaps take."""
     taken: Floats = moved @ inverse @ moved.swapaxes(1, 2)
     return start.cofactor()[measured] - taken

@@ -106,7 +106,8 @@ def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
     starts = np.arange(1, len(later))
     share = information[starts] @ np.linalg.pinv(total)
     spread = information[starts] @ (np.eye(6) - share.swapaxes(1, 2)) + 1e-9 * total
-    bound = np.einsum("nj,nj->n", later[starts], _solve(spread, later[starts]))
+    amount = np.linalg.solve(spread, later[starts][:, :, None])[:, :, 0]
+    bound = np.einsum("nj,nj->n", later[starts], amount)
     chosen: list[int] = []
     for index in np.argsort(-bound, kind="stable"):
         if all(abs(int(starts[index]) - other) > 0.01 * len(later) for other in chosen):
@@ -114,11 +115,6 @@ def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
         if len(chosen) == CANDIDATES:
             break
     return chosen
-
-
-def _solve(matrices: Floats, vectors: Floats) -> Floats:
-    solved = np.linalg.solve(matrices, vectors[:, :, None])[:, :, 0]
-    return np.asarray(solved, dtype=np.float64)
 
 
 def _fit_motion(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.geometry.rotations import wrap_angle
 
 
@@ -73,6 +73,22 @@ def two_axis_response(azimuth: Floats) -> tuple[Floats, Floats]:
 def azimuth_response(azimuth: Floats, tan_beta: float) -> Floats:
     """Return the change (m, 2) of the azimuths per tilt of the axis along e1 and e2."""
     return tan_beta * np.column_stack([np.sin(azimuth), -np.cos(azimuth)])
+
+
+def circle_columns(azimuth: Floats) -> Floats:
+    """Return (m, 3): how centre and radius of a circle move its points radially.
+
+    The same columns say how two tilts and the height of its plane move them axially.
+    """
+    return np.column_stack([np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)])
+
+
+def circle_design(azimuth: Floats, circle: Ints) -> Floats:
+    """Return (m, 3 K): the columns of K circles; point i is on the one with number circle[i]."""
+    design = np.zeros((len(azimuth), 3 * (int(circle.max()) + 1)))
+    rows = np.arange(len(azimuth))[:, None]
+    design[rows, 3 * circle[:, None] + np.arange(3)] = circle_columns(azimuth)
+    return design
 
 
 def deviation(azimuth: Floats, commanded: Floats) -> Floats:

@@ -37,9 +37,13 @@ class Prepared(ABC):
     problem: PlaneMirrorProblem
     angles: Floats
     nests: Nests
-    nest_weight: Floats
     poses: Poses
     joining: Floats
+
+    @property
+    def nest_weight(self) -> Floats:
+        """Inverse covariances (Q, 3, 3) of the nests, along the axes of each station."""
+        return self.problem.noise.weight(self.problem.xyz[self.nests.row])
 
     @abstractmethod
     def estimate(self, points: Floats) -> Floats:

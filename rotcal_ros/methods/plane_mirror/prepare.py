@@ -25,10 +25,9 @@ from rotcal_ros.methods.plane_mirror.layout import (
 )
 from rotcal_ros.methods.plane_mirror.nest_tests import register
 from rotcal_ros.methods.plane_mirror.normals import fit_normals, pair_weights
-from rotcal_ros.methods.plane_mirror.offsets import joining_map
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import Poses
-from rotcal_ros.methods.plane_mirror.stitching import require_cone, require_overlap
+from rotcal_ros.methods.plane_mirror.stitching import joining_map, require_cone, require_overlap
 from rotcal_ros.results import Rejection
 
 
@@ -74,7 +73,6 @@ def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
         problem=problem,
         angles=angles,
         nests=nests,
-        nest_weight=problem.noise.weight(problem.xyz[nests.row]),
         poses=poses,
         joining=joining,
         pairs=pairs,
@@ -95,15 +93,13 @@ def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
     angles = problem.angles[used]
     placed = poses.placed(problem.xyz[reflectors.row], reflectors.station)
     variance = np.zeros(len(placed))
-    for reflector in range(len(reflectors.name)):
-        at = np.flatnonzero(reflectors.reflector == reflector)
-        variance[at] = 1.0 / fit_circle(placed[at], angles[reflectors.position[at]])[2] ** 2
+    for at, commanded in reflectors.circles(angles):
+        variance[at] = 1.0 / fit_circle(placed[at], commanded)[2] ** 2
     joining = joining_map(reflectors.position, reflectors.reflector, variance, len(angles))
     prepared = PreparedPoints(
         problem=problem,
         angles=angles,
         nests=nests,
-        nest_weight=problem.noise.weight(problem.xyz[nests.row]),
         poses=poses,
         joining=joining,
         reflectors=reflectors,

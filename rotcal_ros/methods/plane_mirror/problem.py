@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
@@ -38,22 +38,12 @@ class TrackerNoise:
     mirror_slope_std: float = _DEFAULTS.mirror_slope_std_arcsec * ARCSEC
 
     def __post_init__(self) -> None:
-        values = (
-            self.range_std,
-            self.range_std_per_metre,
-            self.transverse_std,
-            self.transverse_std_per_metre,
-            self.mirror_slope_std,
-        )
+        values = astuple(self)
         if not all(np.isfinite(v) and v >= 0.0 for v in values):
             raise DataError(f"tracker noise must be finite and not negative, found {values}")
-        if (
-            min(
-                self.range_std + self.range_std_per_metre,
-                self.transverse_std + self.transverse_std_per_metre,
-            )
-            <= 0.0
-        ):
+        along = self.range_std + self.range_std_per_metre
+        across = self.transverse_std + self.transverse_std_per_metre
+        if min(along, across) <= 0.0:
             raise DataError("tracker noise along and across the beam must be above zero")
 
     def covariance(self, points: Floats) -> Floats:

@@ -47,10 +47,6 @@ class Grid:
     target_std: Floats
     free: bool
 
-    def missing_of(self, count: int) -> tuple[int, ...]:
-        """Return which of ``count`` positions have no station."""
-        return tuple(np.setdiff1d(np.arange(count), self.position_ids).tolist())
-
     @property
     def weights(self) -> Floats:
         """Weights (m, n) of the lengths alone, 1/m^2; zero where unused."""
