@@ -190,11 +190,6 @@ def _fitted(system: Harmonics, table: Complexes) -> Complexes:
     return fitted
 
 
-def centred_design(system: Harmonics) -> Complexes:
-    """Return the table's design (2, Q, R, 2, 3) at the CMM, its mean over the balls taken off."""
-    return design(system.phase) - system.mean[:, :, None]
-
-
 def cmm_covariance(system: Harmonics) -> tuple[Complexes, Floats]:
     """Return the unit covariance of the CMM's unknowns at lag 0, (2, 2, 2), and of the pose.
 

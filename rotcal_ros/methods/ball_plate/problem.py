@@ -95,6 +95,13 @@ class BallPlateProblem:
         """Measured minus nominal centres m - p_k, metres, (n, 3)."""
         return self.centres - self.radius * on_circle(self.angles[self.cmm_index])
 
+    def row_name(self, r: int | np.integer) -> str:
+        """Return what a row is, for messages."""
+        return (
+            f"row {self.rows[r]} (ball step {self.ball_step[r]}, table position "
+            f"{self.position[r]})"
+        )
+
     def take(self, keep: Bools | Ints) -> BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
         return replace(

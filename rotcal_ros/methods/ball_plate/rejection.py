@@ -95,8 +95,7 @@ def _solve(problem: BallPlateProblem) -> Solution:
 def _reason(problem: BallPlateProblem, residual: Floats, test: CentreTest, r: int) -> str:
     size = float(np.linalg.norm(residual)) / 1e-6
     return (
-        f"row {problem.rows[r]} (ball step {problem.ball_step[r]}, table position "
-        f"{problem.position[r]}): residual {size:.3g} um, normalised {test.value[r]:.1f} where "
+        f"{problem.row_name(r)}: residual {size:.3g} um, normalised {test.value[r]:.1f} where "
         f"{test.critical[r]:.1f} is the limit"
     )
 

@@ -38,7 +38,7 @@ def screen(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]
     """
     finite: Bools = np.all(np.isfinite(problem.centres), axis=1)
     rejected = [
-        Rejection(int(problem.rows[r]), f"{_where(problem, r)}: the centre is not finite")
+        Rejection(int(problem.rows[r]), f"{problem.row_name(r)}: the centre is not finite")
         for r in np.flatnonzero(~finite)
     ]
     if not finite.any():
@@ -48,18 +48,11 @@ def screen(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]
     for step in (_displaced, _off_height, _doubled):
         bad, reasons = step(problem)
         rejected += [
-            Rejection(int(problem.rows[r]), f"{_where(problem, r)}: {why}")
+            Rejection(int(problem.rows[r]), f"{problem.row_name(r)}: {why}")
             for r, why in zip(bad, reasons, strict=True)
         ]
         problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), bad))
     return problem, rejected
-
-
-def _where(problem: BallPlateProblem, r: int | np.integer) -> str:
-    return (
-        f"row {problem.rows[r]} (ball step {problem.ball_step[r]}, "
-        f"table position {problem.position[r]})"
-    )
 
 
 def _check_circle(problem: BallPlateProblem) -> None:

@@ -13,8 +13,7 @@ from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.rejection import Fitted
 from rotcal_ros.methods.ball_plate.separability import separability
-from rotcal_ros.methods.ball_plate.solution import Noise, PlateSolution, adjust
-from rotcal_ros.methods.ball_plate.two_groups import Group, offset_warning, turned_back
+from rotcal_ros.methods.ball_plate.solution import Group, Noise, PlateSolution, adjust, turned_back
 from rotcal_ros.results import Residuals, Result, Verdict
 from rotcal_ros.units import MICROMETRE, MICRORADIAN
 
@@ -64,7 +63,11 @@ def _warnings(solution: PlateSolution) -> tuple[str, ...]:
     n_rejected, n_centres = len(solution.rejected), len(solution.problem.centres)
     warnings = []
     if len(fits) > 1:
-        warnings.append(offset_warning(len(fits)))
+        names = f"{len(fits)} groups of" if len(fits) > 2 else "odd and even"
+        warnings.append(
+            f"The offset between the {names} table positions is not measured: each group has its "
+            "own zero."
+        )
     for fit in fits:
         if fit.knock is not None:
             warnings.append(fit.knock.sentence())

@@ -12,7 +12,6 @@ import numpy as np
 
 from rotcal_ros.arrays import Complexes, Floats, Ints
 from rotcal_ros.components import ROTATIONS
-from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import harmonics, model
 from rotcal_ros.methods.ball_plate.harmonics import AXIS, PLANE, Harmonics
@@ -23,15 +22,9 @@ from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 def solve_spectral(problem: BallPlateProblem) -> Solution:
     """Solve a complete measurement with equal weights; the same answer as Eq. 20 and 21.
 
-    Raises ObservabilityError when centres are missing, doubled or unequally weighted (the
-    general solution takes those) and when the balls do not separate all harmonics.
+    For ``problem.complete`` without ``std`` only; the general solution takes all others. Raises
+    ObservabilityError when the balls do not separate all harmonics.
     """
-    if not problem.complete or problem.std is not None:
-        raise ObservabilityError(
-            "the spectral solution needs every ball once at every table position, with equal "
-            f"weights; found {len(problem.centres)} centres of {len(problem.balls)} balls on "
-            f"a grid of {problem.grid}"
-        )
     system = harmonics.factor(problem.grid, problem.balls)
     turn = np.exp(1j * problem.angles)
     spectrum, mean = harmonics.to_harmonics(_in_table_frame(problem, turn))
@@ -164,7 +157,8 @@ def _residual_cofactor(cmm_index: Ints, system: Harmonics) -> Floats:
     In the turning frame one per ball holds everywhere.
     """
     n_balls = len(system.balls)
-    rows = harmonics.centred_design(system)
+    # the design at the CMM, its mean over the balls taken off
+    rows = harmonics.design(system.phase) - system.mean[:, :, None]
     fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
     kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
     lag = harmonics.zero_lag(kept, system.grid)
