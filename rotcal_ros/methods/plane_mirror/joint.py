@@ -24,11 +24,7 @@ from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.layout import Nests, Pairs
 from rotcal_ros.methods.plane_mirror.normals import Normals
-from rotcal_ros.methods.plane_mirror.registration import (
-    Poses,
-    nest_equations,
-    station_columns,
-)
+from rotcal_ros.methods.plane_mirror.registration import Poses, nest_equations, station_columns
 
 _MAX_STEPS: Final = 30  # the start is near: what has not settled then never will
 _TOLERANCE: Final = 1e-13  # change (rad, m) that is rounding

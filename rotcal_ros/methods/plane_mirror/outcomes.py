@@ -11,11 +11,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror import cone, joint, stitching
 from rotcal_ros.methods.plane_mirror import uncertainty as unc
-from rotcal_ros.methods.plane_mirror.direct import (
-    direct_readings,
-    direct_response,
-    local_axes,
-)
+from rotcal_ros.methods.plane_mirror.direct import direct_readings, direct_response, local_axes
 from rotcal_ros.methods.plane_mirror.estimate import (
     Prepared,
     PreparedJoint,

@@ -17,12 +17,7 @@ from rotcal_ros.methods.plane_mirror.estimate import (
     PreparedWay,
 )
 from rotcal_ros.methods.plane_mirror.joint import adjust_joint, start_mirror
-from rotcal_ros.methods.plane_mirror.layout import (
-    Nests,
-    find_nests,
-    find_pairs,
-    find_reflectors,
-)
+from rotcal_ros.methods.plane_mirror.layout import Nests, find_nests, find_pairs, find_reflectors
 from rotcal_ros.methods.plane_mirror.nest_tests import register
 from rotcal_ros.methods.plane_mirror.normals import fit_normals, pair_weights
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem

@@ -50,7 +50,7 @@ class Grid:
     @property
     def weights(self) -> Floats:
         """Weights (m, n) of the lengths alone, 1/m^2; zero where unused."""
-        return np.asarray(self.used / self.length_std**2, dtype=np.float64)
+        return self.used / self.length_std**2
 
 
 def arrange(problem: TracerProblem) -> tuple[Grid, dict[int, str], dict[int, str]]:

@@ -10,11 +10,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer import joint, station
-from rotcal_ros.methods.tracer.adjustment import (
-    MINIMAL_REDUNDANCY,
-    Adjustment,
-    StationCovariance,
-)
+from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY, Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion, table_motion
 from rotcal_ros.methods.tracer.grid import Grid, arrange
 from rotcal_ros.methods.tracer.observability import check_counts, check_station_spread
