@@ -12,7 +12,10 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror import cone, joint, stitching
 from rotcal_ros.methods.plane_mirror import uncertainty as unc
 from rotcal_ros.methods.plane_mirror.direct import direct_readings, direct_response, local_axes
-from rotcal_ros.methods.plane_mirror.estimate import (
+from rotcal_ros.methods.plane_mirror.layout import Pairs
+from rotcal_ros.methods.plane_mirror.nest_tests import NestFit, nest_fit
+from rotcal_ros.methods.plane_mirror.normals import Normals, condition_jacobian, tangent_basis
+from rotcal_ros.methods.plane_mirror.prepare import (
     Prepared,
     PreparedJoint,
     PreparedNormals,
@@ -20,9 +23,6 @@ from rotcal_ros.methods.plane_mirror.estimate import (
     PreparedWay,
     registered_readings,
 )
-from rotcal_ros.methods.plane_mirror.layout import Pairs
-from rotcal_ros.methods.plane_mirror.nest_tests import NestFit, nest_fit
-from rotcal_ros.methods.plane_mirror.normals import Normals, condition_jacobian, tangent_basis
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import nest_equations
 from rotcal_ros.methods.plane_mirror.settings import STITCHING

@@ -9,9 +9,13 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.plane_mirror.cone import fit_cone
-from rotcal_ros.methods.plane_mirror.estimate import PreparedNormals, PreparedPoints, PreparedWay
 from rotcal_ros.methods.plane_mirror.normals import image_response, tangent_frame
-from rotcal_ros.methods.plane_mirror.prepare import prepare
+from rotcal_ros.methods.plane_mirror.prepare import (
+    PreparedNormals,
+    PreparedPoints,
+    PreparedWay,
+    prepare,
+)
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.stitching import station_cones
 
