@@ -2,11 +2,12 @@
 
 import re
 from pathlib import Path
+from runpy import run_path
 
 from setuptools import find_packages, setup
 
 NAME = "rotcal_ros"
-NODES = ["planner", "capture", "solver", "recorder", "bridge", "linuxcnc_driver", "simulated_cell"]
+NODES = run_path(str(Path(NAME, "node_names.py")))["EXECUTABLES"]
 METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",

@@ -4,15 +4,19 @@ The trials of the plane mirror are measured in bench_plane_mirror.py. Both sides
 numbers; the best time of each counts.
 """
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from racing import Row
 
-from rotcal_ros.evaluation import one_table
 from rotcal_ros.methods import ball_plate, tracer
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "evaluation"))
+import one_table
 
 TRIALS, LOOPS = 1000, 20
 BALLS = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)

@@ -7,7 +7,8 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-SUITE = ("planner", "capture", "solver", "recorder")
+from rotcal_ros.node_names import FURTHER_NODES, NODES
+
 CLOSING_S = "25"
 
 
@@ -47,7 +48,7 @@ def generate_launch_description():
                 description="Simulate the machine and the instruments.",
                 choices=["true", "false"],
             ),
-            *(node(name) for name in SUITE),
-            node("simulated_cell", condition=simulated),
+            *(node(name) for name in NODES),
+            node(FURTHER_NODES["simulation"], condition=simulated),
         ]
     )

@@ -16,10 +16,13 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import DataError
 from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
+RUNS: Final = "runs"
+"""Where a file has the repeated runs: among the details."""
 
 Verdict = Literal["ok", "suspect", "failed"]
 
@@ -36,7 +39,8 @@ class Rejection:
 class Residuals:
     """One row per observation, used or not; all arrays have shape (n,).
 
-    ``residual`` is observed - computed in metres, ``redundancy`` lies in [0, 1] and
+    ``residual`` is observed - computed in the unit of the observations, metres for all built-in
+    methods; ``redundancy`` lies in [0, 1] and
     ``test_value`` is the normalised residual (dimensionless). Rows that were not used keep
     their residual against the final solution and have ``used`` False.
     """
@@ -49,6 +53,20 @@ class Residuals:
     used: Bools
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class RepeatedRuns:
+    """Deviations of every arrival at ``targets`` (m,) rad in n runs, in radians.
+
+    ``forward`` and ``reverse`` (m, n) are None for a direction without arrivals and NaN where one
+    is missing. ``repeatability_std`` is the scatter that the measurement does not explain.
+    """
+
+    targets: Floats
+    forward: Floats | None
+    reverse: Floats | None
+    repeatability_std: float | None = None
+
+
 @dataclass(frozen=True)
 class Result:
     """Deviations of a rotary table with their uncertainties, and how far to trust them.
@@ -57,6 +75,7 @@ class Result:
     230-1 names to (n,) arrays, ``covariance`` to (n, n) arrays. ``adjacent_deviations`` (n - 1,)
     are the deviations of the steps between neighbouring angles, in radians. ``sigma0`` is
     the a posteriori standard deviation of unit weight; 1 means that the stated noise fits.
+    ``details`` are for people: nothing but the figures of a method reads them.
     """
 
     method: str
@@ -74,6 +93,20 @@ class Result:
     adjacent_std: Floats | None = None
     residuals: Residuals | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+    runs: RepeatedRuns | None = None
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the deviations that were measured, in the order of COMPONENTS."""
+        return tuple(name for name in COMPONENTS if name in self.deviations)
+
+    @property
+    def all_details(self) -> Mapping[str, Any]:
+        """The details with the repeated runs among them, as a file has them."""
+        if self.runs is None:
+            return self.details
+        runs = {name: getattr(self.runs, name) for name in RepeatedRuns.__slots__}
+        return {**self.details, RUNS: {n: value for n, value in runs.items() if value is not None}}
 
     def __post_init__(self) -> None:
         """Refuse deviations and uncertainties that are no numbers, or not one per angle.
@@ -106,7 +139,7 @@ class Result:
             "rejected": [{"index": r.index, "why": r.why} for r in self.rejected],
             "verdict": self.verdict,
             "warnings": list(self.warnings),
-            "details": self.details,
+            "details": self.all_details,
         }
         if self.residuals is not None:
             data["residuals"] = {
@@ -139,6 +172,7 @@ class Result:
         if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
             raise DataError(f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry")
         try:
+            runs = _runs(data.get("details"))
             return cls(
                 method=data["method"],
                 angles=_floats(data["angles_rad"]),
@@ -154,11 +188,12 @@ class Result:
                 adjacent_deviations=_optional(data.get("adjacent_deviations_rad")),
                 adjacent_std=_optional(data.get("adjacent_std_rad")),
                 residuals=_residuals(data.get("residuals")),
-                details=data["details"],
+                details={k: v for k, v in data["details"].items() if not (runs and k == RUNS)},
+                runs=runs,
             )
         except KeyError as error:
             raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
-        except (TypeError, ValueError) as error:
+        except (AttributeError, TypeError, ValueError) as error:
             raise DataError(f"damaged rotcal result: {error}") from error
 
 
@@ -203,6 +238,18 @@ def _optional(values: Any) -> Floats | None:
 
 def _float_map(values: Mapping[str, Any]) -> dict[str, Floats]:
     return {name: _floats(column) for name, column in values.items()}
+
+
+def _runs(details: Any) -> RepeatedRuns | None:
+    data = details.get(RUNS) if isinstance(details, Mapping) else None
+    if not isinstance(data, Mapping) or "targets" not in data:
+        return None
+    return RepeatedRuns(
+        targets=_floats(data["targets"]),
+        forward=_optional(data.get("forward")),
+        reverse=_optional(data.get("reverse")),
+        repeatability_std=data.get("repeatability_std"),
+    )
 
 
 def _residuals(data: Mapping[str, Any] | None) -> Residuals | None:

@@ -36,8 +36,8 @@ class Row:
             raise DataError(f"{self.place}: {name} must be a whole number from 0, found {text!r}")
         return int(text)
 
-    def metres(self, name: str) -> float:
-        """Return a cell as a finite number of metres of plausible size."""
+    def number(self, name: str) -> float:
+        """Return a cell as a finite number."""
         text = self.cells[name]
         try:
             value = float(text)
@@ -45,6 +45,11 @@ class Row:
             value = float("nan")
         if not isfinite(value):
             raise DataError(f"{self.place}: {name} must be a finite number, found {text!r}")
+        return value
+
+    def metres(self, name: str) -> float:
+        """Return a cell as a finite number of metres of plausible size."""
+        value = self.number(name)
         if abs(value) > _FARTHEST:
             raise DataError(
                 f"{self.place}: {name} is {value:g} m, more than {_FARTHEST:g} m; are these "

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 import click
 
-from rotcal_ros.cli.console import json_option, print_json, progress_bar, say
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.report.terminal.console import progress, say
 
 BAD = 1
 
@@ -21,14 +20,14 @@ def command() -> None:
 
 
 @command.command()
-@click.argument("bag", type=click.Path(path_type=Path))
+@click.argument("bag", type=path_type)
 @json_option
 def info(bag: Path, as_json: bool) -> int:
     """Tell what is in BAG: files, topics, attachments, configuration."""
     from rotcal_ros.recordings.summary import describe
 
-    with _progress("reading") as progress:
-        summary = describe(bag, progress)
+    with progress("reading") as shown:
+        summary = describe(bag, shown)
     if as_json:
         print_json(summary.to_dict())
     else:
@@ -38,7 +37,7 @@ def info(bag: Path, as_json: bool) -> int:
 
 
 @command.command()
-@click.argument("bag", type=click.Path(path_type=Path))
+@click.argument("bag", type=path_type)
 @json_option
 def check(bag: Path, as_json: bool) -> int:
     """Read BAG to its end and say for each file: complete, truncated or damaged.
@@ -47,8 +46,8 @@ def check(bag: Path, as_json: bool) -> int:
     """
     from rotcal_ros.bags.reader import bag_files, check_files
 
-    with _progress("checking") as progress:
-        verdicts = check_files(bag_files(bag), progress)
+    with progress("checking") as shown:
+        verdicts = check_files(bag_files(bag), shown)
     if as_json:
         print_json({"files": [verdict.to_dict() for verdict in verdicts]})
     else:
@@ -61,11 +60,11 @@ def check(bag: Path, as_json: bool) -> int:
 
 
 @command.command()
-@click.argument("bag", type=click.Path(path_type=Path))
+@click.argument("bag", type=path_type)
 @click.option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path),
+    type=path_type,
     help="New folder for the sound bag; default: BAG's name with _repaired.",
 )
 @json_option
@@ -74,8 +73,8 @@ def repair(bag: Path, output: Path | None, as_json: bool) -> int:
     from rotcal_ros.bags.repair import repair as repair_bag
 
     folder = output or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_repaired")
-    with _progress("repairing") as progress:
-        outcome = repair_bag(bag, folder, progress)
+    with progress("repairing") as shown:
+        outcome = repair_bag(bag, folder, shown)
     if as_json:
         print_json(
             {
@@ -90,14 +89,6 @@ def repair(bag: Path, output: Path | None, as_json: bool) -> int:
         saved = sum(verdict.messages for verdict in outcome.after)
         click.echo(f"{saved} messages saved in {folder.absolute()}")
     return 0
-
-
-@contextmanager
-def _progress(what: str) -> Iterator[Any]:
-    """Show a progress bar and yield the function (done, total) that moves it."""
-    with progress_bar() as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _print_files(summary: dict[str, Any]) -> None:

@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.cli.console import json_option, print_json, say
+from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.components import COMPONENTS
-from rotcal_ros.recordings.sources import read_curve, read_text
+from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
     from rotcal_ros.curves.measured import MeasuredCurve
     from rotcal_ros.evaluation.compare import Comparison
-
-path_type = click.Path(path_type=Path)
 
 
 @click.command(
@@ -71,7 +69,7 @@ def command(
     if as_json:
         print_json(_plain(comparisons, component))
     else:
-        from rotcal_ros.report.terminal.comparison import print_comparisons
+        from rotcal_ros.report.terminal.tables import print_comparisons
 
         print_comparisons(comparisons, component)
     if output is not None:
@@ -83,6 +81,7 @@ def _read(
     sources: tuple[Path, ...], polygon: Path | None, component: str
 ) -> dict[str, MeasuredCurve]:
     from rotcal_ros.evaluation.reference import read_reference
+    from rotcal_ros.recordings.sources import read_curve, read_text
 
     faces = None if polygon is None else read_reference(read_text(polygon), str(polygon))
     if faces is not None and not any(source.suffix == ".csv" for source in sources):

@@ -3,37 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import datetime, timezone
-from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from rotcal_ros.cli.console import json_option, print_json, say
-from rotcal_ros.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.report.terminal.console import say
+from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
     from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
-    from rotcal_ros.results import Result
+    from rotcal_ros.recordings.sources import Source
 
 VOLUMETRIC: Final = "volumetric"
 """Not a controller: all deviations that were measured, as CSV and JSON."""
 DEFAULT_AXIS: Final = "C"
-
-path_type = click.Path(path_type=Path)
-
-
-@dataclass(frozen=True)
-class Source:
-    """A result, where it comes from (name -> SHA-256), and the axis that was measured."""
-
-    result: Result
-    sha256: Mapping[str, str]
-    axis: str | None
 
 
 @click.command(
@@ -76,24 +64,22 @@ def command(
     The files are read back and applied by the controller's own rule before they are written,
     all or none, and nothing is ever overwritten. Only the verdict ok may be fed.
     """
+    from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.options import parse_options, parse_revolutions
     from rotcal_ros.compensation.writing import write_files
-    from rotcal_ros.units import DEGREE
 
     settings = parse_options(options)
     if revolutions is not None:
         settings |= parse_revolutions(revolutions)
-    forward = read_source(source)
-    backward = None if reverse is None else read_source(reverse)
+    forward = _read(source)
+    backward = None if reverse is None else _read(reverse)
     measured = forward.axis or axis or DEFAULT_AXIS
     sources = {**forward.sha256, **(backward.sha256 if backward else {})}
     if controller == VOLUMETRIC:
         _write_volumetric(forward, axis or measured, name, out, as_json)
         return 0
     table = _table(forward, backward, measured, harmonics, spacing)
-    from rotcal_ros.compensation.export import prepare_export
-
-    made = prepare_export(
+    export = prepare_export(
         table,
         controller,
         now=datetime.now(timezone.utc),
@@ -105,44 +91,27 @@ def command(
         accept_unverified=accept_unverified,
         sources=sources,
     )
-    paths = write_files(made.files, out)
+    paths = write_files(export.files, out)
     if as_json:
-        print_json(outcome(made, paths))
+        print_json(_facts(export, paths))
     else:
-        _tell(made, paths)
+        _print(export, paths)
     return 0
 
 
-def read_source(path: Path) -> Source:
-    """Return the result in a JSON file, or the solution of a bag.
+def _read(path: Path) -> Source:
+    """Read a result or a bag; show what the reader of a bag must know."""
+    from rotcal_ros.recordings.sources import read_source
 
-    Raises BagError when it cannot be read, DataError when the file holds no result.
-    """
-    from rotcal_ros.results import Result
-
-    if path.suffix == ".json":
-        try:
-            data = path.read_bytes()
-            result = Result.from_dict(json.loads(data))
-        except OSError as error:
-            raise BagError(f"cannot read {path}: {error.strerror}") from error
-        except ValueError as error:
-            raise BagError(f"{path} is not JSON: {error}") from error
-        except DataError as error:
-            raise DataError(f"{path}: {error}") from error
-        return Source(result, {path.name: sha256(data).hexdigest()}, None)
-    from rotcal_ros.recordings.replay import read_recording
-
-    recording = read_recording(path)
-    for warning in recording.warnings():
+    source = read_source(path)
+    for warning in source.warnings:
         say(f"warning: {warning}")
-    axis = recording.calibration.configuration.cell.axis
-    return Source(recording.solve(), recording.sha256, axis)
+    return source
 
 
-def outcome(made: ExportFiles, paths: tuple[Path, ...]) -> dict[str, Any]:
+def _facts(export: ExportFiles, paths: tuple[Path, ...]) -> dict[str, Any]:
     """Return what was written, in the form of ``--json``."""
-    side = next(text for name, text in made.files.items() if name.endswith(".provenance.json"))
+    side = next(text for name, text in export.files.items() if name.endswith(".provenance.json"))
     facts: dict[str, Any] = json.loads(side)
     return {"files": [str(path.absolute()) for path in paths], "provenance": facts}
 
@@ -156,7 +125,6 @@ def _table(
 ) -> CompensationTable:
     """Return the correction table at the measured angles, or on rows of a harmonic fit."""
     from rotcal_ros.compensation.table import table_from_result
-    from rotcal_ros.units import DEGREE
 
     if backward is not None and backward.axis not in (None, axis):
         raise ConfigurationError(
@@ -186,9 +154,9 @@ def _write_volumetric(
         click.echo(path.absolute())
 
 
-def _tell(made: ExportFiles, paths: tuple[Path, ...]) -> None:
+def _print(export: ExportFiles, paths: tuple[Path, ...]) -> None:
     for path in paths:
         click.echo(path.absolute())
-    say(made.residual.in_words())
-    for warning in made.warnings:
+    say(export.residual.in_words())
+    for warning in export.warnings:
         say(f"warning: {warning}")

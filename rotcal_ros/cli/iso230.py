@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.cli.console import json_option, print_json, say
-from rotcal_ros.recordings.sources import read_result, read_text
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
-
-path_type = click.Path(path_type=Path)
 
 
 @click.command("iso230", short_help="Evaluate repeated bidirectional runs after ISO 230-2.")
@@ -37,7 +35,7 @@ def command(source: Path, output: Path | None, as_json: bool) -> int:
     if as_json:
         print_json(figures.to_dict())
     else:
-        from rotcal_ros.report.terminal.iso230 import print_iso230
+        from rotcal_ros.report.terminal.tables import print_iso230
 
         print_iso230(figures, runs.forward.shape[1])
     if output is not None:
@@ -47,6 +45,7 @@ def command(source: Path, output: Path | None, as_json: bool) -> int:
 
 def _read(source: Path) -> BidirectionalRuns:
     from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
+    from rotcal_ros.recordings.sources import read_result, read_text
 
     if source.suffix == ".csv":
         return read_runs(read_text(source), str(source))

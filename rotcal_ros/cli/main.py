@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Final
@@ -9,9 +10,9 @@ from typing import Final
 import click
 
 from rotcal_ros import __version__
+from rotcal_ros.cli.console import INTERRUPTED
 from rotcal_ros.errors import RotcalError
 
-INTERRUPTED: Final = 130
 UNREADABLE: Final = 2
 
 VERBS: Final[Mapping[str, str]] = {
@@ -42,6 +43,7 @@ class LazyGroup(click.Group):
         """Import ``rotcal_ros.cli.<name>`` and return its ``command``; None if unknown."""
         if name not in VERBS:
             return None
+        _compute_in_one_thread()
         command: click.Command = import_module(f"rotcal_ros.cli.{name}").command
         return command
 
@@ -60,7 +62,7 @@ class LazyGroup(click.Group):
         except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
             raise
         except (KeyboardInterrupt, click.Abort):
-            _say("interrupted")
+            _complain("interrupted")
             code = INTERRUPTED
         except Exception as error:
             if context.params["debug"]:
@@ -87,19 +89,29 @@ def main() -> None:
     rotcal(prog_name="rotcal")
 
 
+def _compute_in_one_thread() -> None:
+    """Let numpy, which reads this once when it is loaded, use one thread; the user may want more.
+
+    The last bit of a matrix product depends on the threads that share it, and the live nodes use
+    one: only so does 'rotcal solve' repeat their result to the last bit.
+    """
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+
 def _explain(error: Exception) -> int:
     """Print one red line for ``error`` and return its exit code."""
     if isinstance(error, RotcalError):
-        _say(str(error))
+        _complain(str(error))
         return error.exit_code
     if isinstance(error, OSError) and error.strerror:
-        _say(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)
+        _complain(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)
     else:
-        _say(f"unexpected {type(error).__name__}: {error} ('rotcal --debug ...' shows where)")
+        _complain(f"unexpected {type(error).__name__}: {error} ('rotcal --debug ...' shows where)")
     return UNREADABLE
 
 
-def _say(text: str) -> None:
+def _complain(text: str) -> None:
     click.secho(f"rotcal: {text}", fg="red", err=True)
 
 

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from rotcal_ros.cli.console import json_option, print_json, progress_bar
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.components import unit_of
 from rotcal_ros.errors import PlanError
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.report.terminal.console import progress
+from rotcal_ros.units import DEGREE, MICROMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.planning.ball_layout import Layout
-    from rotcal_ros.planning.ball_plan import BallPlan, Kinematics
-
-_TRANSLATIONS = ("EXC", "EYC", "EZC")
+    from rotcal_ros.planning.ball_plan import BallPlan
 
 grid_option = click.option(
     "--grid", type=click.IntRange(min=3), required=True, help="Table positions in a turn."
@@ -86,9 +86,9 @@ def plate(
     layout can beat.
     """
     from rotcal_ros.planning.ball_layout import best_layout
+    from rotcal_ros.planning.ball_plan import Kinematics, Order, plan_measurement
 
-    with progress_bar() as bar:
-        task = bar.add_task("layouts", total=None)
+    with progress("layouts") as shown:
         layout = best_layout(
             grid,
             balls,
@@ -97,10 +97,16 @@ def plate(
             weights=_numbers(weights, "--weights"),
             seed=seed,
             starts=starts,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=shown,
         )
     std = layout.predicted_std(sigma_um * MICROMETRE, radius_m)
-    orders = _orders(grid, list(layout.steps), radius_m, touches)
+    kinematics = Kinematics(touches_per_ball=touches)
+    orders = {
+        name: plan_measurement(
+            grid, list(layout.steps), order=name, radius=radius_m, kinematics=kinematics
+        )
+        for name in get_args(Order)
+    }
     if as_json:
         print_json(_layout_dict(layout, std, orders))
     else:
@@ -135,14 +141,14 @@ def effort(
     as_json: bool,
 ) -> int:
     """Say how many balls and CMM positions an uncertainty needs, the least work first."""
-    from rotcal_ros.planning.ball_plan import plan_measurement
+    from rotcal_ros.planning.ball_plan import Kinematics, plan_measurement
     from rotcal_ros.planning.effort import required_effort
 
     component, limit = _need(need)
     ways = required_effort(
         grid,
         component,
-        limit * _unit(component)[0],
+        limit * unit_of(component)[0],
         sigma=sigma_um * MICROMETRE,
         radius=radius_m,
         min_gap=min_gap,
@@ -154,7 +160,7 @@ def effort(
         steps = list(way.layout.steps)
         order = plan_measurement(
             grid, steps, positions=list(way.positions), radius=radius_m,
-            kinematics=_kinematics(touches),
+            kinematics=Kinematics(touches_per_ball=touches),
         )  # fmt: skip
         rows.append(
             {
@@ -175,7 +181,7 @@ def effort(
 
 
 @command.command()
-@click.argument("configuration", type=click.Path(path_type=Path), metavar="CONFIG")
+@click.argument("configuration", type=path_type, metavar="CONFIG")
 @touch_option
 @click.option("--touch-s", type=float, default=2.0, show_default=True, help="s per touch point.")
 @click.option("--settle-s", type=float, default=1.0, show_default=True, help="s after a turn.")
@@ -226,14 +232,14 @@ def _print_layout(layout: Layout, std: dict[str, float], orders: dict[str, BallP
     )
     click.echo("predicted standard deviation (k = 1, rms over the table positions):")
     for name, value in std.items():
-        unit, label = _unit(name)
+        unit, label = unit_of(name)
         click.echo(f"  {name}  {value / unit:.4f} {label}")
     for name, rows in orders.items():
         click.echo(_order_in_words(name, rows))
 
 
 def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> None:
-    unit, label = _unit(component)
+    unit, label = unit_of(component)
     click.echo(f"for U({component}) <= {limit:g} {label} (k = 2), the least work first:")
     click.echo("balls  CMM positions  centres  hours  U        ball steps")
     for row in rows:
@@ -244,38 +250,13 @@ def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> N
         )
 
 
-def _orders(grid: int, steps: list[int], radius: float, touches: int) -> dict[str, BallPlan]:
-    """Return both orders of measuring a layout at all positions."""
-    from rotcal_ros.planning.ball_plan import plan_measurement
-
-    kinematics = _kinematics(touches)
-    return {
-        "table_once": plan_measurement(
-            grid, steps, order="table_once", radius=radius, kinematics=kinematics
-        ),
-        "probe_rests": plan_measurement(
-            grid, steps, order="probe_rests", radius=radius, kinematics=kinematics
-        ),
-    }
-
-
-def _kinematics(touches: int) -> Kinematics:
-    from rotcal_ros.planning.ball_plan import Kinematics
-
-    return Kinematics(touches_per_ball=touches)
-
-
 def _layout_dict(
     layout: Layout, std: dict[str, float], orders: dict[str, BallPlan]
 ) -> dict[str, Any]:
     return {
         "grid": layout.grid,
         "ball_steps": list(layout.steps),
-        "score": layout.score,
-        "bound": layout.bound,
-        "gap": layout.gap,
-        "optimal": layout.optimal,
-        "evaluated": layout.evaluated,
+        **{n: getattr(layout, n) for n in ("score", "bound", "gap", "optimal", "evaluated")},
         "predicted_std": std,
         "orders": {name: _order_dict(rows) for name, rows in orders.items()},
     }
@@ -295,10 +276,6 @@ def _order_in_words(name: str, rows: BallPlan) -> str:
         f"order {name}: {len(rows.ball_step)} balls, {rows.duration / 3600.0:.1f} h, table travel "
         f"{rows.table_travel / DEGREE / 360.0:.1f} turns, {rows.reversals} reversals"
     )
-
-
-def _unit(component: str) -> tuple[float, str]:
-    return (MICROMETRE, "um") if component in _TRANSLATIONS else (ARCSEC, "arcsec")
 
 
 def _need(text: str) -> tuple[str, float]:

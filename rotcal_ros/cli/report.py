@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from rotcal_ros.cli.console import VERDICT_EXIT_CODES, say
+from rotcal_ros.cli.console import VERDICT_EXIT_CODES
 from rotcal_ros.errors import BagError
+from rotcal_ros.report.terminal.console import say
 
 
 @click.command("report", short_help="Write the self-contained HTML report of a calibration.")
@@ -28,15 +28,11 @@ def command(bag: Path, output: Path | None, truth: Path | None) -> int:
     """Solve BAG again and write the report: figures, tables, warnings, verdict, fingerprints."""
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.replay import read_recording
-    from rotcal_ros.report.page import write_report
-    from rotcal_ros.report.recorded import report_of
+    from rotcal_ros.report.recorded import write_recorded
 
     output = output or (bag if bag.is_dir() else bag.parent) / "report.html"
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
-    recording = read_recording(bag)
-    result = recording.solve()
-    injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
-    write_report(report_of(recording, result, injected), output)
+    result = write_recorded(read_recording(bag), output, truth)
     say(f"report: {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]

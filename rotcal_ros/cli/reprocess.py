@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.cli.console import json_option, print_json, progress_bar, say
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
     from rotcal_ros.recordings.many import Job, Outcome
 
 BAD = 1
-path_type = click.Path(path_type=Path)
 
 
 @click.command(short_help="Solve many bags with one configuration, on all cores or a cluster.")
@@ -74,13 +74,12 @@ def command(
 
 
 def _followed(running: Iterator[Outcome], jobs: list[Job]) -> list[Outcome]:
-    """Collect the outcomes under a progress bar; tell bad bags at once."""
+    """Collect the outcomes under a progress bar; show bad bags at once."""
     outcomes = []
-    with progress_bar() as bar:
-        task = bar.add_task("solving", total=len(jobs))
+    with progress("solving") as shown:
         for outcome in running:
             outcomes.append(outcome)
-            bar.advance(task)
+            shown(len(outcomes), len(jobs))
             if outcome.error:
                 say(f"{outcome.source}: {outcome.error}")
     return outcomes

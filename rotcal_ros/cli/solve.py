@@ -8,23 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.cli.console import (
-    VERDICT_EXIT_CODES,
-    json_option,
-    print_json,
-    progress_bar,
-    say,
-)
+from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
 from rotcal_ros.errors import DataError
+from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.configuration import Configuration
     from rotcal_ros.catalogue.method import Measurements
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.recordings.replay import Recording
-    from rotcal_ros.results import Result
-
-path_type = click.Path(path_type=Path)
 
 
 @click.command(short_help="Solve a recorded bag or a plain table, without ROS.")
@@ -98,7 +90,9 @@ def command(
     if as_json:
         print_json(text)
     else:
-        _print_result(result)
+        from rotcal_ros.report.terminal.tables import print_result
+
+        print_result(result)
     if output is not None:
         say(f"result written to {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]
@@ -108,14 +102,13 @@ def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str)
     from rotcal_ros.recordings.replay import read_recording
     from rotcal_ros.recordings.topics import Topics
 
-    with progress_bar() as bar:
-        task = bar.add_task("reading", total=None)
+    with progress("reading") as shown:
         recording = read_recording(
             source,
             taken_from,
             configuration=_configuration(setup),
             topics=Topics(namespace),
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=shown,
         )
     for warning in recording.warnings():
         say(f"warning: {warning}")
@@ -153,10 +146,3 @@ def _show_evaluations(
     else:
         click.echo("\n".join(in_words(evaluations)))
     return max(VERDICT_EXIT_CODES[evaluation.result.verdict] for evaluation in evaluations)
-
-
-def _print_result(result: Result) -> None:
-    """Print the deviations as a table for people."""
-    from rotcal_ros.report.terminal.result import print_result
-
-    print_result(result)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.cli.console import json_option, print_json, progress_bar
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue import Calibration
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command("uncertainty", short_help="Propagate the noise by Monte Carlo (JCGM 101).")
-@click.argument("source", type=click.Path(path_type=Path), metavar="BAG|CONFIG")
+@click.argument("source", type=path_type, metavar="BAG|CONFIG")
 @click.option(
     "--trials",
     type=click.IntRange(min=2),
@@ -44,9 +44,6 @@ def command(
     anything is measured. Seed and number of trials alone decide the figures, not the workers.
     The exit code is 1 when the trials contradict the solver's uncertainty.
     """
-    # The last bit of a matrix product depends on the threads that share it.
-    for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ[f"{library}_NUM_THREADS"] = "1"
     from rotcal_ros.evaluation.propagated import Propagated
 
     calibration, observations = _read(source)
@@ -56,7 +53,7 @@ def command(
     if as_json:
         print_json(both.to_dict())
     else:
-        from rotcal_ros.report.terminal.uncertainty import print_uncertainty
+        from rotcal_ros.report.terminal.tables import print_uncertainty
 
         print_uncertainty(both)
     return int(bool(both.warnings))
@@ -80,21 +77,15 @@ def _propagate(
     model: Model, trials: int, digits: int, seed: int, workers: int | None
 ) -> Propagation:
     from rotcal_ros.evaluation.monte_carlo import BLOCK, propagate
+    from rotcal_ros.recordings.workers import usable_cores
 
-    with progress_bar() as bar:
-        task = bar.add_task("trials", total=trials)
+    with progress("trials") as shown:
         return propagate(
             model,
             seed=seed,
             max_trials=trials,
             digits=digits,
-            workers=workers or _cores(),
+            workers=workers or usable_cores(),
             block=min(BLOCK, trials),
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
+            progress=shown,
         )
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    usable: Any = getattr(os, "sched_getaffinity", None)
-    return len(usable(0)) if usable else os.cpu_count() or 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -15,7 +14,6 @@ from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
-RUNS: Final = ("targets", "forward", "reverse")
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
 DIRECTIONS: Final = ("up", "down")
 """up: approached with increasing angle, down: with decreasing angle."""
@@ -62,18 +60,14 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
 
 
 def runs_of(result: Result) -> BidirectionalRuns | None:
-    """Return the repeated runs in both directions that a result keeps in its details, or None.
+    """Return the repeated runs of a result where both directions have two or more, else None.
 
-    ``details["runs"]``: ``targets`` (m,), ``forward`` and ``reverse`` (m, n), radians. DataError
-    names an arrival that is missing.
+    DataError names an arrival that is missing.
     """
-    kept = result.details.get("runs")
-    if not isinstance(kept, Mapping) or not all(name in kept for name in RUNS):
+    runs = result.runs
+    if runs is None or runs.forward is None or runs.reverse is None or runs.forward.shape[1] < 2:
         return None
-    targets, forward, reverse = (np.asarray(kept[name], dtype=np.float64) for name in RUNS)
-    if forward.shape[1] < 2:
-        return None
-    return BidirectionalRuns(targets, forward, reverse)
+    return BidirectionalRuns(runs.targets, runs.forward, runs.reverse)
 
 
 def require_runs(result: Result, source: str) -> BidirectionalRuns:

@@ -31,7 +31,7 @@ from rotcal_ros.evaluation.suspicion import suspicion
 from rotcal_ros.units import ARCSEC, DEGREE
 
 SURE: Final = 0.01
-"""Two curves are said to disagree when so much disagreement comes by chance this rarely."""
+"""Two curves disagree when so much disagreement comes by chance this rarely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Comparison:
 def compare(first: MeasuredCurve, second: MeasuredCurve, align_order: int = 0) -> Comparison:
     """Compare two independent curves at the angles of the one that has fewer.
 
-    Where the other was not measured it is interpolated by its spline, marked and said.
+    Where the other was not measured it is interpolated by its spline, marked and noted.
     ``align_order`` takes off, beside the offset, so many harmonics that the two methods define
     differently (1 for radial deviations with another origin). Raises DataError with fewer
     common angles than the alignment needs.

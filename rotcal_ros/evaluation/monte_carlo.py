@@ -14,7 +14,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from math import exp, pi, sqrt
-from typing import Final, Generic, TypeVar
+from typing import Final
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from rotcal_ros.methods.distributions import normal_isf
 Model = Callable[[np.random.Generator, int], Floats]
 Progress = Callable[[int, int], None]
 Blocks = Generator[Floats, None, None]
-P = TypeVar("P")
 
 BLOCK: Final = 2000
 """Trials per block: the 100 / (1 - p) that a 95 % interval needs (JCGM 101, 7.9.4 b)."""
@@ -49,18 +48,6 @@ class Propagation:
     digits: int
     trials: int
     stable: bool
-
-
-@dataclass(frozen=True)
-class LoopTrials(Generic[P]):
-    """A model for a method without vectorised trials: draw a problem, solve it, and again."""
-
-    draw: Callable[[np.random.Generator], P]
-    evaluate: Callable[[P], Floats]
-
-    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return (count, n) outputs."""
-        return np.stack([self.evaluate(self.draw(rng)) for _ in range(count)])
 
 
 def propagate(

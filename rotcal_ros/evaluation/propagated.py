@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.components import COMPONENTS, ROTATIONS
+from rotcal_ros.components import unit_of
 from rotcal_ros.evaluation.monte_carlo import Propagation, compare_with_linear
 from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.units import DEGREE
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Propagated:
     @cached_property
     def components(self) -> dict[str, Part]:
         """What solver and trials say about each component."""
-        names = [name for name in COMPONENTS if name in self.result.deviations]
+        names = self.result.components
         columns = (self.spread.mean, self.spread.std, self.spread.low, self.spread.high)
         split = [np.split(column, len(names)) for column in columns]
         return {
@@ -53,8 +53,7 @@ class Propagated:
         """Where the trials contradict the solver, in units that people read."""
         texts: list[str] = []
         for k, (name, part) in enumerate(self.components.items()):
-            unit = ARCSEC if name in ROTATIONS else MICROMETRE
-            label = "arcsec" if unit == ARCSEC else "um"
+            unit, label = unit_of(name)
             at = slice(k * len(part.value), (k + 1) * len(part.value))
             texts += compare_with_linear(
                 _cut(self.spread, at, unit),

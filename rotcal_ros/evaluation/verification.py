@@ -58,7 +58,7 @@ class Positioning:
 class Verification:
     """Two measurements of one axis, without and with its correction table.
 
-    ``stated`` (rad) is what the table was said to leave. ``iso`` holds ISO 230-2 evaluations of
+    ``stated`` (rad) is what the table should leave. ``iso`` holds ISO 230-2 evaluations of
     the axis itself under "before" and "after", where somebody knows its true angle.
     """
 

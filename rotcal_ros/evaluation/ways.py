@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from rotcal_ros.catalogue import Calibration, changed
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, TRANSLATIONS
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC, MICROMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue import Method
@@ -92,7 +91,7 @@ def largest_differences(method: Method, first: Result, second: Result) -> dict[s
     if not len(here):
         return {}
     angles = first.angles[here]
-    names = [name for name in COMPONENTS if {name} <= first.deviations.keys() & second.deviations]
+    names = [name for name in first.components if name in second.deviations]
     left = method.gauge(angles, {name: first.deviations[name][here] for name in names})
     right = method.gauge(angles, {name: second.deviations[name][there] for name in names})
     return {name: float(np.abs(left[name] - right[name]).max()) for name in names}
@@ -107,16 +106,11 @@ def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
             f"{evaluation.name}: {result.n_observations} observations, {result.dof} degrees of "
             f"freedom, verdict {result.verdict}"
         )
-        for name in (name for name in COMPONENTS if name in result.deviations):
-            unit, label = _unit(name)
-            line = (
-                f"  {name}  U {COVERAGE_FACTOR * float(result.std[name].max()) / unit:.3f} {label}"
-            )
+        for name in result.components:
+            unit, label = unit_of(name)
+            expanded = COVERAGE_FACTOR * float(result.std[name].max()) / unit
+            line = f"  {name}  U {expanded:.3f} {label}"
             if name in evaluation.differences:
                 line += f", at most {evaluation.differences[name] / unit:.3f} from the first"
             lines.append(line)
     return lines
-
-
-def _unit(name: str) -> tuple[float, str]:
-    return (MICROMETRE, "um") if name in TRANSLATIONS else (ARCSEC, "arcsec")

@@ -11,14 +11,14 @@ from rotcal_ros.results import Result
 from rotcal_ros.units import MICROMETRE
 
 
-def residual_figures(result: Result) -> list[Figure]:
-    """Return the figures of residuals by table position and target."""
+def residual_figures(result: Result, unit: float = MICROMETRE, label: str = "µm") -> list[Figure]:
+    """Return the figures of residuals, drawn in ``unit``, by table position and target."""
     return [
         Figure(
             "Residuals",
             "Observed − computed. A pattern by table position or by target points to an error "
             "that the model does not hold.",
-            residuals(result),
+            residuals(result, unit, label),
         ),
         Figure(
             "Normalised residuals",
@@ -29,20 +29,20 @@ def residual_figures(result: Result) -> list[Figure]:
 
 
 @style.styled
-def residuals(result: Result) -> str:
+def residuals(result: Result, unit: float = MICROMETRE, label: str = "µm") -> str:
     """Draw residuals by table angle and by target; what was not used is marked."""
     rows = result.residuals
     if rows is None:
         return ""
     left, right = style.grid(1, 2, sharey=True)
-    for ax, index, label in (
+    for ax, index, name in (
         (left, rows.table_index, "table position (index)"),
         (right, rows.target, "target (index)"),
     ):
-        _scatter_residuals(ax, index, rows.residual, rows.used)
-        ax.set_xlabel(label)
+        _scatter_residuals(ax, index, rows.residual / unit, rows.used)
+        ax.set_xlabel(name)
         style.whole_numbers(ax.xaxis)
-    left.set_ylabel("residual / µm")
+    left.set_ylabel(f"residual / {label}")
     right.legend(loc="best")
     return style.svg(left)
 
@@ -53,12 +53,10 @@ def _scatter_residuals(
     residual: Floats,
     used: Bools,
 ) -> None:
-    ax.scatter(
-        index[used], residual[used] / MICROMETRE, s=7, color=style.BLUE, alpha=0.55, label="used"
-    )
+    ax.scatter(index[used], residual[used], s=7, color=style.BLUE, alpha=0.55, label="used")
     if not used.all():
         ax.scatter(
-            index[~used], residual[~used] / MICROMETRE, s=26, color=style.RED, marker="x",
+            index[~used], residual[~used], s=26, color=style.RED, marker="x",
             label="rejected",
         )  # fmt: skip
     ax.axhline(0.0, color=style.GREY, linewidth=0.8)

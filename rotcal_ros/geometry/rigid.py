@@ -17,8 +17,8 @@ def align(source: Floats, target: Floats) -> tuple[Floats, Floats]:
     """Return rotation (..., 3, 3) and translation (..., 3) of least squares in closed form.
 
     ``target = rotation @ source + translation``; both sets are (..., n, 3) in metres. Never
-    returns a reflection. Source: Arun, Huang and Blostein (1987), with Umeyama's (1991) sign. Does
-    not judge whether the points determine the transform: see :func:`require_spread`.
+    returns a reflection. Source: Arun, Huang and Blostein (1987), with the sign of Umeyama (1991).
+    Whether the points determine the transform is not judged: see :func:`require_spread`.
     """
     share = 1.0 / source.shape[-2]
     source_mean = (share * source).sum(axis=-2, keepdims=True)

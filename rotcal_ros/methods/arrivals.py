@@ -12,7 +12,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
-from rotcal_ros.results import Result
+from rotcal_ros.results import RepeatedRuns, Result
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +54,11 @@ class Arrivals:
 
 
 def mean_of_runs(result: Result, arrivals: Arrivals) -> Result:
-    """Return ``result`` of all arrivals as the mean ECC at the targets, with the runs in details.
+    """Return ``result`` of all arrivals as the mean ECC at the targets, with its ``runs``.
 
-    ``details["runs"]`` holds ``targets`` (k,), ``forward`` and ``reverse`` (k, n) rad, NaN where
-    an arrival is missing, ``reverse`` only when there was one, and ``repeatability_std``. To the
-    covariance of the measurement comes the scatter of the arrivals that the measurement does not
-    explain. Deviations count from the first target. Raises DataError when arrivals and result
-    do not fit.
+    To the covariance of the measurement comes the scatter of the arrivals that the measurement
+    does not explain. Deviations count from the first target. Raises DataError when arrivals and
+    result do not fit.
     """
     ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
     if len(arrivals.target) != len(ecc):
@@ -78,11 +76,13 @@ def mean_of_runs(result: Result, arrivals: Arrivals) -> Result:
         covariance={"ECC": total},
         adjacent_deviations=np.diff(mean),
         adjacent_std=np.sqrt(np.maximum(np.diag(adjacent @ total @ adjacent.T), 0.0)),
-        details={
-            **result.details,
-            "station_deviations": ecc,
-            "runs": {**_tables(ecc, arrivals), "repeatability_std": scatter},
-        },
+        details={**result.details, "station_deviations": ecc},
+        runs=RepeatedRuns(
+            targets=arrivals.targets,
+            forward=_table(ecc, arrivals, arrivals.upward),
+            reverse=_table(ecc, arrivals, ~arrivals.upward),
+            repeatability_std=scatter,
+        ),
     )
 
 
@@ -108,13 +108,10 @@ def repeatability_std(ecc: Floats, covariance: Floats, arrivals: Arrivals) -> fl
     return float(np.sqrt(max(squares - noise, 0.0) / dof)) if dof else 0.0
 
 
-def _tables(ecc: Floats, arrivals: Arrivals) -> dict[str, Floats]:
-    """Return the deviations as tables (k, n), one column per run."""
-    shape = (len(arrivals.targets), int(arrivals.run.max()) + 1)
-    tables = {"targets": arrivals.targets}
-    for name, side in (("forward", arrivals.upward), ("reverse", ~arrivals.upward)):
-        if side.any():
-            table = np.full(shape, np.nan)
-            table[arrivals.target[side], arrivals.run[side]] = ecc[side]
-            tables[name] = table
-    return tables
+def _table(ecc: Floats, arrivals: Arrivals, side: Bools) -> Floats | None:
+    """Return the deviations of one direction as a table (k, n), one column per run."""
+    if not side.any():
+        return None
+    table = np.full((len(arrivals.targets), int(arrivals.run.max()) + 1), np.nan)
+    table[arrivals.target[side], arrivals.run[side]] = ecc[side]
+    return table

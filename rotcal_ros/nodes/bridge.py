@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
-from rclpy.node import Node
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.srv import ApplyTable, GetCorrection
 from std_srvs.srv import Trigger
 
+from rotcal_ros import messages
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Applied, Feed
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.parameters import declare_settings
+from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import LATCHED
-from rotcal_ros.nodes.running import run_node
+from rotcal_ros.nodes.running import run
 from rotcal_ros.nodes.waiting import until
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.cell_settings import CellSettings
@@ -32,22 +30,19 @@ ANSWERS_PER_ACTION = 8
 """Accesses to the controller in one action at most; each has its own time limit."""
 
 
-class BridgeNode(Node):
+class BridgeNode(CellNode):
     """Talks to the controller in a thread of its own, so that the node beats meanwhile."""
 
     def __init__(self) -> None:
         super().__init__("bridge")
-        self._settings = declare_settings(self, "bridge", BridgeSettings)
-        cell = declare_settings(self, "cell", CellSettings)
+        self._settings = self.settings("bridge", BridgeSettings)
+        cell = self.settings("cell", CellSettings)
         self._feed = Feed(self._settings, cell.axis, lambda: self.get_clock().now().nanoseconds)
         self._correction: Correction | None = None
         self._state = "waiting for a table"
         self._facts: dict[str, Any] = {"controller": self._settings.controller, "axis": cell.axis}
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="feed")
-        self._health = Health(self, lambda: (self._state, self._facts))
-        self.create_subscription(
-            CompensationTableMsg, "compensation_table", self._health.guarded(self._take), LATCHED
-        )
+        self.listen(CompensationTableMsg, "compensation_table", self._take, LATCHED)
         self.create_service(ApplyTable, "apply", self._apply)
         self.create_service(Trigger, "restore", self._restore)
         self.create_service(GetCorrection, "get_correction", self._look_up)
@@ -56,20 +51,15 @@ class BridgeNode(Node):
         """Leave the controller to others; what is being written is finished first."""
         self._worker.shutdown(wait=True, cancel_futures=True)
         self._feed.close()
-        self._health.leave()
-
-    def stopped(self) -> bool:
-        """Return True: there is nothing to finish."""
-        return True
 
     def _take(self, message: CompensationTableMsg) -> None:
-        """Hold a table against the configuration and write its files; a bad one is told."""
+        """Hold a table against the configuration and write its files; a bad one is refused."""
         self._correction = None
         self._facts = {k: self._facts[k] for k in ("controller", "axis")}
         self._facts |= {"table_hash": message.table_hash, "verdict": message.verdict}
         try:
             table = conversions.compensation_table(message)
-            files = self._feed.take(table, conversions.stamp_ns(message.header.stamp))
+            files = self._feed.take(table, messages.stamp_ns(message.header.stamp))
             self._correction = Correction(table)
         except (RotcalError, OSError) as error:
             self._note(f"table refused: {error}")
@@ -143,15 +133,13 @@ class BridgeNode(Node):
         self._state = state
         self.get_logger().info(state)
 
-
-def make() -> Node:
-    """Return the node."""
-    return BridgeNode()
+    def _report(self) -> tuple[str, dict[str, Any]]:
+        return self._state, self._facts
 
 
-def main(args: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Run the bridge."""
-    sys.exit(run_node(make, args))
+    run(BridgeNode)
 
 
 if __name__ == "__main__":

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, Final
 
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rotcal_msgs.msg import (
     CalibrationPlan,
     DeviationArray,
@@ -18,12 +14,12 @@ from rotcal_msgs.msg import (
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
-from rotcal_ros.nodes import conversions
+from rotcal_ros import messages
+from rotcal_ros.bags import names
+from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.observations import Command, Observation
-
-TABLE_FRAME: Final = "table_base"
-MACHINE_FRAME: Final = "machine"
 
 Attempt = tuple[int, int]
 """Step and attempt."""
@@ -32,21 +28,21 @@ Attempt = tuple[int, int]
 class CellLinks:
     """Publishers, subscriptions and clients, and what came in for the steps so far."""
 
-    def __init__(self, node: Node, guarded: Callable[[Callable[..., Any]], Any]) -> None:
+    def __init__(self, node: CellNode) -> None:
         self._node = node
         self.observations: dict[Attempt, Observation] = {}
         self.receipts: dict[Attempt, int] = {}
-        self.bag_file = ""
         self.current_std = math.nan
-        self._plans = self._publisher(CalibrationPlan, "plan", LATCHED)
-        self._tables = self._publisher(TableAngle, "table_angle", EVENT)
-        self._probes = self._publisher(ProbeTarget, "probe_target", EVENT)
+        self._plan_id = ""
+        self._plans = node.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
+        self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
+        self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
         for kind, topic, callback, qos in (
-            (ObservationMsg, "observation", self._observed, EVENT),
+            (ObservationMsg, names.OBSERVATION, self._observed, EVENT),
             (RecordedObservation, "observation_recorded", self._recorded, EVENT),
             (DeviationArray, "deviations", self._solved, LATCHED),
         ):
-            node.create_subscription(kind, topic, guarded(callback), qos)
+            node.listen(kind, topic, callback, qos)
         self.start_recording = node.create_client(StartRecording, "start_recording")
         self.stop_recording = node.create_client(StopRecording, "stop_recording")
         self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")
@@ -70,7 +66,7 @@ class CellLinks:
     def order(self, command: Command) -> None:
         """Order the table to its angle and the probe to its target."""
         table, probe = conversions.command_messages(
-            command, self.now_ns(), TABLE_FRAME, MACHINE_FRAME
+            command, self.now_ns(), frames.TABLE, frames.MACHINE
         )
         self._tables.publish(table)
         self._probes.publish(probe)
@@ -90,16 +86,12 @@ class CellLinks:
         name: str = self._node.resolve_topic_name(topic)
         return name
 
-    def _publisher(self, kind: type, topic: str, qos: QoSProfile) -> Any:
-        return self._node.create_publisher(kind, topic, qos)
-
     def _observed(self, message: ObservationMsg) -> None:
-        self.observations[message.step, message.attempt] = conversions.observation(message)
+        self.observations[message.step, message.attempt] = messages.observation(message)
 
     def _recorded(self, message: RecordedObservation) -> None:
         self.receipts[message.step, message.attempt] = int(message.lost)
-        self.bag_file = message.file
 
     def _solved(self, message: DeviationArray) -> None:
-        if message.plan_id == getattr(self, "_plan_id", "") and message.ecc_std:
+        if message.plan_id == self._plan_id and message.ecc_std:
             self.current_std = max(message.ecc_std)

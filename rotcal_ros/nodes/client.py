@@ -11,91 +11,96 @@ or the planner's service of that name, goes on.
 from __future__ import annotations
 
 import json
-import math
 import os
 import select
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from action_msgs.msg import GoalStatus
-from rclpy.action import ActionClient
-from rclpy.node import Node
-from rclpy.task import Future
 from rotcal_msgs.action import Calibrate
-from std_srvs.srv import Trigger
 
-from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.running import run_node
-from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
+from rotcal_ros.nodes.goal_reports import Feedback, Outcome
+from rotcal_ros.nodes.running import EndRequest, leave_with
 
-CANCEL_TIMEOUT_S: Final = 15.0
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
-PLANNER_TIMEOUT_S: Final = 5.0
-"""Silence of the planner after which nothing is expected of it; the client is in no hurry."""
 RESUME: Final = b"resume"
 STDIN: Final = 0
 
 
-class Client(Node):
+class Client:
     """Sends one goal and reports on it until its result."""
 
-    def __init__(self) -> None:
-        super().__init__("calibrate_client")
-        path = self.declare_parameter("configuration_file", "").value
-        self._configuration = Path(path).read_text(encoding="utf-8") if path else ""
-        self._start_index = self.declare_parameter("start_index", 0).value
-        timeout = self.declare_parameter("server_timeout_s", 30.0).value
-        self._deadline = time.monotonic() + timeout
+    def __init__(self, calibrator: Calibrator, end: EndRequest) -> None:
+        self._calibrator = calibrator
+        self._end = end
         self._spoken_s = time.monotonic()
-        self._handle: Any = None
-        self._sent = False
-        self._done = False
-        self._canceling = False
         self._listening = True
-        self._instruction = ""
-        self._client = ActionClient(self, Calibrate, "calibrate")
-        self._resume = self.create_client(Trigger, "resume")
-        self._health = Health(self, None, timeout_s=PLANNER_TIMEOUT_S)
-        self.create_timer(PERIOD_S, self._health.guarded(self._watch))
+        self._shown: Feedback | None = None
+
+    def run(self) -> None:
+        """Wait for the planner, send the goal and follow it."""
+        path = self._calibrator.node.declare_parameter("configuration_file", "").value
+        start_index = self._calibrator.node.declare_parameter("start_index", 0).value
         _say("waiting")
+        outcome = self._waited()
+        if outcome is None:
+            try:
+                self._calibrator.start(Path(path) if path else "", start_index)
+            except GoalRefusedError as error:
+                _say("refused", reason=str(error))
+                return
+            except CalibratorError as error:
+                outcome = _failed(Calibrate.Result.NODE_LOST, str(error))
+            else:
+                outcome = self._followed()
+        _say("result", **asdict(outcome))
 
-    def finished(self) -> bool:
-        """Return whether there is nothing more to report."""
-        return self._done
+    def _waited(self) -> Outcome | None:
+        """Wait for the planner; return how the calibration ended without one."""
+        timeout_s = self._calibrator.node.declare_parameter("server_timeout_s", 30.0).value
+        deadline = time.monotonic() + timeout_s
+        while not self._calibrator.is_ready(PERIOD_S):
+            self._live()
+            if self._end:
+                return _failed(Calibrate.Result.CANCELED, "canceled")
+            if time.monotonic() > deadline:
+                state = self._calibrator.planner_state or "silent"
+                text = f"no answer from the planner; it is {state}"
+                return _failed(Calibrate.Result.NODE_LOST, text)
+        return None
 
-    def begin_stop(self) -> None:
-        """Cancel the goal and wait for its result."""
-        self._canceling = True
-        self._deadline = time.monotonic() + CANCEL_TIMEOUT_S
-        if self._handle is not None:
-            self._handle.cancel_goal_async()
-        elif not self._sent:
-            self._finish("result", error_code=Calibrate.Result.CANCELED, error_msg="canceled")
+    def _followed(self) -> Outcome:
+        """Report on the goal until it ends."""
+        _say("started")
+        canceling = done = False
+        while not done:
+            if self._end and not canceling:
+                canceling = True
+                self._calibrator.cancel()
+            done = self._calibrator.is_done(PERIOD_S)
+            self._show(self._calibrator.feedback())
+            self._listen()
+            self._live()
+        return self._calibrator.result()
 
-    def stopped(self) -> bool:
-        """Return whether the result is here."""
-        return self._done
-
-    def _watch(self) -> None:
-        """Send the goal once the server is there; give up when it is not or falls silent."""
-        if self._done:
-            return
-        self._listen()
+    def _live(self) -> None:
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
-            _say("alive", planner=self._planner_state())
-        if not self._sent and self._client.server_is_ready() and self._planner_state():
-            self._send()
-        elif self._sent and self._health.missing(["planner"]):
-            self._fail(Calibrate.Result.NODE_LOST, "node planner fell silent")
-        elif (self._handle is None or self._canceling) and time.monotonic() > self._deadline:
-            state = self._planner_state() or "silent"
-            self._fail(Calibrate.Result.NODE_LOST, f"no answer from the planner; it is {state}")
+            _say("alive", planner=self._calibrator.planner_state)
+
+    def _show(self, feedback: Feedback | None) -> None:
+        if feedback is None or feedback is self._shown:
+            return
+        before, self._shown = self._shown, feedback
+        _say("feedback", **asdict(feedback))
+        instruction = feedback.instruction
+        if instruction and (before is None or instruction != before.instruction):
+            _say("paused", instruction=instruction)
 
     def _listen(self) -> None:
         """Take what stands on standard input; after its end nothing more is expected."""
@@ -107,75 +112,16 @@ class Client(Node):
             text = b""
         self._listening = bool(text)
         if RESUME in text:
-            self._resume.call_async(Trigger.Request()).add_done_callback(
-                lambda future: _say("resumed", success=future.result().success,
-                                    reason=future.result().message)
-            )  # fmt: skip
-
-    def _planner_state(self) -> str:
-        return self._health.state("planner")
-
-    def _send(self) -> None:
-        self._sent = True
-        goal = Calibrate.Goal(configuration=self._configuration, start_index=self._start_index)
-        future = self._client.send_goal_async(goal, feedback_callback=self._feedback)
-        future.add_done_callback(self._answered)
-
-    def _answered(self, future: Future) -> None:
-        handle = future.result()
-        if not handle.accepted:
-            self._finish("refused", reason=f"the planner is {self._planner_state()}")
-            return
-        self._handle = handle
-        _say("started")
-        handle.get_result_async().add_done_callback(self._ended)
-        if self._canceling:
-            handle.cancel_goal_async()
-
-    def _feedback(self, message: Any) -> None:
-        feedback = message.feedback
-        _say(
-            "feedback",
-            step=feedback.step,
-            total=feedback.total,
-            activity=feedback.activity,
-            time_left_s=_known(feedback.time_left),
-            current_std_rad=_known(feedback.current_std),
-            accepted=feedback.n_accepted,
-            rejected=feedback.n_rejected,
-        )
-        paused = feedback.activity.startswith(PAUSED)
-        instruction = feedback.activity.removeprefix(PAUSED) if paused else ""
-        if instruction and instruction != self._instruction:
-            _say("paused", instruction=instruction)
-        self._instruction = instruction
-
-    def _ended(self, future: Future) -> None:
-        answer = future.result()
-        result = answer.result
-        self._finish(
-            "result",
-            canceled=answer.status == GoalStatus.STATUS_CANCELED,
-            error_code=result.error_code,
-            error_msg=result.error_msg,
-            bag_folder=result.bag_folder,
-            result_file=result.result_file,
-            verdict=result.verdict,
-            n_used=result.n_used,
-            n_rejected=result.n_rejected,
-            skipped_steps=list(result.skipped_steps),
-        )
-
-    def _fail(self, code: int, text: str) -> None:
-        self._finish("result", error_code=code, error_msg=text)
-
-    def _finish(self, event: str, **values: Any) -> None:
-        _say(event, **values)
-        self._done = True
+            reason = ""
+            try:
+                self._calibrator.resume()
+            except CalibratorError as error:
+                reason = str(error)
+            _say("resumed", success=not reason, reason=reason)
 
 
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _failed(code: int, text: str) -> Outcome:
+    return Outcome(error_code=code, error_msg=text)
 
 
 def _say(event: str, **values: Any) -> None:
@@ -185,14 +131,15 @@ def _say(event: str, **values: Any) -> None:
         sys.stdout.flush()
 
 
-def make() -> Node:
-    """Return the node."""
-    return Client()
+def _work() -> None:
+    end = EndRequest()
+    with Calibrator("", name="calibrate_client", args=sys.argv) as calibrator:
+        Client(calibrator, end).run()
 
 
-def main(args: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Run the client until its goal has ended."""
-    sys.exit(run_node(make, args))
+    leave_with(_work)
 
 
 if __name__ == "__main__":

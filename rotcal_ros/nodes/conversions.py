@@ -1,4 +1,4 @@
-"""Dataclasses into messages, and back with the functions that the replay of bags uses too."""
+"""Dataclasses into messages; the way back is rotcal_ros.messages, as for the replay of bags."""
 
 from __future__ import annotations
 
@@ -14,15 +14,6 @@ from std_msgs.msg import Header
 
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import DataError
-from rotcal_ros.messages import (
-    command,
-    observation,
-    probe_sample,
-    stamp_ns,
-    table_sample,
-    temperature_sample,
-    tracer_sample,
-)
 from rotcal_ros.observations import (
     Command,
     Observation,
@@ -34,27 +25,6 @@ from rotcal_ros.observations import (
 from rotcal_ros.results import Result
 
 _SECOND_NS: Final = 1_000_000_000
-
-__all__ = [
-    "command",
-    "command_messages",
-    "compensation_message",
-    "compensation_table",
-    "deviations_message",
-    "header",
-    "observation",
-    "observation_message",
-    "probe_message",
-    "probe_sample",
-    "stamp_ns",
-    "table_message",
-    "table_sample",
-    "temperature_message",
-    "temperature_sample",
-    "time_message",
-    "tracer_message",
-    "tracer_sample",
-]
 
 
 def time_message(nanoseconds: int) -> Time:

@@ -25,6 +25,8 @@ DIAGNOSTICS_PERIOD_S: Final = 1.0
 NODE_TIMEOUT_S: Final = 1.4
 """Silence after which a node is lost: noticed within 2 s together with the beat itself."""
 LEAVING: Final = "leaving"
+RECORDING_FAILED: Final = "recording failed"
+"""How the state of a recorder begins that cannot write any more."""
 LEAVE_TIMEOUT_S: Final = 0.5
 
 Values = Mapping[str, object]

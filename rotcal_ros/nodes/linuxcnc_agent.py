@@ -96,16 +96,16 @@ def say(message: dict[str, Any]) -> None:
 
 
 def obey(linuxcnc: Any, orders: queue.Queue[dict[str, float]], errors: list[str]) -> None:
-    """Carry out orders, one after the other; what fails is told and the next one tried."""
+    """Carry out orders, one after the other; what fails is reported, and the next is tried."""
     machine = Machine(linuxcnc)
     while True:
         order = orders.get()
-        with told(errors):
+        with noted(errors):
             machine.move(order)
 
 
 @contextmanager
-def told(errors: list[str]) -> Iterator[None]:
+def noted(errors: list[str]) -> Iterator[None]:
     """Put the text of an exception into ``errors``."""
     try:
         yield

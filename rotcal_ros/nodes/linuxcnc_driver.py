@@ -9,23 +9,20 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from threading import Thread
 from typing import Any, Final
 
-from rclpy.node import Node
 from rotcal_msgs.msg import TableAngle
 from sensor_msgs.msg import JointState
 
+from rotcal_ros.bags import names
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_links import TABLE_FRAME
-from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.parameters import declare_settings
+from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT, STREAM
-from rotcal_ros.nodes.running import run_node
+from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.units import DEGREE, NANOSECOND
@@ -35,7 +32,7 @@ END_TIMEOUT_S: Final = 15.0
 SIDES: Final = {Approach.POSITIVE: 1, Approach.NEGATIVE: -1}
 
 
-class LinuxCncDriver(Node):
+class LinuxCncDriver(CellNode):
     """Passes orders and positions on; a thread reads what the agent says."""
 
     def __init__(self) -> None:
@@ -44,22 +41,20 @@ class LinuxCncDriver(Node):
         usual = ["/usr/bin/python3", str(AGENT), "-ini", ini]
         command = list(self.declare_parameter("agent_command", usual).value)
         self._overshoot_deg = self.declare_parameter("overshoot_deg", 2.0).value
-        self._joint = declare_settings(self, "cell", CellSettings).joint or "table"
+        self._joint = self.settings("cell", CellSettings).joint or "table"
         if not ini and command == usual:
             raise ConfigurationError("linuxcnc_driver: parameter ini_file is missing")
         self._state = "starting LinuxCNC's agent"
         self._complaints = 0
         self._last: TableSample | None = None
         self._motor_deg = 0.0
-        self._health = Health(self, self._report)
-        self._positions = self.create_publisher(JointState, "joint_states", STREAM)
+        self._positions = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
         self._actual = self.create_publisher(JointState, "table_actual", STREAM)
         self._agent = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
         Thread(target=self._read, name="agent", daemon=True).start()
-        guarded = self._health.guarded
-        self.create_subscription(TableAngle, "table_angle", guarded(self._obey), EVENT)
+        self.listen(TableAngle, names.TABLE_ANGLE, self._obey, EVENT)
 
     def begin_stop(self) -> None:
         """End the agent; LinuxCNC goes on, unless the agent's command started it."""
@@ -69,11 +64,6 @@ class LinuxCncDriver(Node):
             self._agent.wait(END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self._agent.terminate()
-        self._health.leave()
-
-    def stopped(self) -> bool:
-        """Return True: there is nothing to finish."""
-        return True
 
     def finished(self) -> bool:
         """Return whether the agent has ended by itself: then nobody moves the table."""
@@ -91,46 +81,41 @@ class LinuxCncDriver(Node):
         self._state = f"step {message.step}, attempt {message.attempt}"
 
     def _read(self) -> None:
-        """Publish what the agent says; publishing is safe from any thread."""
+        """Publish what the agent reports; publishing is safe from any thread."""
         assert self._agent.stdout is not None
         for line in self._agent.stdout:
-            said = json.loads(line)
-            if "event" in said:
-                self._state = str(said["event"])
+            reading = json.loads(line)
+            if "event" in reading:
+                self._state = str(reading["event"])
                 continue
-            self._complain(said["errors"])
-            self._publish(said)
+            self._complain(reading["errors"])
+            self._publish(reading)
 
     def _complain(self, errors: Sequence[str]) -> None:
         for error in errors:
             self._complaints += 1
             self.get_logger().error(f"LinuxCNC: {error}")
 
-    def _publish(self, said: Mapping[str, Any]) -> None:
+    def _publish(self, reading: Mapping[str, Any]) -> None:
         """Publish the joint's angle; its speed is the motor's, which the correction moves too."""
-        stamp_ns, angle = said["stamp_ns"], said["angle_deg"] * DEGREE
+        stamp_ns, angle = reading["stamp_ns"], reading["angle_deg"] * DEGREE
         speed = 0.0
         if self._last is not None and stamp_ns > self._last.stamp_ns:
-            moved = (said["motor_deg"] - self._motor_deg) * DEGREE
+            moved = (reading["motor_deg"] - self._motor_deg) * DEGREE
             speed = moved / ((stamp_ns - self._last.stamp_ns) * NANOSECOND)
-        self._last, self._motor_deg = TableSample(stamp_ns, angle, speed), said["motor_deg"]
-        self._positions.publish(conversions.table_message(self._last, self._joint, TABLE_FRAME))
-        if said["actual_deg"] is not None:
-            actual = TableSample(stamp_ns, said["actual_deg"] * DEGREE, speed)
-            self._actual.publish(conversions.table_message(actual, self._joint, TABLE_FRAME))
+        self._last, self._motor_deg = TableSample(stamp_ns, angle, speed), reading["motor_deg"]
+        self._positions.publish(conversions.table_message(self._last, self._joint, frames.TABLE))
+        if reading["actual_deg"] is not None:
+            actual = TableSample(stamp_ns, reading["actual_deg"] * DEGREE, speed)
+            self._actual.publish(conversions.table_message(actual, self._joint, frames.TABLE))
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         return self._state, {"complaints": self._complaints}
 
 
-def make() -> Node:
-    """Return the node."""
-    return LinuxCncDriver()
-
-
-def main(args: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Run the driver."""
-    sys.exit(run_node(make, args))
+    run(LinuxCncDriver)
 
 
 if __name__ == "__main__":

@@ -10,11 +10,10 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.node import Node
 
 from rotcal_ros.errors import BagError
+from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
-from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.recording import Channel
 from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_topics
 from rotcal_ros.nodes.topic_losses import TopicLosses
@@ -50,17 +49,14 @@ class Listener:
     installed.
     """
 
-    def __init__(
-        self, node: Node, health: Health, take: Callable[[HeardTopic, Batch], None]
-    ) -> None:
+    def __init__(self, node: CellNode, take: Callable[[HeardTopic, Batch], None]) -> None:
         self._node = node
-        self._health = health
         self._hand_over = take
         self._drained: list[DrainedSubscription] = []
         self.topics: dict[str, HeardTopic] = {}
         self.refused: dict[str, str] = {}
         self._incompatible: Counter[str] = Counter()
-        node.create_timer(GRAPH_PERIOD_S, health.guarded(self._look))
+        node.every(GRAPH_PERIOD_S, self._look)
 
     @property
     def losses(self) -> Counter[str]:
@@ -94,10 +90,8 @@ class Listener:
                 self._subscribe(discovered)
 
     def _subscribe(self, found: DiscoveredTopic) -> None:
-        channel = Channel(
-            found.name, found.type_name, found.definition, found.type_hash, found.offered_qos
-        )
-        topic = self.topics[found.name] = HeardTopic(channel)
+        name = found.channel.topic
+        topic = self.topics[name] = HeardTopic(found.channel)
 
         def handle(batch: Batch) -> None:
             topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
@@ -113,15 +107,15 @@ class Listener:
             topic.losses.report(event.total_count_change)
 
         def incompatible(event: Any) -> None:
-            self._incompatible[f"incompatible publisher {found.name}"] += event.total_count_change
+            self._incompatible[f"incompatible publisher {name}"] += event.total_count_change
 
         self._drained.append(
             DrainedSubscription(
                 self._node,
                 found.message_type,
-                found.name,
+                name,
                 found.qos,
-                self._health.guarded(handle),
+                self._node.health.guarded(handle),
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(
                     message_lost=message_lost, incompatible_qos=incompatible

@@ -5,11 +5,9 @@ A settings dataclass of a configuration's group ``plan`` becomes parameters ``pl
 
 from __future__ import annotations
 
-import dataclasses
 import sys
-import types
-import typing
-from collections.abc import Iterator
+from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any, Final, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -17,10 +15,12 @@ from rclpy.exceptions import ParameterUninitializedException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rotcal_ros.settings import SettingInfo, load, to_mapping
+from rotcal_ros.settings import Declaration, SettingInfo, declarations, load
 
 T = TypeVar("T")
 
+OF_ROS: Final = ("use_sim_time", "start_type_description_service", "qos_overrides")
+"""Parameters, or the first parts of their names, that ROS itself gives to every node."""
 _TYPES: Final = {
     bool: (Parameter.Type.BOOL, Parameter.Type.BOOL_ARRAY),
     int: (Parameter.Type.INTEGER, Parameter.Type.INTEGER_ARRAY),
@@ -29,25 +29,31 @@ _TYPES: Final = {
 }
 
 
-def declare_settings(node: Node, group: str, cls: type[T], *, read_only: bool = True) -> T:
+def given_parameters(node: Node) -> dict[str, Any]:
+    """Return what a node was given at its start, as nested groups."""
+    # rclpy has no other way to see what is not declared yet; an empty list has no value there.
+    given = {
+        name: [] if parameter.value is None else parameter.value
+        for name, parameter in node._parameter_overrides.items()
+        if name.partition(".")[0] not in OF_ROS
+    }
+    return _nested(given)
+
+
+def declare_settings(
+    node: Node, given: Mapping[str, Any], group: str, cls: type[T], *, read_only: bool = True
+) -> T:
     """Declare the settings ``cls`` as parameters ``group.*`` and return their values.
 
-    Overrides are checked by settings.load first, so that a wrong one gets the same
+    What was ``given`` is checked by settings.load, so that a wrong or misspelt one gets the same
     ConfigurationError text as in ``rotcal run``; it also takes 1 for 1.0.
     """
-    given: dict[str, Any] = {}
-    for name, _, info in _walk(cls):
-        loose = ParameterDescriptor(description=info.description, dynamic_typing=True)
-        value = node.declare_parameter(f"{group}.{name}", None, loose).value
-        node.undeclare_parameter(f"{group}.{name}")
-        if value is not None:
-            _put(given, name, value)
-    settings = load(cls, given, f"{node.get_name()}: parameters {group}")
-    for name, hint, info in _walk(cls):
+    settings = load(cls, given.get(group), f"{node.get_name()}: parameters {group}")
+    for declared in declarations(cls):
         node.declare_parameter(
-            f"{group}.{name}",
-            _default(_get(settings, name), hint),
-            _descriptor(info, hint, read_only),
+            f"{group}.{declared.name}",
+            _default(attrgetter(declared.name)(settings), declared),
+            _descriptor(declared, read_only),
             ignore_override=True,
         )
     return settings
@@ -55,64 +61,56 @@ def declare_settings(node: Node, group: str, cls: type[T], *, read_only: bool = 
 
 def read_settings(node: Node, group: str, cls: type[T]) -> T:
     """Return the present values of parameters that :func:`declare_settings` declared."""
-    values: dict[str, Any] = {}
-    for name, _, _ in _walk(cls):
-        try:
-            value = node.get_parameter(f"{group}.{name}").value
-        except ParameterUninitializedException:
-            value = None
+    values = {d.name: _value(node, group, d) for d in declarations(cls)}
+    return load(cls, _nested(values), f"{node.get_name()}: parameters {group}")
+
+
+def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return groups of groups from dotted names; what is None is left out."""
+    found: dict[str, Any] = {}
+    for dotted, value in values.items():
+        *groups, name = dotted.split(".")
+        place = found
+        for group in groups:
+            place = place.setdefault(group, {})
         if value is not None:
-            _put(values, name, list(value) if not isinstance(value, str | int | float) else value)
-    return load(cls, values, f"{node.get_name()}: parameters {group}")
+            place[name] = value
+    return found
 
 
-def settings_mapping(node: Node, group: str, cls: type[Any]) -> dict[str, Any]:
-    """Return the present values as a group of a configuration, for its text."""
-    return to_mapping(read_settings(node, group, cls))
+def _value(node: Node, group: str, declared: Declaration) -> Any:
+    """Return the value of a parameter; one without a value is an empty list, or None."""
+    try:
+        value = node.get_parameter(f"{group}.{declared.name}").value
+    except ParameterUninitializedException:
+        value = None
+    if declared.is_list and not (declared.optional and value is None):
+        return list(value or ())
+    return value
 
 
-def _walk(cls: type[Any], prefix: str = "") -> Iterator[tuple[str, Any, SettingInfo]]:
-    """Yield (dotted name, type hint, info) of every setting of ``cls``, groups flattened."""
-    hints = typing.get_type_hints(cls)
-    for field in dataclasses.fields(cls):
-        if dataclasses.is_dataclass(hints[field.name]):
-            yield from _walk(hints[field.name], f"{prefix}{field.name}.")
-        else:
-            yield prefix + field.name, hints[field.name], field.metadata["setting"]
-
-
-def _element(hint: Any) -> tuple[type, bool]:
-    """Return the scalar type of a hint and whether it is a list of them."""
-    if typing.get_origin(hint) in (types.UnionType, typing.Union):
-        hint = next(h for h in typing.get_args(hint) if h is not type(None))
-    if typing.get_origin(hint) is tuple:
-        return typing.get_args(hint)[0], True
-    return hint, False
-
-
-def _default(value: Any, hint: Any) -> Any:
+def _default(value: Any, declared: Declaration) -> Any:
     """Return what gives a parameter its type as well: a value, or a mere type for none.
 
     rclpy takes an empty list for one of bytes, so that it counts as none.
     """
-    scalar, is_list = _element(hint)
     if value is None or value == ():
-        return _TYPES[scalar][is_list]
-    return list(value) if isinstance(value, tuple) else value
+        return _TYPES[declared.kind][declared.is_list]
+    return list(value) if declared.is_list else value
 
 
-def _descriptor(info: SettingInfo, hint: Any, read_only: bool) -> ParameterDescriptor:
+def _descriptor(declared: Declaration, read_only: bool) -> ParameterDescriptor:
     """Describe a setting; ROS knows ranges of scalars only, all else is said in words."""
-    scalar, is_list = _element(hint)
+    info = declared.info
     descriptor = ParameterDescriptor(description=info.description, read_only=read_only)
     words = []
     if info.choices:
         words.append(f"one of: {', '.join(info.choices)}")
     low, high = info.minimum, info.maximum
     if low is not None or high is not None:
-        if is_list or scalar not in (int, float):
+        if declared.is_list or declared.kind not in (int, float):
             words.append(f"every value from {low} to {high}")
-        elif scalar is float:
+        elif declared.kind is float:
             limits = (-sys.float_info.max, sys.float_info.max)
             descriptor.floating_point_range = [FloatingPointRange(**_limits(info, limits))]
         else:
@@ -128,16 +126,3 @@ def _limits(info: SettingInfo, open_ends: tuple[float, float]) -> dict[str, floa
         "from_value": low if info.minimum is None else info.minimum,
         "to_value": high if info.maximum is None else info.maximum,
     }
-
-
-def _put(mapping: dict[str, Any], dotted: str, value: Any) -> None:
-    *groups, name = dotted.split(".")
-    for group in groups:
-        mapping = mapping.setdefault(group, {})
-    mapping[name] = value
-
-
-def _get(settings: Any, dotted: str) -> Any:
-    for name in dotted.split("."):
-        settings = getattr(settings, name)
-    return settings

@@ -7,7 +7,7 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_ros.catalogue import Calibration, prepare
 from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.errors import PlanError
-from rotcal_ros.nodes.conversions import stamp_ns
+from rotcal_ros.messages import stamp_ns
 
 
 def run_name(message: CalibrationPlan) -> str:

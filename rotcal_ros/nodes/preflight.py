@@ -5,16 +5,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from rotcal_ros.bags import names
+from rotcal_ros.node_names import PREFLIGHT_NODES
 from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.goal_watch import Codes, GoalWatch
 from rotcal_ros.nodes.health import Health
 
-NODES: Final = ("capture", "recorder", "solver")
-ORDERS: Final = ("table_angle", "probe_target")
+ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
+
+
+async def check(watch: GoalWatch, topics: Sequence[str]) -> None:
+    """Wait for all nodes and ``topics``; GoalError names what is missing after the time for it."""
+    links, health = watch.links, watch.health
+    links.forget()
+    watch.tell("preflight: nodes")
+    await watch.have(lambda: missing_nodes(links, health), Codes.NODE_LOST)
+    watch.nodes = health.present() | set(PREFLIGHT_NODES)
+    watch.tell("preflight: topics")
+    await watch.have(lambda: missing_topics(links, health, topics), Codes.TOPIC_MISSING)
+    watch.nodes |= health.present()
 
 
 def missing_nodes(links: CellLinks, health: Health) -> list[str]:
     """Return what keeps the nodes of the suite from working together, in words."""
-    lost = [f"node {name} does not beat" for name in health.missing(NODES)]
+    lost = [f"node {name} does not beat" for name in health.missing(PREFLIGHT_NODES)]
     for node, client in (
         ("recorder", links.start_recording),
         ("recorder", links.stop_recording),
@@ -43,7 +57,7 @@ def missing_topics(links: CellLinks, health: Health, topics: Sequence[str]) -> l
             found.append(f"{name} has not delivered a valid message (node {publishers[0]})")
     disobeyed = (t for t in ORDERS if not set(links.listeners(t)) - {"capture", "recorder"})
     found += [f"nobody obeys {links.resolve(t)}: start the machine's node" for t in disobeyed]
-    recorded = (*topics, *ORDERS, "plan", "observation")
+    recorded = (*topics, *ORDERS, names.PLAN, names.OBSERVATION)
     unheard = (topic for topic in recorded if "recorder" not in links.listeners(topic))
     return found + [f"the recorder does not listen to {links.resolve(t)} yet" for t in unheard]
 

@@ -22,7 +22,7 @@ class RollCall:
         self._seen[name] = now
 
     def leave(self, name: str) -> None:
-        """Forget ``name``: it said goodbye."""
+        """Forget ``name``: it left on purpose."""
         self._seen.pop(name, None)
 
     def known(self) -> set[str]:

@@ -1,4 +1,4 @@
-"""Running a node until it is told to end: by SIGINT, SIGTERM or the loss of its supervisor."""
+"""Running a node until it has to end: by SIGINT, SIGTERM or the loss of its supervisor."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from types import FrameType
-from typing import Final, Protocol
+from typing import Final, NoReturn
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
+from rotcal_ros.nodes.cell_node import CellNode
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 """Environment variable: process id of a supervisor that the node must not outlive."""
@@ -25,58 +25,30 @@ STOP_TIMEOUT_S: Final = 20.0
 _TURN_S: Final = 0.2
 
 
-class EndingNode(Protocol):
-    """What a node offers so that it can be ended in good order; an rclpy Node besides."""
-
-    def begin_stop(self) -> None:
-        """Begin to end: give up running work, close files."""
-
-    def stopped(self) -> bool:
-        """Return whether nothing is left to do."""
+def run(make: Callable[[], CellNode]) -> NoReturn:
+    """Make a node and spin it until it has to end; leave with the exit code of the process."""
+    leave_with(lambda: _spin(make))
 
 
-def run_node(make: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """Make a node and spin it until it is to end; return the exit code of the process.
-
-    The first signal lets the node finish (close its bag, end its goal). The middleware stays up
-    meanwhile, which the handlers of rclpy itself would not allow.
-    """
-    os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
-    os.environ |= middleware(os.environ, ROS_DEFAULT_RANGE)
-    told = _Told()
+def leave_with(work: Callable[[], None]) -> NoReturn:
+    """Do the work of a process and leave; an error of rotcal is one line and its exit code."""
+    use_middleware()
     try:
-        with rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO):
-            node = make()
-            executor = SingleThreadedExecutor()
-            executor.add_node(node)
-            with suppress(ExternalShutdownException):
-                while not told.to_end() and not _finished(node):
-                    executor.spin_once(timeout_sec=_TURN_S)
-                _finish(node, executor)
-            executor.shutdown(timeout_sec=1.0)
-            node.destroy_node()
+        work()
     except RotcalError as error:
         sys.stderr.write(f"{error}\n")
-        return error.exit_code
-    return 0
+        sys.exit(error.exit_code)
+    sys.exit(0)
 
 
-def _finished(node: Node) -> bool:
-    """Return whether the node says that its work is done; most never do."""
-    return hasattr(node, "finished") and bool(node.finished())
+def use_middleware() -> None:
+    """Let this process use the transport of the nodes; what the user has set stays."""
+    os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+    os.environ |= middleware(os.environ, ROS_DEFAULT_RANGE)
 
 
-def _finish(node: Node, executor: SingleThreadedExecutor) -> None:
-    """Let the node end its work, for a limited time."""
-    if hasattr(node, "begin_stop"):
-        node.begin_stop()
-        deadline = time.monotonic() + STOP_TIMEOUT_S
-        while not node.stopped() and time.monotonic() < deadline:
-            executor.spin_once(timeout_sec=_TURN_S)
-
-
-class _Told:
-    """Whether the process was told to end."""
+class EndRequest:
+    """Whether the process has to end; takes SIGINT and SIGTERM from now on."""
 
     def __init__(self) -> None:
         self._signalled = False
@@ -85,10 +57,39 @@ class _Told:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._note)
 
-    def _note(self, _number: int, _frame: FrameType | None) -> None:
-        self._signalled = True
-
-    def to_end(self) -> bool:
+    def __bool__(self) -> bool:
         return self._signalled or (
             self._supervisor is not None and os.getppid() != self._supervisor
         )
+
+    def _note(self, _number: int, _frame: FrameType | None) -> None:
+        self._signalled = True
+
+
+def _spin(make: Callable[[], CellNode]) -> None:
+    """Spin a node; the first signal lets it finish (close its bag, end its goal).
+
+    The middleware stays up meanwhile, which the handlers of rclpy itself would not allow.
+    """
+    end = EndRequest()
+    with rclpy.init(signal_handler_options=SignalHandlerOptions.NO):
+        node = make()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        with suppress(ExternalShutdownException):
+            while not end and not node.finished():
+                executor.spin_once(timeout_sec=_TURN_S)
+            _finish(node, executor)
+        executor.shutdown(timeout_sec=1.0)
+        node.destroy_node()
+
+
+def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
+    """Let a node end its work, for a limited time, and leave the others with a word."""
+    node.begin_stop()
+    deadline = time.monotonic() + STOP_TIMEOUT_S
+    while not node.stopped():
+        if time.monotonic() > deadline:
+            return
+        executor.spin_once(timeout_sec=_TURN_S)
+    node.health.leave()

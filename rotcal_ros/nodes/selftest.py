@@ -10,32 +10,15 @@ import sys
 import time
 from typing import Final
 
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import get_rmw_implementation_identifier
 from rotcal_msgs.msg import TableAngle
 
+from rotcal_ros.nodes.peer import Peer
+
 DEADLINE_S: Final = 10.0
+TURN_S: Final = 0.02
 LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
-class Peer:
-    """A node in a context of its own."""
-
-    def __init__(self, name: str) -> None:
-        self.context = Context()
-        self.context.init()
-        self.node = Node(name, context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.shutdown()
 
 
 def round_trip(deadline_s: float = DEADLINE_S) -> float | None:
@@ -49,9 +32,8 @@ def round_trip(deadline_s: float = DEADLINE_S) -> float | None:
     here.node.create_publisher(TableAngle, "doctor_out", LATCHED).publish(TableAngle(step=7))
     try:
         while time.monotonic() < start + deadline_s:
-            there.executor.spin_once(timeout_sec=0.02)
-            here.executor.spin_once(timeout_sec=0.02)
-            if returned:
+            there.work_until(lambda: False, TURN_S)
+            if here.work_until(lambda: bool(returned), TURN_S):
                 return time.monotonic() - start
         return None
     finally:

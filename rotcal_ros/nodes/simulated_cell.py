@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Sequence
 from typing import Any, Final
 
-from rclpy.node import Node
-from rotcal_msgs.msg import ProbePoint, ProbeTarget, TableAngle, TracerLength
+from rotcal_msgs.msg import ProbePoint, TracerLength
 from sensor_msgs.msg import JointState, Temperature
 
+from rotcal_ros import messages
 from rotcal_ros.catalogue.method import DEFAULT, find_method
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_links import TABLE_FRAME
-from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.parameters import declare_settings
+from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.order_subscription import OrderSubscription
 from rotcal_ros.nodes.qos import EVENT, STREAM
-from rotcal_ros.nodes.running import run_node
+from rotcal_ros.nodes.running import run
+from rotcal_ros.observations import Command
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell
 
@@ -25,63 +23,42 @@ PERIOD_S: Final = 0.005
 LONGEST_TURN_S: Final = 0.02
 """Wall time made up for in one turn at most, so that a stall never becomes a burst."""
 UNASKED_PERIOD_S: Final = 0.5
-TRACER_FRAME: Final = "tracer"
 
 
-class SimulatedCellNode(Node):
+class SimulatedCellNode(CellNode):
     """Lets machine time pass: ``time_scale`` times faster than life while something is to do."""
 
     def __init__(self) -> None:
         super().__init__("simulated_cell")
         method = find_method(self.declare_parameter("method", DEFAULT).value)
-        settings = declare_settings(self, "simulation", method.simulation_settings)
-        self._joint = declare_settings(self, "cell", CellSettings).joint or "table"
+        settings = self.settings("simulation", method.simulation_settings)
+        self._joint = self.settings("cell", CellSettings).joint or "table"
         self._scale = settings.time_scale
         self._cell = SimulatedCell(settings, self.get_clock().now().nanoseconds)
         self._turned_s = time.monotonic()
-        self._orders: dict[tuple[int, int], Any] = {}
         self._order_text = "no order yet"
-        self._health = Health(self, self._report)
-        guarded = self._health.guarded
         if self._cell.instrument.streams_lengths:
             self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
         self._probe_frame = self._cell.instrument.frame
         if settings.table.external:
-            follow = guarded(self._follow)
-            self.create_subscription(JointState, "table_actual", follow, STREAM)
+            self.listen(JointState, "table_actual", self._follow, STREAM)
         else:
             self._table = self.create_publisher(JointState, "joint_states", STREAM)
-            self.create_timer(PERIOD_S, guarded(self._turn))
+            self.every(PERIOD_S, self._turn)
         self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
         self._temperature = self.create_publisher(Temperature, "temperature", EVENT)
-        for kind, topic in ((TableAngle, "table_angle"), (ProbeTarget, "probe_target")):
-            self.create_subscription(kind, topic, guarded(self._obey), EVENT)
-        self.create_timer(UNASKED_PERIOD_S, guarded(self._tell_position))
+        OrderSubscription(self, self._obey)
+        self.every(UNASKED_PERIOD_S, self._tell_position)
 
-    def begin_stop(self) -> None:
-        """Say goodbye."""
-        self._health.leave()
-
-    def stopped(self) -> bool:
-        """Return True: there is nothing to finish."""
-        return True
-
-    def _obey(self, message: TableAngle | ProbeTarget) -> None:
-        """Begin both motions of an order together, once both of its messages are here."""
-        key = (message.step, message.attempt)
-        other = self._orders.pop(key, None)
-        if other is None or type(other) is type(message):
-            self._orders = {key: message}
-            return
-        pair = (message, other) if isinstance(message, TableAngle) else (other, message)
-        command = conversions.command(*pair)
+    def _obey(self, command: Command) -> None:
+        """Begin both motions of an order together."""
         self._cell.order_table(command)
         self._cell.order_probe(command)
         self._order_text = f"step {command.step}, attempt {command.attempt}"
 
     def _follow(self, message: JointState) -> None:
         """Take the actual angle of a table that another program moves; its clock is ours."""
-        stamp_ns = conversions.stamp_ns(message.header.stamp)
+        stamp_ns = messages.stamp_ns(message.header.stamp)
         self._publish(self._cell.follow_table(stamp_ns, message.position[0]))
 
     def _turn(self) -> None:
@@ -97,11 +74,11 @@ class SimulatedCellNode(Node):
         for probe in output.probe:
             self._probe.publish(conversions.probe_message(probe, self._probe_frame))
         for table in output.table:
-            self._table.publish(conversions.table_message(table, self._joint, TABLE_FRAME))
+            self._table.publish(conversions.table_message(table, self._joint, frames.TABLE))
         for temperature in output.temperature:
             self._temperature.publish(conversions.temperature_message(temperature))
         for tracer in output.tracer:
-            self._tracer.publish(conversions.tracer_message(tracer, TRACER_FRAME))
+            self._tracer.publish(conversions.tracer_message(tracer, frames.TRACER))
 
     def _tell_position(self) -> None:
         """Tell the probe's position unasked, so that a preflight hears the machine."""
@@ -115,14 +92,9 @@ class SimulatedCellNode(Node):
         return f"{state}: {self._order_text}", {"machine_time_ns": self._cell.now_ns}
 
 
-def make() -> Node:
-    """Return the node."""
-    return SimulatedCellNode()
-
-
-def main(args: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Run the simulated cell."""
-    sys.exit(run_node(make, args))
+    run(SimulatedCellNode)
 
 
 if __name__ == "__main__":

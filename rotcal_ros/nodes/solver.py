@@ -2,38 +2,35 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from rclpy.node import Node
 from rotcal_msgs.msg import CalibrationPlan, DeviationArray
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
 
+from rotcal_ros import messages
+from rotcal_ros.bags import names
 from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue.calibration import RunStep
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
-from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_links import TABLE_FRAME
+from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.continuing import read_continuation
-from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.plan_message import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
-from rotcal_ros.nodes.running import run_node
+from rotcal_ros.nodes.running import run
 from rotcal_ros.nodes.waiting import until
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 
-RunStep = tuple[int, int]
-"""Number of the run, step."""
 ARRIVAL_TIMEOUT_S = 10.0
 SOLVE_TIMEOUT_S = 3600.0
 
 
-class SolverNode(Node):
+class SolverNode(CellNode):
     """Solves in a thread of its own, so that no observation waits for a solution."""
 
     def __init__(self) -> None:
@@ -48,23 +45,16 @@ class SolverNode(Node):
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
         self._solving: Future[Result] | None = None
         self._solved_count = 0
-        self._health = Health(self, self._report)
-        guarded = self._health.guarded
         self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
-        self.create_subscription(CalibrationPlan, "plan", guarded(self._take_plan), LATCHED)
-        self.create_subscription(ObservationMsg, "observation", guarded(self._take), EVENT)
+        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
+        self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
         self.create_service(FinishCalibration, "finish_calibration", self._finish)
-        self.create_timer(period, guarded(self._preliminary))
+        self.every(period, self._preliminary)
 
     def begin_stop(self) -> None:
-        """Say goodbye; a running solution is not waited for."""
+        """Give up what is being solved."""
         self._worker.shutdown(wait=False, cancel_futures=True)
-        self._health.leave()
-
-    def stopped(self) -> bool:
-        """Return True: nothing to finish."""
-        return True
 
     def _take_plan(self, message: CalibrationPlan) -> None:
         """Start afresh; a run that continues the same plan keeps the steps before its start."""
@@ -89,7 +79,7 @@ class SolverNode(Node):
 
     def _take(self, message: ObservationMsg) -> None:
         if self._calibration is not None and message.accepted:
-            observation = conversions.observation(message)
+            observation = messages.observation(message)
             self._observations[observation.run, observation.step] = observation
 
     def _preliminary(self) -> None:
@@ -117,7 +107,7 @@ class SolverNode(Node):
         except DataError as error:
             self._state = f"not enough observations yet: {error}"
         except Exception as error:
-            self._health.note_error("preliminary solution", error)
+            self.health.note_error("preliminary solution", error)
 
     async def _finish(
         self, request: FinishCalibration.Request, response: FinishCalibration.Response
@@ -132,7 +122,7 @@ class SolverNode(Node):
             self._state = f"final result, verdict {result.verdict}"
         except Exception as error:
             if not isinstance(error, RotcalError):
-                self._health.note_error("final solution", error)
+                self.health.note_error("final solution", error)
             response.message = str(error)
             self._state = f"no final result: {error}"
         return response
@@ -163,7 +153,7 @@ class SolverNode(Node):
                 plan_id=self._calibration.configuration.plan_id,
                 final=final,
                 now_ns=self.get_clock().now().nanoseconds,
-                frame=TABLE_FRAME,
+                frame=frames.TABLE,
             )
         )
 
@@ -181,7 +171,7 @@ class SolverNode(Node):
                 table,
                 plan_id=self._calibration.configuration.plan_id,
                 now_ns=self.get_clock().now().nanoseconds,
-                frame=TABLE_FRAME,
+                frame=frames.TABLE,
             )
         )
 
@@ -189,14 +179,9 @@ class SolverNode(Node):
         return self._state, {"run": self._run, "observations": len(self._observations)}
 
 
-def make() -> Node:
-    """Return the node."""
-    return SolverNode()
-
-
-def main(args: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Run the solver node."""
-    sys.exit(run_node(make, args))
+    run(SolverNode)
 
 
 if __name__ == "__main__":

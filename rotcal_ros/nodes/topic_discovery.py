@@ -16,6 +16,7 @@ from rotcal_ros.bags.definitions import collect_definition
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, OfferedQos, qos_text
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.qos import adapted_qos
+from rotcal_ros.nodes.recording import Channel
 
 ALWAYS: Final = ("/diagnostics", "/rosout")
 
@@ -24,12 +25,8 @@ ALWAYS: Final = ("/diagnostics", "/rosout")
 class DiscoveredTopic:
     """A topic with publishers, ready to be subscribed to and to become a channel."""
 
-    name: str
-    type_name: str
+    channel: Channel
     message_type: type
-    definition: str
-    type_hash: str
-    offered_qos: str
     qos: QoSProfile
 
 
@@ -54,15 +51,14 @@ def discover(node: Node, name: str, type_name: str) -> DiscoveredTopic | None:
     hashes = {str(info.topic_type_hash) for info in infos}
     type_hash = hashes.pop() if len(hashes) == 1 else ""
     profiles = [info.qos_profile for info in infos]
-    return DiscoveredTopic(
-        name=name,
+    channel = Channel(
+        topic=name,
         type_name=type_name,
-        message_type=_message_type(type_name),
         definition=collect_definition(type_name, lambda p: Path(get_package_share_directory(p))),
         type_hash=type_hash if type_hash.startswith("RIHS") else "",
         offered_qos=qos_text(_offered(profile) for profile in profiles),
-        qos=adapted_qos(profiles),
     )
+    return DiscoveredTopic(channel, _message_type(type_name), adapted_qos(profiles))
 
 
 def _message_type(type_name: str) -> type:

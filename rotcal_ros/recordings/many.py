@@ -8,15 +8,18 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
+from uuid import uuid4
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, sha256_of
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import BagError, ConfigurationError, RotcalError
+from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import Recording, read_recording
 from rotcal_ros.results import Result
 
@@ -183,25 +186,17 @@ def _filesystem(source: str) -> tuple[Any, str]:
     return filesystem, path
 
 
-class _local:  # noqa: N801  used like a function
-    """The bag as a local path, fetched into a temporary folder when it lies elsewhere."""
-
-    def __init__(self, source: str) -> None:
-        self._source = source
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-
-    def __enter__(self) -> Path:
-        if "://" not in self._source:
-            return Path(self._source)
-        filesystem, path = _filesystem(self._source)
-        self._folder = tempfile.TemporaryDirectory(prefix="rotcal_")
-        target = Path(self._folder.name) / Path(path).name
+@contextmanager
+def _local(source: str) -> Iterator[Path]:
+    """Give the bag as a local path, fetched into a temporary folder when it lies elsewhere."""
+    if "://" not in source:
+        yield Path(source)
+        return
+    filesystem, path = _filesystem(source)
+    with tempfile.TemporaryDirectory(prefix="rotcal_") as folder:
+        target = Path(folder) / Path(path).name
         filesystem.get_file(path, str(target))
-        return target
-
-    def __exit__(self, *_: object) -> None:
-        if self._folder is not None:
-            self._folder.cleanup()
+        yield target
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -210,7 +205,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _write(path: Path, outcome: Outcome) -> None:
-    """Keep an outcome; two workers with the same bag write the same file."""
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
-        json.dump(asdict(outcome), file)
-    Path(file.name).replace(path)
+    """Keep an outcome; two workers with the same bag write it under names of their own."""
+    own = path.with_suffix(f".{uuid4().hex}")
+    write_atomically(own, json.dumps(asdict(outcome)))
+    own.replace(path)

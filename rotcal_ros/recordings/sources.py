@@ -3,14 +3,56 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.evaluation.reference import read_reference, without_polygon
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.results import Result
 
-if TYPE_CHECKING:
-    from rotcal_ros.curves.measured import MeasuredCurve
-    from rotcal_ros.results import Result
+
+@dataclass(frozen=True)
+class Source:
+    """A result and where it comes from.
+
+    ``sha256`` maps file names to hashes. ``axis`` is the letter of the measured axis, None where
+    only the result is known. ``warnings`` are what the reader of a bag must know.
+    """
+
+    result: Result
+    sha256: Mapping[str, str]
+    axis: str | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def read_source(path: Path) -> Source:
+    """Return the result in a JSON file, or the solution of a bag.
+
+    Raises BagError when it cannot be read, DataError when the file holds no result.
+    """
+    if path.suffix != ".json":
+        recording = read_recording(path)
+        axis = recording.calibration.configuration.cell.axis
+        return Source(recording.solve(), recording.sha256, axis, recording.warnings())
+    try:
+        data = path.read_bytes()
+        result = Result.from_dict(json.loads(data))
+    except OSError as error:
+        raise BagError(f"cannot read {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise BagError(f"{path} is not JSON: {error}") from error
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+    return Source(result, {path.name: sha256(data).hexdigest()})
+
+
+def read_result(path: Path) -> Result:
+    """Return the result of :func:`read_source`."""
+    return read_source(path).result
 
 
 def read_text(path: Path) -> str:
@@ -21,32 +63,14 @@ def read_text(path: Path) -> str:
         raise BagError(f"cannot read {path}: {error}") from error
 
 
-def read_result(path: Path) -> Result:
-    """Return the result in ``path``: a result.json, or a bag, which is solved."""
-    from rotcal_ros.results import Result
-
-    if path.suffix != ".json":
-        from rotcal_ros.recordings.replay import read_recording
-
-        return read_recording(path).solve()
-    try:
-        return Result.from_dict(json.loads(read_text(path)))
-    except (ValueError, DataError) as error:
-        raise DataError(f"{path}: {error}") from error
-
-
 def read_curve(path: Path, component: str, polygon: MeasuredCurve | None) -> MeasuredCurve:
     """Return one deviation curve of a result, a bag, or a reference table (.csv).
 
     ``polygon`` holds the face errors that are taken off reference tables.
     """
     if path.suffix != ".csv":
-        from rotcal_ros.curves.measured import measured_curve
-
         return measured_curve(read_result(path), component)
     if component != "ECC":
         raise DataError(f"{path}: a reference table holds ECC only, {component} was asked for")
-    from rotcal_ros.evaluation.reference import read_reference, without_polygon
-
     reading = read_reference(read_text(path), str(path))
     return reading if polygon is None else without_polygon(reading, polygon)

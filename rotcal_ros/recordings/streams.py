@@ -16,7 +16,8 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.topic_settings import TopicSettings
-from rotcal_ros.observations import Command, LengthStatus, Observation, TableSample
+from rotcal_ros.capture.orders import Orders
+from rotcal_ros.observations import LengthStatus, Observation, TableSample
 from rotcal_ros.recordings.foreign import (
     FLOAT,
     POINT,
@@ -78,18 +79,18 @@ class StreamFeeder:
         self._units = topics or TopicSettings()
         self._speed = Speedometer()
         self._counted = 0
-        self._half_orders: dict[tuple[str, int, int], Any] = {}
+        self._orders = Orders()
         self._makers: dict[str, Callable[[Any], Any]] = {
             names.PROBE_POINT: records.probe_sample,
             names.TEMPERATURE: records.temperature_sample,
-            names.TABLE_ANGLE: lambda message: self._order(names.TABLE_ANGLE, message),
-            names.PROBE_TARGET: lambda message: self._order(names.PROBE_TARGET, message),
+            names.TABLE_ANGLE: self._orders.table_angle,
+            names.PROBE_TARGET: self._orders.probe_target,
         }
 
     def begin_run(self, run: int) -> None:
         """Start afresh: what was undecided when a run was interrupted stays undecided."""
         self._captures.append(self._make(run))
-        self._half_orders.clear()
+        self._orders.clear()
 
     @property
     def counts(self) -> dict[str, dict[str, int]]:
@@ -223,17 +224,6 @@ class StreamFeeder:
             record = self._makers[part.role](message)
             if record is not None:
                 yield row, record
-
-    def _order(self, half: str, message: Any) -> Command | None:
-        """Join the two messages of an order by step and attempt; None while one is missing."""
-        other = names.PROBE_TARGET if half == names.TABLE_ANGLE else names.TABLE_ANGLE
-        partner = self._half_orders.pop((other, message.step, message.attempt), None)
-        if partner is None:
-            self._half_orders[half, message.step, message.attempt] = message
-            return None
-        if half == names.TABLE_ANGLE:
-            return records.command(message, partner)
-        return records.command(partner, message)
 
 
 _READING: Final = np.dtype(

@@ -16,7 +16,7 @@ def on_all_cores(jobs: Sequence[Job], workers: int | None = None) -> Iterator[Ou
 
     A job whose process dies (out of memory) becomes an outcome with that error.
     """
-    workers = min(workers or len(os.sched_getaffinity(0)), max(1, len(jobs)))
+    workers = min(workers or usable_cores(), max(1, len(jobs)))
     if workers == 1:
         yield from map(solve_bag, jobs)
         return
@@ -29,6 +29,11 @@ def on_all_cores(jobs: Sequence[Job], workers: int | None = None) -> Iterator[Ou
             error = future.exception()
             job = futures[future]
             yield Outcome(job.source, "", error=repr(error)) if error else future.result()
+
+
+def usable_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
 
 
 def on_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:

@@ -87,10 +87,12 @@ def comparison_page(
 def _rows(comparison: Comparison, unit: float) -> list[tuple[str, ...]]:
     """Return angle, difference, expanded uncertainty, E_n and a remark of every angle."""
     return [
-        (f"{angle / DEGREE:.4f}", f"{d / unit:+.3f}", f"{COVERAGE_FACTOR * s / unit:.3f}", f"{e:+.2f}",
-         "interpolated" if between else "")
-        for angle, d, s, e, between in zip(
-            comparison.angles, comparison.difference, comparison.std,
-            comparison.normalised_error, comparison.interpolated, strict=True,
+        (
+            f"{angle / DEGREE:.4f}",
+            f"{comparison.difference[i] / unit:+.3f}",
+            f"{COVERAGE_FACTOR * comparison.std[i] / unit:.3f}",
+            f"{comparison.normalised_error[i]:+.2f}",
+            "interpolated" if comparison.interpolated[i] else "",
         )
-    ]  # fmt: skip
+        for i, angle in enumerate(comparison.angles)
+    ]

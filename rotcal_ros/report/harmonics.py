@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.curves.measured import measured_curve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
@@ -20,13 +21,10 @@ from rotcal_ros.units import DEGREE
 def contents(result: Result) -> dict[str, HarmonicContent]:
     """Return the harmonic content of every component that goes round and closes."""
     found = {}
-    for name in COMPONENTS:
-        if name not in result.deviations:
-            continue
-        try:
+    for name in result.components:
+        # An arc, or a curve that does not close: the report shows that elsewhere.
+        with suppress(DataError):
             found[name] = harmonic_content(measured_curve(result, name))
-        except DataError:
-            continue  # an arc, or a curve that does not close: the report has said so already
     return found
 
 

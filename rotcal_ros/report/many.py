@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from rotcal_ros import __version__
 from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.figures import style
+from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.many import Outcome
+from rotcal_ros.report.template import environment
 
 
 def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
@@ -54,23 +55,18 @@ def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
 
 def write_overview(outcomes: Sequence[Outcome], configuration_text: str, path: Path) -> None:
     """Write the page: the trend of every component over time, and one row per bag."""
-    environment = Environment(
-        loader=PackageLoader("rotcal_ros.report", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    text = (
+        environment()
+        .get_template("overview.html.j2")
+        .render(
+            version=__version__,
+            rows=[_summary(outcome) for outcome in outcomes],
+            figures=[(name, _trend(outcomes, name)) for name in _components(outcomes)],
+            bad=sum(bool(outcome.error) for outcome in outcomes),
+            configuration_text=configuration_text,
+        )
     )
-    text = environment.get_template("overview.html.j2").render(
-        version=__version__,
-        rows=[_summary(outcome) for outcome in outcomes],
-        figures=[(name, _trend(outcomes, name)) for name in _components(outcomes)],
-        bad=sum(bool(outcome.error) for outcome in outcomes),
-        configuration_text=configuration_text,
-    )
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
+    write_atomically(path, text)
 
 
 def in_time(outcomes: Sequence[Outcome]) -> list[Outcome]:
@@ -97,8 +93,7 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
     }
     return [
         {**common, "component": name, "angle_rad": angle, "deviation": deviation, "std": std}
-        for name in COMPONENTS
-        if name in result.deviations
+        for name in result.components
         for angle, deviation, std in zip(
             result.angles.tolist(),
             result.deviations[name].tolist(),
@@ -117,10 +112,9 @@ def _summary(outcome: Outcome) -> dict[str, Any]:
     result = outcome.deviations()
     ranges = []
     if result is not None:
-        for name in COMPONENTS:
-            if name in result.deviations:
-                factor, unit = unit_of(name)
-                ranges.append(f"{name} {np.ptp(result.deviations[name]) / factor:.3g} {unit}")
+        for name in result.components:
+            factor, unit = unit_of(name)
+            ranges.append(f"{name} {np.ptp(result.deviations[name]) / factor:.3g} {unit}")
     return {
         "source": outcome.source,
         "table": outcome.table,
@@ -148,12 +142,12 @@ def _trend(outcomes: Sequence[Outcome], name: str) -> str:
     factor, unit = unit_of(name)
     (axes,) = style.grid(height=2.8)
     for table in sorted({outcome.table for outcome in outcomes}):
-        points = []
-        for outcome in outcomes:
-            result = outcome.deviations()
-            known = result is not None and name in result.deviations
-            if known and outcome.table == table and outcome.start_ns is not None:
-                points.append((outcome.start_ns, result.deviations[name], result.std[name]))  # type: ignore[union-attr]
+        points = [
+            (outcome.start_ns, result.deviations[name], result.std[name])
+            for outcome in outcomes
+            if outcome.table == table and outcome.start_ns is not None
+            if (result := outcome.deviations()) is not None and name in result.deviations
+        ]
         if points:
             times = np.array([p[0] for p in points], dtype="datetime64[ns]")
             spans = [np.ptp(p[1]) / factor for p in points]

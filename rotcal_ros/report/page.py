@@ -9,7 +9,7 @@ from typing import Any
 
 from rotcal_ros import __version__
 from rotcal_ros.catalogue import find_method, method_names
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.files import write_atomically
@@ -57,7 +57,7 @@ def render_report(report: ReportInput) -> str:
             rows=_deviation_rows(result),
             summary=_summary(result),
             extra=[*_evaluation_sections(result), *report.extra],
-            sections=_detail_sections(result.details),
+            sections=_detail_sections(result.all_details),
             attempts=[o for o in report.observations if not o.accepted],
         )
     )
@@ -111,7 +111,7 @@ def _evaluation_sections(result: Result) -> list[tuple[str, str]]:
 
 
 def _columns(result: Result) -> list[str]:
-    return [f"{name} / {unit_of(name)[1]}" for name in COMPONENTS if name in result.deviations]
+    return [f"{name} / {unit_of(name)[1]}" for name in result.components]
 
 
 def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
@@ -119,12 +119,11 @@ def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
     rows = []
     for i, angle in enumerate(result.angles):
         cells = []
-        for name in COMPONENTS:
-            if name in result.deviations:
-                factor, _ = unit_of(name)
-                value = result.deviations[name][i] / factor
-                band = COVERAGE_FACTOR * result.std[name][i] / factor
-                cells.append(f"{value:+.3f} ± {band:.3f}")
+        for name in result.components:
+            factor, _ = unit_of(name)
+            value = result.deviations[name][i] / factor
+            band = COVERAGE_FACTOR * result.std[name][i] / factor
+            cells.append(f"{value:+.3f} ± {band:.3f}")
         rows.append((f"{angle / DEGREE:.4f}", cells))
     return rows
 
@@ -136,13 +135,12 @@ def _summary(result: Result) -> list[tuple[str, str]]:
         ("Degrees of freedom", str(result.dof)),
         ("σ₀ (1 = the stated noise fits)", f"{result.sigma0:.3f}"),
     ]
-    for name in COMPONENTS:
-        if name in result.deviations:
-            factor, unit = unit_of(name)
-            values = result.deviations[name] / factor
-            band = COVERAGE_FACTOR * result.std[name].max() / factor
-            span = f"{values.min():+.3f} to {values.max():+.3f} {unit}"
-            summary.append((name, f"{span}, U ≤ {band:.3f} {unit} (k = 2)"))
+    for name in result.components:
+        factor, unit = unit_of(name)
+        values = result.deviations[name] / factor
+        band = COVERAGE_FACTOR * result.std[name].max() / factor
+        span = f"{values.min():+.3f} to {values.max():+.3f} {unit}"
+        summary.append((name, f"{span}, U ≤ {band:.3f} {unit} (k = 2)"))
     return summary
 
 

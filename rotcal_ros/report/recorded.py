@@ -4,15 +4,33 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.recordings.replay import Recording
-from rotcal_ros.report.page import ReportInput
+from rotcal_ros.report.page import ReportInput, write_report
 from rotcal_ros.results import Result
+
+
+def write_recorded(
+    recording: Recording,
+    page: Path,
+    truth: Path | None = None,
+    extra: Sequence[tuple[str, str]] = (),
+) -> Result:
+    """Solve a recording, write the page about it, and return the result.
+
+    ``truth`` is the truth.json of a simulation, ``extra`` holds further sections as (title, HTML).
+    """
+    result = recording.solve()
+    injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
+    write_report(replace(report_of(recording, result, injected), extra=extra), page)
+    return result
 
 
 def report_of(

@@ -6,6 +6,7 @@ from html import escape
 
 from matplotlib.axes import Axes
 
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
 from rotcal_ros.figures import style
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -63,6 +64,6 @@ def before_and_after(before: Positioning, after: Positioning) -> str:
 
 def _draw(ax: Axes, run: Positioning, colour: str, label: str) -> None:
     ax.errorbar(
-        run.angles / DEGREE, run.deviation / ARCSEC, 2.0 * run.std / ARCSEC,
+        run.angles / DEGREE, run.deviation / ARCSEC, COVERAGE_FACTOR * run.std / ARCSEC,
         fmt="o-", color=colour, markersize=3.5, linewidth=1.2, capsize=2, label=f"{label}, k = 2",
     )  # fmt: skip

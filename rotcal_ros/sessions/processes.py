@@ -64,7 +64,7 @@ class Processes:
             stream.flush()
 
     def signal(self, name: str, number: signal.Signals) -> None:
-        """Send a signal to one child if it still runs."""
+        """Send a signal to one child if it runs."""
         child = self.children[name]
         if child.poll() is None:
             with suppress(ProcessLookupError):

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Sequence
 from datetime import datetime, timezone
-from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.cli.console import say
-from rotcal_ros.compensation.export import prepare_export
-from rotcal_ros.compensation.table import table_from_result
+from rotcal_ros.compensation.export import ExportFiles, prepare_export
+from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.errors import BagError, RotcalError
 from rotcal_ros.files import write_atomically
-from rotcal_ros.results import Result
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.report.terminal.console import say
+from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions.session import Session
 from rotcal_ros.simulation import SimulatedCell
 
@@ -28,78 +29,81 @@ FORMATS: Final = ("csv", "linuxcnc")
 def write_products(
     session: Session, *, report: bool = True, export: bool = True
 ) -> dict[str, str]:
-    """Write what follows from the result; return name -> absolute path of all there is."""
-    result_file = session.folder / "result.json"
-    paths = {"bag": session.folder / "bag", "result": result_file}
-    if session.simulated:
-        paths["truth"] = _write_truth(session)
+    """Write what follows from the result; return name -> absolute path of all there is.
+
+    A report or controller files that cannot be written never spoil a calibration: the reason is
+    shown, and they are left out.
+    """
+    folder = session.folder
+    paths = {"bag": folder.bag, "result": folder.result}
+    if session.configuration.simulated:
+        write_truth(session)
+        paths["truth"] = folder.truth
     if report:
-        paths |= _write_report(session, result_file, paths)
-    folder = _write_compensation(session, result_file) if export else None
-    if folder is not None:
-        paths["compensation"] = folder
+        try:
+            write_report(folder)
+            paths["report"] = folder.report
+        except (RotcalError, OSError) as error:
+            say(f"no report: {error}")
+    if export:
+        try:
+            _write_compensation(session)
+            paths["compensation"] = folder.compensation
+        except RotcalError as error:
+            say(f"no compensation files: {error}")
     return {name: str(path) for name, path in paths.items()}
 
 
-def _write_truth(session: Session) -> Path:
+def write_truth(session: Session) -> None:
     """Write what the simulation injected at the plan's table angles.
 
     ``injected`` holds it all, ``deviations`` what the method can see of it: see Method.gauge.
     """
-    settings = session.configuration.simulation
     calibration = session.calibration
     angles = np.array(calibration.plan.table_angles)
-    cell = SimulatedCell(settings)
+    cell = SimulatedCell(session.configuration.simulation)
     truth = cell.truth_dict(angles)
     truth["injected"] = truth["deviations"]
     seen = calibration.method.gauge(angles, cell.truth(angles))
     truth["deviations"] = {name: values.tolist() for name, values in seen.items()}
-    path = session.folder / "truth.json"
-    write_atomically(path, json.dumps(truth, indent=1, allow_nan=False) + "\n")
-    return path
+    write_atomically(session.folder.truth, json.dumps(truth, indent=1, allow_nan=False) + "\n")
 
 
-def _write_report(
-    session: Session, result_file: Path, paths: Mapping[str, Path]
-) -> dict[str, Path]:
-    """Solve the bag again, compare with the live result, and write the page of the recording.
+def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -> None:
+    """Solve the bag of a session again, compare with the live result, and write the page.
 
-    A failing report never spoils a calibration: it is told and left out.
+    ``extra`` holds further sections as (title, HTML). Raises BagError when there is a page.
     """
     # Figures take a second to load, which a run without report should not wait for.
-    from rotcal_ros.recordings.replay import read_recording
-    from rotcal_ros.report.page import write_report
-    from rotcal_ros.report.recorded import report_of
+    from rotcal_ros.report.recorded import write_recorded
 
-    page = session.folder / "report.html"
-    try:
-        recording = read_recording(paths["bag"])
-        result = recording.solve()
-        if result.to_dict() != json.loads(result_file.read_text(encoding="utf-8")):
-            say("warning: the bag solved again gives another result than live; see 'rotcal solve'")
-        truth = json.loads(paths["truth"].read_text()) if "truth" in paths else None
-        write_report(report_of(recording, result, truth), page)
-    except (RotcalError, OSError) as error:
-        say(f"no report: {error}")
-        return {}
-    return {"report": page}
+    if folder.report.exists():
+        raise BagError(f"{folder.report} exists already and nothing is overwritten")
+    recording = read_recording(folder.bag)
+    truth = folder.truth if folder.truth.exists() else None
+    result = write_recorded(recording, folder.report, truth, extra)
+    if result.to_dict() != json.loads(folder.result.read_text(encoding="utf-8")):
+        say(f"warning: {folder.bag} solved again gives another result than live: rotcal solve")
 
 
-def _write_compensation(session: Session, result_file: Path) -> Path | None:
-    """Write controller files where the result allows it; say why not otherwise."""
-    text = result_file.read_bytes()
-    cell = session.configuration.cell
-    folder = session.folder / "compensation"
-    files: dict[str, str] = {}
-    try:
-        table = table_from_result(Result.from_dict(json.loads(text)), axis=cell.axis)
-        for name in FORMATS:
-            sources = {result_file.name: sha256(text).hexdigest()}
-            now = datetime.now(timezone.utc)
-            files |= prepare_export(table, name, now=now, sources=sources).files
-        folder.mkdir()
-        write_files(files, folder)
-    except RotcalError as error:
-        say(f"no compensation files: {error}")
-        return None
-    return folder
+def export_files(
+    source: Source, table: CompensationTable, names: Sequence[str], spacing: float | None = None
+) -> dict[str, ExportFiles]:
+    """Return the files of the controllers ``names``, with rows every ``spacing`` rad."""
+    now = datetime.now(timezone.utc)
+    return {
+        name: prepare_export(table, name, now=now, spacing=spacing, sources=source.sha256)
+        for name in names
+    }
+
+
+def write_exports(exports: dict[str, ExportFiles], folder: Path) -> None:
+    """Write the files of several controllers, all or none."""
+    write_files({n: text for one in exports.values() for n, text in one.files.items()}, folder)
+
+
+def _write_compensation(session: Session) -> None:
+    """Write controller files where the result allows it."""
+    source = read_source(session.folder.result)
+    table = table_from_result(source.result, axis=session.configuration.cell.axis)
+    write_exports(export_files(source, table, FORMATS), session.folder.compensation)

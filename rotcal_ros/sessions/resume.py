@@ -11,32 +11,34 @@ from typing import Final
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation, continued
-from rotcal_ros.cli.console import progress_bar, say
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.files import FolderLock, write_atomically
 from rotcal_ros.recordings.replay import Recording, read_recording
-from rotcal_ros.sessions.session import BAG, Session, checked_calibration
+from rotcal_ros.report.terminal.console import progress, say
+from rotcal_ros.session_folder import SessionFolder
+from rotcal_ros.sessions.session import Session, checked_calibration
 
 LOCK_TIMEOUT_S: Final = 40.0
 """Nodes whose ``rotcal run`` was killed end by themselves, and close their bag, within this."""
 _POLL_S: Final = 0.2
 
 
-def resume_session(source: Path, folder: Path, changes: Sequence[str]) -> Session:
-    """Return the session that continues the one in ``folder``; its raw streams say what is left.
+def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
+    """Return the session that continues the one in the folder ``path``.
+
+    Its raw streams say what is left to measure.
 
     Raises ConfigurationError when there is no such session, it is finished, or it was configured
-    otherwise; BagError when another process still works there.
+    otherwise; BagError when another process works there.
     """
-    folder = folder.absolute()
+    folder = SessionFolder(path.absolute())
     calibration = checked_calibration(source, changes)
     _check_folder(folder, calibration)
-    _wait_for_lock(folder)
-    bag = folder / BAG
-    if not bag.is_dir():
+    _wait_for_lock(folder.path)
+    if not folder.bag.is_dir():
         return _opened(Session(calibration, folder))
-    files = _files(bag)
-    recording = _recording(bag, calibration) if files else None
+    files = _files(folder.bag)
+    recording = _recording(folder.bag, calibration) if files else None
     settings = calibration.configuration.planner
     continuation = continued(
         calibration.plan,
@@ -47,23 +49,23 @@ def resume_session(source: Path, folder: Path, changes: Sequence[str]) -> Sessio
         join_steps=settings.join_steps if calibration.method.joins_runs else 0,
     )
     session = _opened(Session(calibration, folder, continuation))
-    write_atomically(session.continuation_file, continuation.to_json())
-    _tell(calibration, continuation)
+    write_atomically(folder.continuation(continuation.run), continuation.to_json())
+    _say_what_is_left(calibration, continuation)
     return session
 
 
-def _check_folder(folder: Path, calibration: Calibration) -> None:
-    known = folder / "configuration.yaml"
+def _check_folder(folder: SessionFolder, calibration: Calibration) -> None:
+    known = folder.configuration
     if not known.is_file():
-        raise ConfigurationError(f"{folder} holds no session: {known.name} is missing")
-    if (folder / "result.json").exists():
+        raise ConfigurationError(f"{folder.path} holds no session: {known.name} is missing")
+    if folder.result.exists():
         raise ConfigurationError(
-            f"the calibration in {folder} is finished: its result.json is there"
+            f"the calibration in {folder.path} is finished: its {folder.result.name} is there"
         )
     if known.read_text(encoding="utf-8") != calibration.configuration.text:
         raise ConfigurationError(
             f"{calibration.configuration.source} differs from {known}: an interrupted plan is "
-            f"continued as it was begun; use 'rotcal run {known} --resume {folder}'"
+            f"continued as it was begun; use 'rotcal run {known} --resume {folder.path}'"
         )
 
 
@@ -86,17 +88,14 @@ def _files(bag: Path) -> tuple[Path, ...]:
 
 def _recording(bag: Path, calibration: Calibration) -> Recording | None:
     """Read what was recorded; None when the recorder died before the first message."""
-    with progress_bar() as bar:
-        task = bar.add_task("reading what is there", total=None)
-        try:
+    try:
+        with progress("reading what is there") as shown:
             recording = read_recording(
-                bag,
-                configuration=calibration.configuration,
-                progress=lambda done, total: bar.update(task, completed=done, total=total),
+                bag, configuration=calibration.configuration, progress=shown
             )
-        except BagError as error:
-            say(f"nothing to go on from: {error}")
-            return None
+    except BagError as error:
+        say(f"nothing to go on from: {error}")
+        return None
     for warning in recording.warnings():
         say(f"warning: {warning}")
     return recording
@@ -107,7 +106,7 @@ def _opened(session: Session) -> Session:
     return session
 
 
-def _tell(calibration: Calibration, continuation: Continuation) -> None:
+def _say_what_is_left(calibration: Calibration, continuation: Continuation) -> None:
     total, missing = len(calibration.plan.steps), len(continuation.steps)
     missing -= len(continuation.again)
     again = f"; {len(continuation.again)} done steps are measured again" * bool(continuation.again)

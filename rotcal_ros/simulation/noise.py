@@ -13,7 +13,7 @@ _BLOCK = 512
 
 
 class Source(IntEnum):
-    """What a stream of random numbers is for."""
+    """What a stream of random numbers is for; methods of other packages count from 1000."""
 
     TRACER = 0
     SPIKE = 1
@@ -43,7 +43,7 @@ class IndexedNoise:
     and whose counter starts at (block, source).
     """
 
-    def __init__(self, seed: int, source: Source) -> None:
+    def __init__(self, seed: int, source: int) -> None:
         self._seed, self._source = seed, source
         self._blocks: dict[tuple[str, int], Floats] = {}
 
@@ -65,7 +65,7 @@ class IndexedNoise:
         known = self._blocks.get((kind, number))
         if known is not None:
             return known
-        philox = np.random.Philox(key=[self._seed, 0], counter=[0, number, int(self._source), 0])
+        philox = np.random.Philox(key=[self._seed, 0], counter=[0, number, self._source, 0])
         generator = np.random.Generator(philox)
         draw: Callable[[int], Floats] = (
             generator.standard_normal if kind == "normal" else generator.random

@@ -5,16 +5,17 @@ import json
 import click
 from click.testing import CliRunner
 
-from rotcal_ros.cli.console import json_option, print_json, progress_bar, say
+from rotcal_ros.cli.console import json_option, print_json
+from rotcal_ros.report.terminal.console import progress, say
 
 
 @click.command()
 @json_option
 def verb(as_json):
     say("working")
-    with progress_bar() as bar:
-        for _ in bar.track(range(3), description="steps"):
-            pass
+    with progress("steps") as shown:
+        for done in range(3):
+            shown(done, 3)
     if as_json:
         print_json({"third": 1 / 3})
 

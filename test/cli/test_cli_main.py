@@ -53,7 +53,7 @@ def test_help_lists_every_verb_and_loads_none():
     )
     run_ = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     *help_, loaded = run_.stdout.splitlines()
-    assert loaded == "[] ['rotcal_ros.cli.main']"
+    assert loaded == "[] ['rotcal_ros.cli.console', 'rotcal_ros.cli.main']"
     for name in main.VERBS:
         assert any(line.startswith(f"  {name} ") for line in help_)
 

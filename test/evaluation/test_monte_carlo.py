@@ -4,7 +4,6 @@ from scipy.stats import chi2, norm
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.evaluation.monte_carlo import (
-    LoopTrials,
     compare_with_linear,
     numerical_tolerance,
     propagate,
@@ -102,15 +101,6 @@ def test_linear_uncertainty_is_judged():
     # y = x^2 at x = 0: the linear uncertainty is nothing at all.
     curved = propagate(squared, seed=5, max_trials=20_000)
     assert len(compare_with_linear(curved, np.array([0.0]), np.array([1e-9]))) == 1
-
-
-def test_plain_loop_for_methods_that_are_not_vectorised():
-    model = LoopTrials(
-        draw=lambda rng: rng.normal(2.0, 1.0), evaluate=lambda x: np.array([3.0 * x])
-    )
-    found = propagate(model, seed=1, max_trials=4000)
-    assert found.mean[0] == pytest.approx(6.0, abs=0.2)
-    assert found.std[0] == pytest.approx(3.0, rel=0.05)
 
 
 def test_progress_counts_trials():

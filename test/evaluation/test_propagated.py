@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+import one_table
 import pytest
 
-from rotcal_ros.evaluation import one_table
 from rotcal_ros.evaluation.monte_carlo import propagate
 from rotcal_ros.evaluation.propagated import Propagated
 from rotcal_ros.methods import ball_plate, plane_mirror, tracer

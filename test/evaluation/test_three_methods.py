@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+import one_table
 import pytest
 
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.evaluation import one_table
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import without_polygon
 from rotcal_ros.methods import ball_plate, plane_mirror, tracer

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from real_linuxcnc import HERE, Axis, Running, plant_hal
 
-from rotcal_ros.cli.person import Person
-from rotcal_ros.cli.run import calibrate
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
 from rotcal_ros.results import Result
-from rotcal_ros.sessions.session import RunningSession, prepare_session
+from rotcal_ros.sessions import commands
+from rotcal_ros.sessions.following import calibrate
+from rotcal_ros.sessions.session import prepare_session
 from rotcal_ros.units import ARCSEC, DEGREE
 
 pytest.importorskip("rclpy")
@@ -64,9 +64,7 @@ def axis(tmp_path):
 @pytest.fixture
 def with_driver(axis, monkeypatch):
     """Let every session start the driver too, which starts LinuxCNC."""
-    from rotcal_ros.sessions import session
-
-    start = session._start
+    start = commands._start
 
     def command(described, name):
         found = start(described, name)
@@ -74,15 +72,14 @@ def with_driver(axis, monkeypatch):
             found += ["-p", f"agent_command:={json.dumps(axis.command())}"]
         return found
 
-    monkeypatch.setattr(session, "_start", command)
-    monkeypatch.setattr(session, "NODES", (*session.NODES, "linuxcnc_driver"))
-    assert RunningSession is session.RunningSession
+    monkeypatch.setattr(commands, "_start", command)
+    monkeypatch.setattr(commands, "NODES", (*commands.NODES, "linuxcnc_driver"))
 
 
 def measured(folder: Path) -> Result:
     """Calibrate through all nodes."""
     session = prepare_session(CONFIGURATION, folder, CHANGES)
-    outcome = calibrate(session, Person(session, at_once=True))
+    outcome = calibrate(session)
     assert outcome["verdict"] == "ok", outcome
     return Result.from_dict(json.loads((folder / "result.json").read_text()))
 

@@ -99,7 +99,7 @@ def test_result_and_iso_figures_are_those_of_the_table():
     assert -figures.mean_reversal / ARCSEC == pytest.approx(3.0, abs=0.4)
     pooled = np.sqrt(np.mean([figures.s_forward**2, figures.s_reverse**2]))
     assert pooled / ARCSEC == pytest.approx(0.55, abs=0.15)
-    assert result.details["runs"]["repeatability_std"] / ARCSEC == pytest.approx(0.5, abs=0.15)
+    assert result.runs.repeatability_std / ARCSEC == pytest.approx(0.5, abs=0.15)
 
 
 def test_stated_intervals_of_the_mean_hold_the_truth():
@@ -117,7 +117,8 @@ def test_runs_from_one_side_only_give_a_mean_and_no_reversal():
     task = calibration(bidirectional=False, runs=2)
     result = task.solve(measured(task, 4))
     assert len(result.angles) == TARGETS
-    assert "reverse" not in result.details["runs"]
+    assert result.runs.reverse is None
+    assert "reverse" not in result.to_dict()["details"]["runs"]
     assert runs_of(result) is None
 
 

@@ -6,8 +6,7 @@ import sys
 import pytest
 from live_cell import DEMO, SHORT, LiveCell
 
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.sessions.session import changed
+from rotcal_ros.catalogue.configuration import changed, read_configuration
 
 
 @pytest.fixture

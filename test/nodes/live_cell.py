@@ -10,11 +10,12 @@ from threading import Thread
 
 import pytest
 
+from rotcal_ros.node_names import NODES
+from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
-from rotcal_ros.sessions.session import node_environment
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
-SUITE = ("planner", "capture", "solver", "recorder")
+SUITE = NODES
 SHORT = (
     "plan.table_positions=5",
     "plan.box_points=[3, 2, 2]",

@@ -12,6 +12,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
 
+from rotcal_ros import messages  # noqa: E402
 from rotcal_ros.nodes import conversions  # noqa: E402
 from rotcal_ros.observations import (  # noqa: E402
     Approach,
@@ -58,37 +59,37 @@ def sent(message):
 
 @given(tracer_samples)
 def test_tracer_sample(sample):
-    assert conversions.tracer_sample(sent(conversions.tracer_message(sample, "f"))) == sample
+    assert messages.tracer_sample(sent(conversions.tracer_message(sample, "f"))) == sample
 
 
 @given(table_samples)
 def test_table_sample(sample):
     message = sent(conversions.table_message(sample, "table", "f"))
-    assert conversions.table_sample(message, "table") == sample
-    assert conversions.table_sample(message, "other") is None
+    assert messages.table_sample(message, "table") == sample
+    assert messages.table_sample(message, "other") is None
 
 
 @given(probe_samples)
 def test_probe_sample(sample):
-    assert conversions.probe_sample(sent(conversions.probe_message(sample, "f"))) == sample
+    assert messages.probe_sample(sent(conversions.probe_message(sample, "f"))) == sample
 
 
 @given(temperature_samples)
 def test_temperature_sample(sample):
-    assert conversions.temperature_sample(sent(conversions.temperature_message(sample))) == sample
+    assert messages.temperature_sample(sent(conversions.temperature_message(sample))) == sample
 
 
 @given(commands, stamps)
 def test_command(command, now_ns):
     table, probe = conversions.command_messages(command, now_ns, "table_base", "machine")
-    assert conversions.command(sent(table), sent(probe)) == command
+    assert messages.command(sent(table), sent(probe)) == command
     assert (table.header.frame_id, probe.header.frame_id) == ("table_base", "machine")
 
 
 @given(observations)
 def test_observation(observation):
     message = sent(conversions.observation_message(observation, "f"))
-    assert conversions.observation(message) == observation
+    assert messages.observation(message) == observation
 
 
 def test_absent_components_of_a_result_are_absent():

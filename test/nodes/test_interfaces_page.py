@@ -7,7 +7,7 @@ import pytest
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
-from rotcal_ros.settings import walk
+from rotcal_ros.settings import declarations
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "interfaces.md").read_text(encoding="utf-8")
@@ -18,10 +18,10 @@ PAGE = (ROOT / "docs" / "interfaces.md").read_text(encoding="utf-8")
     [("cell", CellSettings), ("planner", PlannerSettings), ("recorder", RecorderSettings)],
 )
 def test_every_parameter_stands_there_with_default_and_meaning(group, cls):
-    for name, value, info in walk(cls()):
-        shown = value if value != "" else '""'
-        assert f"| `{group}.{name}` | {shown} |" in PAGE
-        assert info.description in PAGE
+    for declared in declarations(cls):
+        shown = declared.default if declared.default != "" else '""'
+        assert f"| `{group}.{declared.name}` | {shown} |" in PAGE
+        assert declared.info.description in PAGE
 
 
 def test_every_interface_and_error_code_stands_there():

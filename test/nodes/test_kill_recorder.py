@@ -16,8 +16,8 @@ from live_cell import wait_until
 
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.reader import bag_files, read_blocks
+from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
-from rotcal_ros.sessions.session import node_environment
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")

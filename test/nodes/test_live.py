@@ -11,7 +11,7 @@ from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -44,7 +44,7 @@ def test_a_calibration_ends_with_a_true_result_that_the_bag_repeats_bit_for_bit(
     )
 
     result = Result.from_dict(json.loads(text))
-    settings = parse_configuration(live.file.read_text()).group("simulation", SimulationSettings)
+    settings = parse_configuration(live.file.read_text()).simulation
     truth = SimulatedCell(settings).truth(result.angles)["ECC"]
     error = result.deviations["ECC"] - truth
     assert np.all(np.abs(error - error[0]) <= 5 * result.std["ECC"] + 1e-12)
@@ -200,7 +200,8 @@ def test_a_full_disk_ends_the_calibration_with_the_reason(cell):
 
 
 def test_a_wrong_parameter_is_one_clear_line(cell):
-    live = cell("simulation.time_scale=-1.0")
+    live = cell("simulation.time_scale=1.0")
+    live.file.write_text(live.file.read_text().replace("time_scale: 1.0", "time_scale: -1.0"))
     live.start("simulated_cell")
     wait_until(lambda: live.processes.ended(), "the node refuses its parameters")
     assert live.processes.ended() == {"simulated_cell": 2}

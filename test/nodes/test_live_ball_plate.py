@@ -8,11 +8,10 @@ import pytest
 from live_cell import SUITE, LiveCell
 
 from rotcal_ros.catalogue import prepare
-from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
-from rotcal_ros.sessions.session import changed
 from rotcal_ros.simulation import SimulatedCell
 
 pytest.importorskip("rclpy")

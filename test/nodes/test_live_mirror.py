@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from live_cell import SUITE, LiveCell
 
-from rotcal_ros.catalogue.configuration import parse_configuration, read_configuration
+from rotcal_ros.catalogue.configuration import changed, parse_configuration, read_configuration
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
-from rotcal_ros.sessions.session import changed
-from rotcal_ros.simulation import SimulatedCell, SimulationSettings
+from rotcal_ros.simulation import SimulatedCell
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -89,7 +88,7 @@ def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(c
     assert "/cell/tracer_length" not in recording.verdicts[0].topics
 
     result = Result.from_dict(json.loads(text))
-    settings = parse_configuration(live.file.read_text()).group("simulation", SimulationSettings)
+    settings = parse_configuration(live.file.read_text()).simulation
     truth = SimulatedCell(settings).truth(result.angles)["ECC"]
     error = (result.deviations["ECC"] - truth)[1:]
     assert error @ np.linalg.solve(result.covariance["ECC"][1:, 1:], error) < 23.5  # 99.99 %

@@ -1,16 +1,17 @@
 """Parameters from settings: typed, described, with range, and checked like a configuration."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
-from rclpy.node import Node  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from rotcal_ros.errors import ConfigurationError  # noqa: E402
-from rotcal_ros.nodes.parameters import declare_settings, read_settings  # noqa: E402
+from rotcal_ros.nodes.cell_node import CellNode  # noqa: E402
+from rotcal_ros.nodes.parameters import read_settings  # noqa: E402
 from rotcal_ros.settings import group, setting  # noqa: E402
 
 
@@ -23,11 +24,17 @@ class Inner:
 class Example:
     length_m: float = setting(1.0, doc="m, a length", minimum=0.0)
     mode: str = setting("a", doc="how", choices=("a", "b"))
-    sizes_m: tuple[float, ...] = setting((), doc="m, sizes", minimum=0.0)
+    way: Literal["near", "far"] = setting("near", doc="which way")
+    sizes_m: tuple[float, ...] = setting((0.5,), doc="m, sizes", minimum=0.0)
     fixed: tuple[int, int] = setting((1, 2), doc="two numbers")
     maybe: float | None = setting(None, doc="may be absent")
     on: bool = setting(True, doc="a switch")
     inner: Inner = group(Inner)
+
+
+class ExampleNode(CellNode):
+    def _report(self):
+        return "idle", {}
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +45,13 @@ def context():
 
 def node(**overrides):
     values = [Parameter(f"g.{name.replace('__', '.')}", value=v) for name, v in overrides.items()]
-    return Node("example", parameter_overrides=values, start_parameter_services=False)
+    return ExampleNode("example", parameter_overrides=values, start_parameter_services=False)
 
 
 @pytest.mark.ros
 def test_defaults_are_declared_with_type_description_and_range(context):
     made = node()
-    assert declare_settings(made, "g", Example) == Example()
+    assert made.settings("g", Example) == Example()
     length = made.describe_parameter("g.length_m")
     assert length.type == Parameter.Type.DOUBLE.value
     assert length.description == "m, a length"
@@ -54,6 +61,9 @@ def test_defaults_are_declared_with_type_description_and_range(context):
     assert count.type == Parameter.Type.INTEGER.value
     assert (count.integer_range[0].from_value, count.integer_range[0].to_value) == (1, 9)
     assert "a, b" in made.describe_parameter("g.mode").additional_constraints
+    way = made.describe_parameter("g.way")
+    assert way.type == Parameter.Type.STRING.value
+    assert way.additional_constraints == "one of: near, far"
     assert made.describe_parameter("g.sizes_m").type == Parameter.Type.DOUBLE_ARRAY.value
     made.destroy_node()
 
@@ -64,15 +74,33 @@ def test_overrides_are_taken_whole_numbers_for_real_ones_too(context):
     expected = Example(
         length_m=2.0, mode="b", sizes_m=(1.0, 2.0), fixed=(5, 6), maybe=7.0, inner=Inner(count=4)
     )
-    assert declare_settings(made, "g", Example) == expected
+    assert made.settings("g", Example) == expected
     assert read_settings(made, "g", Example) == expected
+    made.destroy_node()
+
+
+@pytest.mark.ros
+def test_an_empty_list_stays_empty_and_what_ros_gives_a_node_stays(context):
+    made = node(sizes_m=[])
+    assert made.settings("g", Example) == Example(sizes_m=())
+    assert read_settings(made, "g", Example) == Example(sizes_m=())
+    assert made.has_parameter("use_sim_time")
+    made.destroy_node()
+
+
+@pytest.mark.ros
+def test_an_empty_list_in_a_parameter_file_stays_empty(context, tmp_path):
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/**: {ros__parameters: {g: {sizes_m: [], length_m: 3.0}}}")
+    made = ExampleNode("example", cli_args=["--ros-args", "--params-file", str(file)])
+    assert made.settings("g", Example) == Example(sizes_m=(), length_m=3.0)
     made.destroy_node()
 
 
 @pytest.mark.ros
 def test_a_change_at_run_time_is_read_and_a_wrong_one_refused(context):
     made = node()
-    declare_settings(made, "g", Example, read_only=False)
+    made.settings("g", Example, read_only=False)
     (good,) = made.set_parameters([Parameter("g.length_m", value=3.5)])
     (bad,) = made.set_parameters([Parameter("g.length_m", value=-1.0)])
     assert good.successful
@@ -90,10 +118,13 @@ def test_a_change_at_run_time_is_read_and_a_wrong_one_refused(context):
         ({"fixed": [1]}, "fixed: expected 2 values"),
         ({"on": "yes"}, "on: expected bool"),
         ({"inner__count": 12}, "inner.count: 12 is out of range"),
+        ({"way": "fat"}, "way: 'fat' is none of near, far; did you mean 'far'"),
+        ({"lenght_m": 1.0}, "parameters g: unknown setting 'lenght_m'; did you mean 'length_m'"),
+        ({"inner__cuont": 2}, "inner: unknown setting 'cuont'; did you mean 'count'"),
     ],
 )
 def test_a_wrong_override_is_told_with_its_place(context, override, finding):
     made = node(**override)
     with pytest.raises(ConfigurationError, match=finding.replace("[", r"\[")):
-        declare_settings(made, "g", Example)
+        made.settings("g", Example)
     made.destroy_node()

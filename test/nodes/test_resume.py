@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from live_cell import DEMO, SHORT, wait_until
 
-from rotcal_ros.catalogue import run_of
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
@@ -73,7 +72,7 @@ def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):
 
     recording = read_recording(folder / "bag")
     assert recording.same_as_recorded
-    assert {run_of(o) for o in recording.observations} == {0, 1}
+    assert {o.run for o in recording.observations} == {0, 1}
     assert recording.solve().to_json() == (folder / "result.json").read_text()
 
     scatter = recording.calibration.trials(recording.observations)(np.random.default_rng(1), 500)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from rotcal_ros.catalogue.plane_mirror.calibration import figures as mirror_figures
+from rotcal_ros.catalogue.plane_mirror import figures as mirror_figures
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
 from rotcal_ros.methods.plane_mirror import solve
 from rotcal_ros.report.page import ReportInput, render_report
@@ -28,14 +28,15 @@ def result() -> Result:
 def test_every_section_is_drawn_from_the_result_and_from_its_json(result: Result) -> None:
     again = Result.from_dict(json.loads(result.to_json()))
     for source in (result, again):
-        drawn = mirror_figures.sections(source)
-        assert [title for title, _, svg in drawn if svg.startswith("<svg")] == TITLES
-    assert mirror_figures.sections(result) == mirror_figures.sections(again)
+        drawn = mirror_figures.figures(source)
+        shown = [figure.title for figure in drawn if figure.svg.startswith("<svg")]
+        assert shown == [*TITLES, "Residuals"]
+    assert mirror_figures.figures(result) == mirror_figures.figures(again)
 
 
 def test_details_without_mirror_draw_nothing() -> None:
     empty = Result("other", np.arange(3.0), {}, {}, {}, 1.0, 0, 0, details={"stations": []})
-    assert all(svg == "" for _, _, svg in mirror_figures.sections(empty))
+    assert all(figure.svg == "" for figure in mirror_figures.figures(empty))
     tracer = {"stations": np.zeros((4, 3)), "axis": [0, 0, 1]}
     assert mirror_figures.station_map(tracer) == ""
 

@@ -1,15 +1,17 @@
 """What the report says about the axis: harmonic content and ISO 230-2."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from rotcal_ros.report.page import ReportInput, render_report
-from rotcal_ros.results import Result
+from rotcal_ros.results import RepeatedRuns, Result
 from rotcal_ros.units import ARCSEC
 
 
-def result(count=12, step=30.0, **details):
+def result(count=12, step=30.0, runs=None):
     t = np.deg2rad(np.arange(count) * step)
     ecc = (3.0 * np.cos(2 * t - np.deg2rad(40.0))) * ARCSEC
     return Result(
@@ -21,7 +23,7 @@ def result(count=12, step=30.0, **details):
         sigma0=1.0,
         dof=10,
         n_observations=20,
-        details=details,
+        runs=runs,
     )
 
 
@@ -35,7 +37,7 @@ def runs(missing=False):
     reverse = forward - 1.0 * ARCSEC
     if missing:
         reverse[1, 2] = np.nan
-    return {"targets": np.array([0.0, 1.0, 2.0]), "forward": forward, "reverse": reverse}
+    return RepeatedRuns(np.array([0.0, 1.0, 2.0]), forward, reverse)
 
 
 def test_harmonic_content_of_a_full_circle():
@@ -63,9 +65,28 @@ def test_iso_section_with_figures_and_warnings():
     assert "3 runs in each direction, the standard asks for 5" in text
 
 
+@pytest.mark.parametrize(
+    ("sides", "kept"),
+    [
+        ({}, ["targets", "forward", "reverse"]),
+        ({"reverse": None}, ["targets", "forward"]),
+        ({"repeatability_std": 1e-7}, ["targets", "forward", "reverse", "repeatability_std"]),
+    ],
+)
+def test_runs_stand_among_the_details_of_a_file_and_are_read_back(sides, kept):
+    given = replace(result(runs=replace(runs(missing=True), **sides)), details={"tilt": 1.0})
+    text = given.to_json()
+    stored = json.loads(text)["details"]
+    assert list(stored) == ["tilt", "runs"]
+    assert list(stored["runs"]) == kept
+    again = Result.from_dict(json.loads(text))
+    assert again.details == {"tilt": 1.0}
+    np.testing.assert_array_equal(again.runs.forward, given.runs.forward)
+    assert again.to_json() == text
+
+
 def test_no_runs_no_section_and_a_missing_arrival_is_named():
     assert "ISO 230-2" not in page(result())
     text = page(Result.from_dict(result(runs=runs(missing=True)).to_dict()))
     assert "Not evaluated: reverse run 3 has no deviation at target 2" in text
-    one_way = {name: values for name, values in runs().items() if name != "reverse"}
-    assert "ISO 230-2" not in page(replace(result(), details={"runs": one_way}))
+    assert "ISO 230-2" not in page(result(runs=replace(runs(), reverse=None)))

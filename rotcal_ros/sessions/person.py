@@ -1,4 +1,4 @@
-"""The person at the cell: told what to do, asked to press Enter when it is done."""
+"""The person at the cell: shown what to do, asked to press Enter when it is done."""
 
 from __future__ import annotations
 
@@ -7,22 +7,21 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
+from rotcal_ros.catalogue import Configuration
 from rotcal_ros.planning.plan import PAUSED
-from rotcal_ros.sessions.session import Session
 
 
 class Person:
-    """Does the work that a plan leaves to a person, or tells when it is done.
+    """Does the work that a plan leaves to a person, or says when it is done.
 
     In a simulated cell, or with ``at_once``, the work is done as soon as it is asked for. In a
     terminal Enter says so. Without one only the service ``resume`` of the cell does.
     """
 
-    def __init__(self, session: Session, at_once: bool) -> None:
-        cell = session.configuration.cell
-        self._service = f"{cell.namespace.rstrip('/')}/resume"
-        self._simulated = session.simulated
-        self._at_once = at_once or session.simulated
+    def __init__(self, configuration: Configuration, at_once: bool) -> None:
+        self._service = f"{configuration.cell.namespace.rstrip('/')}/resume"
+        self._simulated = configuration.simulated
+        self._at_once = at_once or configuration.simulated
         self._asked = False
 
     def hear(self, event: Mapping[str, Any]) -> str:
@@ -32,7 +31,7 @@ class Person:
             return f"{event['instruction']}{self._what_then()}"
         if event["event"] == "resumed" and not event["success"]:
             return str(event["reason"])
-        if event["event"] == "feedback":  # whoever said that it goes on
+        if event["event"] == "feedback":  # the service may have been called by anybody
             self._asked = self._asked and event["activity"].startswith(PAUSED)
         return ""
 

@@ -4,28 +4,31 @@ from pathlib import Path
 
 import pytest
 
-from rotcal_ros.catalogue.configuration import read_configuration
-from rotcal_ros.cli.run import describe
+from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.sessions.session import changed, free_name, node_environment, prepare_session
+from rotcal_ros.sessions.environment import node_environment
+from rotcal_ros.sessions.following import describe
+from rotcal_ros.sessions.session import free_name, prepare_session
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
 
 
 def test_without_changes_the_configuration_is_kept_byte_for_byte(tmp_path):
     session = prepare_session(DEMO, tmp_path / "out", [])
-    assert session.configuration_file.read_bytes() == DEMO.read_bytes()
+    assert session.folder.configuration.read_bytes() == DEMO.read_bytes()
     assert session.configuration.plan_id == read_configuration(DEMO).plan_id
-    assert session.simulated
+    assert session.configuration.simulated
+    assert session.log_folder.is_dir()
+    assert not session.finished
 
 
 def test_changes_reach_their_settings(tmp_path):
     changes = ["plan.table_positions=6", "simulation.table.ecc.amplitudes_arcsec=[1.0, 2.0]"]
     session = prepare_session(DEMO, tmp_path / "out", changes)
-    groups = read_configuration(session.configuration_file).groups
-    assert groups["plan"]["table_positions"] == 6
-    assert groups["simulation"]["table"]["ecc"]["amplitudes_arcsec"] == [1.0, 2.0]
-    assert groups["capture"] == read_configuration(DEMO).groups["capture"]
+    kept = read_configuration(session.folder.configuration)
+    assert kept.plan.table_positions == 6
+    assert list(kept.simulation.table.ecc.amplitudes_arcsec) == [1.0, 2.0]
+    assert kept.capture == read_configuration(DEMO).capture
     assert len(session.calibration.plan.steps) == 6 * 64
 
 
@@ -62,9 +65,10 @@ def test_an_existing_folder_is_never_touched(tmp_path):
 
 def test_changes_do_not_alter_the_given_configuration():
     given = read_configuration(DEMO)
-    before = given.groups["simulation"]["table"]["ecc"]["amplitudes_arcsec"].copy()
-    changed(given, ["simulation.table.ecc.amplitudes_arcsec=[9.0]"])
-    assert given.groups["simulation"]["table"]["ecc"]["amplitudes_arcsec"] == before
+    before = list(given.simulation.table.ecc.amplitudes_arcsec)
+    other = changed(given, ["simulation.table.ecc.amplitudes_arcsec=[9.0]"])
+    assert list(given.simulation.table.ecc.amplitudes_arcsec) == before
+    assert list(other.simulation.table.ecc.amplitudes_arcsec) == [9.0]
 
 
 def test_the_users_domain_stays(monkeypatch):

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
-from rotcal_ros.cli import person as module
-from rotcal_ros.cli.person import Person
+from rotcal_ros.sessions import person as module
+from rotcal_ros.sessions.person import Person
 
 PAUSED = {"event": "paused", "instruction": "put the tracker there"}
 WAITING = {"event": "feedback", "activity": "paused: put the tracker there"}
@@ -29,9 +29,8 @@ def enter(monkeypatch):
 
 
 def make(*, simulated=False, yes=False):
-    text = dump_configuration("plane_mirror", {"cell": {"namespace": "/north"}})
-    session = SimpleNamespace(configuration=parse_configuration(text), simulated=simulated)
-    return Person(session, yes)
+    groups = {"cell": {"namespace": "/north"}} | ({"simulation": {}} if simulated else {})
+    return Person(parse_configuration(dump_configuration("plane_mirror", groups)), yes)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,155 @@
+"""The simulated polygon and autocollimator, and their settings: group ``simulation``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.observations import Command, PointKind, ProbeSample, TracerSample
+from rotcal_ros.settings import group, setting
+from rotcal_ros.simulation.instrument import Table
+from rotcal_ros.simulation.noise import IndexedNoise
+from rotcal_ros.simulation.settings import SimulationSettings
+from rotcal_ros.simulation.temperature import SimulatedTemperature
+from rotcal_ros.units import ARCSEC, NANOSECOND
+
+FACES, MOUNTING, READING = 1001, 1002, 1003
+"""Streams of random numbers; those below 1000 belong to rotcal_ros."""
+
+
+@dataclass(frozen=True)
+class SimulatedPolygonSettings:
+    """The polygon as it really is, and how the person really mounts it."""
+
+    faces: int = setting(12, doc="number of faces", minimum=3, maximum=144)
+    first_faces: tuple[int, ...] = setting(
+        (0, 1, 5), doc="face really before the autocollimator at table angle 0, by mounting",
+        minimum=0,
+    )  # fmt: skip
+    face_arcsec: float = setting(2.0, doc="arcsec, standard deviation of face errors", minimum=0.0)
+    mounting_arcsec: float = setting(
+        10.0, doc="arcsec, standard deviation with which the person aligns a face", minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class AutocollimatorSettings:
+    """The autocollimator: at rest beside the table, looking along -x."""
+
+    noise_arcsec: float = setting(0.03, doc="arcsec, noise of one reading", minimum=0.0)
+    range_arcsec: float = setting(300.0, doc="arcsec, largest reading", minimum=1.0)
+    settling_time_s: float = setting(1.0, doc="s, from table at rest to reading", minimum=0.0)
+    reading_time_s: float = setting(0.2, doc="s, from one reading to the next", minimum=1e-3)
+    readings: int = setting(3, doc="readings for each order", minimum=1, maximum=1000)
+
+
+@dataclass(frozen=True)
+class PolygonSimulationSettings(SimulationSettings):
+    """The simulated cell of the polygon method."""
+
+    polygon: SimulatedPolygonSettings = group(SimulatedPolygonSettings)
+    autocollimator: AutocollimatorSettings = group(AutocollimatorSettings)
+
+    def make_instrument(
+        self, table: Table, temperature: SimulatedTemperature, start_ns: int
+    ) -> SimulatedAutocollimator:
+        """Return the autocollimator that looks at the polygon on ``table``."""
+        return SimulatedAutocollimator(self, table, start_ns)
+
+
+class SimulatedAutocollimator:
+    """Reads the direction of the face before it: horizontal and vertical angle, rad.
+
+    Everything follows from the true pose of the table, its tilts included. Reading k of a run
+    depends on k and on the table, never on how time was cut.
+    """
+
+    frame = "autocollimator"
+    streams_lengths = False
+
+    def __init__(self, settings: PolygonSimulationSettings, table: Table, start_ns: int) -> None:
+        self._polygon, self._own, self._table = settings.polygon, settings.autocollimator, table
+        seed, count = settings.seed, settings.polygon.faces
+        self.face_errors = self._polygon.face_arcsec * ARCSEC * _normal(seed, FACES, count)
+        self._mountings = self._polygon.mounting_arcsec * ARCSEC * _normal(
+            seed, MOUNTING, len(self._polygon.first_faces)
+        )  # fmt: skip
+        self._noise = IndexedNoise(seed, READING)
+        self._pending: Command | None = None
+        self._sequence = self._readings = self._read = 0
+        self.rest_ns = start_ns
+
+    @property
+    def pending(self) -> Command | None:
+        """The order whose readings have not all been reported yet."""
+        return self._pending
+
+    def order(self, now_ns: int, command: Command) -> None:
+        """Read at the table position of ``command``."""
+        self._pending, self.rest_ns, self._read = command, now_ns, 0
+
+    def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
+        """Return the readings of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
+        order, samples = self._pending, list[ProbeSample]()
+        ready_ns = max(self.rest_ns, table_rest_ns)
+        while self._pending is not None:
+            wait_s = self._own.settling_time_s + (self._read + 1) * self._own.reading_time_s
+            stamp = max(ready_ns + round(wait_s / NANOSECOND), after_ns + 1 + len(samples))
+            if order is None or stamp > now_ns:
+                break
+            samples.append(self._reading(stamp, order))
+            self._read += 1
+            if self._read == self._own.readings:
+                self._pending = None
+        return tuple(samples)
+
+    def unasked(self, now_ns: int) -> ProbeSample:
+        """Return a point of kind UNKNOWN: it listens."""
+        return self._sample(now_ns, None, (0.0, 0.0))
+
+    def lengths(self, _now_ns: int) -> tuple[TracerSample, ...]:
+        """Return nothing: only readings are made."""
+        return ()
+
+    def seen(self, stamp_ns: int, mounting: int) -> tuple[float, float]:
+        """Return the true reading (rad) of the face nearest to the line of sight."""
+        count, first = self._polygon.faces, self._polygon.first_faces
+        turn = (first[mounting % len(first)] - np.arange(count)) * 2.0 * np.pi / count
+        azimuth = turn + self.face_errors + self._mountings[mounting % len(first)]
+        normals = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], axis=1)
+        normals = normals @ self._table.poses(np.array([stamp_ns]))[0][0].T
+        x, y, z = normals[int(np.argmax(normals[:, 0]))].tolist()
+        reading = float(np.arctan2(y, x)), float(np.arcsin(z))
+        far = max(map(abs, reading)) > self._own.range_arcsec * ARCSEC
+        return (np.nan, np.nan) if far else reading
+
+    def _reading(self, stamp_ns: int, order: Command) -> ProbeSample:
+        noise = self._own.noise_arcsec * ARCSEC * self._noise.normal(2 * self._readings, 2)
+        self._readings += 1
+        horizontal, vertical = self.seen(stamp_ns, order.station)
+        return self._sample(stamp_ns, order, (horizontal + noise[0], vertical + noise[1]))
+
+    def _sample(
+        self, stamp_ns: int, order: Command | None, reading: tuple[float, float]
+    ) -> ProbeSample:
+        self._sequence += 1
+        std = self._own.noise_arcsec * ARCSEC
+        return ProbeSample(
+            stamp_ns=stamp_ns,
+            sequence=self._sequence - 1,
+            step=order.step if order else 0,
+            attempt=order.attempt if order else 0,
+            kind=PointKind.READING if order else PointKind.UNKNOWN,
+            target=order.target if order else 0,
+            station=order.station if order else 0,
+            point=self._read,
+            position=(float(reading[0]), float(reading[1]), 0.0),
+            position_std=(std, std, 0.0),
+            tip_radius=0.0,
+        )
+
+
+def _normal(seed: int, source: int, count: int) -> Floats:
+    return IndexedNoise(seed, source).normal(0, count)

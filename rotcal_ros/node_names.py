@@ -1,0 +1,17 @@
+"""Which nodes there are and which are started when; this module imports nothing of rotcal_ros."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+NODES: Final = ("planner", "capture", "solver", "recorder")
+"""Nodes of every cell."""
+FURTHER_NODES: Final[Mapping[str, str]] = {"bridge": "bridge", "simulation": "simulated_cell"}
+"""Nodes that are started when the configuration has a group: group -> node."""
+DRIVERS: Final = ("linuxcnc_driver",)
+"""Nodes that are started by hand, for the machine that the user has."""
+EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *DRIVERS)
+"""All nodes, each a module of rotcal_ros.nodes and a command of the package."""
+PREFLIGHT_NODES: Final = ("capture", "recorder", "solver")
+"""Nodes that must beat before anything moves."""

@@ -1,0 +1,213 @@
+"""Calibrating a cell from a script, without knowledge of ROS.
+
+with Calibrator("/cell") as calibrator:
+calibrator.wait_until_ready()
+calibrator.start(Path("cell.yaml"))
+while not calibrator.is_done():
+print(calibrator.feedback())
+print(calibrator.result().load().deviations)
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from rotcal_msgs.action import Calibrate
+from std_srvs.srv import Trigger
+
+from rotcal_ros.catalogue import Configuration
+from rotcal_ros.errors import ConfigurationError, RotcalError
+from rotcal_ros.nodes.goal_reports import Feedback, Outcome, feedback_of, outcome_of
+from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.peer import Peer
+from rotcal_ros.nodes.running import use_middleware
+
+CANCEL_TIMEOUT_S: Final = 15.0
+ANSWER_TIMEOUT_S: Final = 10.0
+PLANNER_TIMEOUT_S: Final = 5.0
+"""Silence of the planner after which nothing is expected of it; a script is in no hurry."""
+_GRACE_S: Final = 0.5
+"""Time for a result that is on its way when the planner has left."""
+_ON_ITS_WAY_S: Final = 0.1
+"""Time for a feedback that is on its way when a pause has ended."""
+
+
+class CalibratorError(RotcalError):
+    """The planner is not there or gives no answer."""
+
+
+class GoalRefusedError(CalibratorError):
+    """The planner does not take the goal; the text says what it is doing."""
+
+
+class Calibrator:
+    """Sends goals to the planner of one cell, one after the other.
+
+    It works inside its calls only; between them a script may do what it likes. The end of a
+    ``with`` block cancels a goal that runs, :meth:`close` leaves the goal to the planner.
+    ``args`` are arguments of ROS's command line. One object serves one thread.
+    """
+
+    def __init__(
+        self, namespace: str = "/cell", *, name: str = "calibrator", args: Sequence[str] = ()
+    ) -> None:
+        use_middleware()
+        self._peer = Peer(name, namespace, args)
+        self.node = self._peer.node
+        self._action = ActionClient(self.node, Calibrate, "calibrate")
+        self._resume = self.node.create_client(Trigger, "resume")
+        self._health = Health(self.node, None, timeout_s=PLANNER_TIMEOUT_S)
+        self._handle: Any = None
+        self._answer: Any = None
+        self._feedback: Feedback | None = None
+        self._outcome: Outcome | None = None
+        self._deadline_s = math.inf
+
+    @property
+    def planner_state(self) -> str:
+        """What the planner says it is doing; empty when it was never heard."""
+        return self._health.state("planner")
+
+    def is_ready(self, timeout_s: float = 0.1) -> bool:
+        """Wait for the planner; return whether it is there."""
+        return self._peer.work_until(
+            lambda: self._action.server_is_ready() and bool(self.planner_state), timeout_s
+        )
+
+    def wait_until_ready(self, timeout_s: float = 30.0) -> None:
+        """Wait for the planner; CalibratorError when it does not appear."""
+        if not self.is_ready(timeout_s):
+            place = self.node.get_namespace()
+            raise CalibratorError(
+                f"no planner appeared in {place} within {timeout_s:g} s: start the nodes (ros2 "
+                f"launch rotcal_ros cell.launch.py namespace:={place}) in the same ROS_DOMAIN_ID"
+            )
+
+    def start(self, configuration: Path | str | Configuration = "", start_index: int = 0) -> None:
+        """Begin a calibration at a step of its plan; return once the planner has taken the goal.
+
+        A string with line breaks is YAML text, any other the path of a file; an empty one leaves
+        the configuration to the planner's parameters. A configuration that cannot be used ends
+        the calibration at once, see :meth:`result`. Raises GoalRefusedError while the planner is
+        at work, ConfigurationError when the file cannot be read.
+        """
+        if self._running():
+            raise CalibratorError("a calibration is running: wait for result() or call cancel()")
+        goal = Calibrate.Goal(configuration=_text_of(configuration), start_index=start_index)
+        self.wait_until_ready()
+        self._feedback, self._outcome, self._deadline_s = None, None, math.inf
+        self._handle = self._answer = None
+        handle = self._wait(self._action.send_goal_async(goal, feedback_callback=self._hear))
+        if not handle.accepted:
+            raise GoalRefusedError(f"the planner is {self.planner_state}")
+        self._handle, self._answer = handle, handle.get_result_async()
+
+    def is_done(self, timeout_s: float = 0.1) -> bool:
+        """Wait for the next feedback or the end; return whether the calibration has ended."""
+        before = self._feedback
+        self._peer.work_until(lambda: self._ended() or self._feedback is not before, timeout_s)
+        return self._outcome is not None
+
+    def feedback(self) -> Feedback | None:
+        """Return the latest feedback; None before the first one after start or resume."""
+        return self._feedback
+
+    def cancel(self) -> None:
+        """Ask the planner to end; :meth:`result` returns when the bag is closed."""
+        if self._running():
+            self._deadline_s = time.monotonic() + CANCEL_TIMEOUT_S
+            self._handle.cancel_goal_async()
+
+    def resume(self) -> None:
+        """Go on after a person's work is done; CalibratorError when nothing waits for it.
+
+        What was fed back before is forgotten, so that no instruction is met twice.
+        """
+        answer = self._wait(self._resume.call_async(Trigger.Request()))
+        if not answer.success:
+            raise CalibratorError(answer.message)
+        self._peer.work_until(lambda: False, _ON_ITS_WAY_S)
+        self._feedback = None
+
+    def result(self, timeout_s: float = math.inf) -> Outcome:
+        """Wait for the end of the calibration and return how it ended."""
+        if not self._peer.work_until(self._ended, timeout_s):
+            raise CalibratorError(
+                f"no result within {timeout_s:g} s: the planner is {self.planner_state}"
+            )
+        assert self._outcome is not None
+        return self._outcome
+
+    def close(self) -> None:
+        """Leave the cell; a calibration that runs goes on."""
+        self._peer.close()
+
+    def __enter__(self) -> Calibrator:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        with suppress(CalibratorError):
+            if self._running():
+                self.cancel()
+                self.result(2 * CANCEL_TIMEOUT_S)
+        self.close()
+
+    def _running(self) -> bool:
+        return self._answer is not None and self._outcome is None
+
+    def _ended(self) -> bool:
+        """Note the outcome once there is one; CalibratorError when nothing was started."""
+        if self._answer is None:
+            raise CalibratorError("no calibration was started: call start() first")
+        if self._outcome is None:
+            self._outcome = self._found()
+        return self._outcome is not None
+
+    def _found(self) -> Outcome | None:
+        """Return how the goal ended, be it that its planner is lost."""
+        silent = bool(self._health.missing(["planner"]))
+        if silent:
+            self._peer.work_until(self._answer.done, _GRACE_S)
+        if self._answer.done():
+            answer = self._answer.result()
+            canceled = answer.status == GoalStatus.STATUS_CANCELED
+            return outcome_of(answer.result, canceled=canceled)
+        lost = Calibrate.Result.NODE_LOST
+        if silent:
+            return Outcome(error_code=lost, error_msg="node planner fell silent")
+        if time.monotonic() > self._deadline_s:
+            text = f"no answer from the planner; it is {self.planner_state}"
+            return Outcome(error_code=lost, error_msg=text)
+        return None
+
+    def _hear(self, message: Any) -> None:
+        self._feedback = feedback_of(message.feedback)
+
+    def _wait(self, future: Any) -> Any:
+        """Return the answer of the planner to a request."""
+        if not self._peer.work_until(future.done, ANSWER_TIMEOUT_S):
+            raise CalibratorError(
+                f"no answer from the planner; it is {self.planner_state or 'silent'}"
+            )
+        return future.result()
+
+
+def _text_of(configuration: Path | str | Configuration) -> str:
+    """Return the YAML text of a configuration, however it is given."""
+    if isinstance(configuration, Configuration):
+        return configuration.text
+    if isinstance(configuration, str) and ("\n" in configuration or not configuration):
+        return configuration
+    try:
+        return Path(configuration).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(
+            f"cannot read the configuration {configuration}: {error}"
+        ) from error

@@ -1,0 +1,116 @@
+"""Watching over a running goal: it waits for what it needs and ends when it cannot go on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from rotcal_msgs.action import Calibrate
+
+from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.health import RECORDING_FAILED, Health
+from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.waiting import until
+from rotcal_ros.planning.planner_settings import PlannerSettings
+
+SILENCE: Final = "silent_s."
+"""How the values of the capture begin that tell the silence of a stream in seconds."""
+
+Codes = Calibrate.Result
+"""The message that holds the error codes of the action."""
+
+
+class GoalError(Exception):
+    """The goal cannot go on; ``code`` is an error code of the action."""
+
+    def __init__(self, code: int, text: str) -> None:
+        super().__init__(text)
+        self.code = code
+
+
+class GoalWatch:
+    """One goal's view of the cell.
+
+    ``show`` is called with every progress, ``canceled`` tells of a cancel request. ``stopping``
+    says why the planner gives the goal up. ``nodes`` must beat; ``recording`` says that a bag is
+    open, from then on the recorder and the streams are watched too.
+    """
+
+    def __init__(
+        self,
+        settings: PlannerSettings,
+        links: CellLinks,
+        health: Health,
+        progress: Progress,
+        *,
+        show: Callable[[Progress], None],
+        canceled: Callable[[], bool],
+    ) -> None:
+        self.settings = settings
+        self.links = links
+        self.health = health
+        self.progress = progress
+        self.stopping = ""
+        self.nodes: set[str] = set()
+        self.recording = False
+        self._show = show
+        self._canceled = canceled
+        self._stream_beat: object = None
+
+    def tell(self, activity: str) -> None:
+        """Show what is done now."""
+        self.progress.activity = activity
+        self._show(self.progress)
+
+    async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until ``condition``; False after the time-out, GoalError when all is in vain."""
+        return await until(condition, timeout_s, self._check)
+
+    async def have(self, missing: Callable[[], list[str]], code: int) -> None:
+        """Wait until nothing is missing; after the preflight time raise what still is."""
+        if not await self.wait(lambda: not missing(), self.settings.preflight_timeout_s):
+            raise GoalError(code, "; ".join(missing()) or "preflight timed out")
+
+    async def call(self, client: Any, request: Any, timeout_s: float) -> Any:
+        """Return the answer of a service."""
+        future = client.call_async(request)
+        if not await self.wait(future.done, timeout_s):
+            raise GoalError(
+                Codes.NODE_LOST, f"{client.srv_name} gave no answer in {timeout_s:g} s"
+            )
+        return future.result()
+
+    def _check(self) -> None:
+        """Raise when the goal must end: cancel, shutdown, a node or an instrument lost."""
+        place = f"at step {self.progress.step} of {self.progress.total}"
+        if self.stopping:
+            raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
+        if self._canceled():
+            raise GoalError(
+                Codes.CANCELED,
+                f"canceled {place}; continue with start_index {self.progress.step}",
+            )
+        if missing := self.health.missing(self.nodes):
+            how = "fell silent" if set(missing) & self.health.lost else "was ended"
+            raise GoalError(Codes.NODE_LOST, f"node {', '.join(missing)} {how} {place}")
+        if self.recording:
+            state = self.health.state("recorder")
+            if state.startswith(RECORDING_FAILED):
+                raise GoalError(Codes.RECORDER_FAILED, f"{state}, {place}")
+            self._check_streams(place)
+
+    def _check_streams(self, place: str) -> None:
+        """Raise when the capture tells of an instrument that fell silent after it had spoken."""
+        beat = self.health.others.get("capture")
+        if beat is self._stream_beat:
+            return
+        self._stream_beat = beat
+        for key, value in self.health.values("capture").items():
+            if key.startswith(SILENCE) and float(value) > self.settings.stream_timeout_s:
+                topic = key.removeprefix(SILENCE)
+                publishers = ", ".join(self.links.publishers(topic)) or "gone"
+                raise GoalError(
+                    Codes.NODE_LOST,
+                    f"{self.links.resolve(topic)} (node {publishers}) has been silent for "
+                    f"{value} s {place}",
+                )

@@ -1,0 +1,51 @@
+"""The names of everything inside the folder of a session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class SessionFolder:
+    """The folder of one calibration with all its runs; nothing here touches the disk."""
+
+    path: Path
+
+    @property
+    def configuration(self) -> Path:
+        """The configuration, which is the parameter file of the nodes too."""
+        return self.path / "configuration.yaml"
+
+    @property
+    def bag(self) -> Path:
+        """Folder of the bag."""
+        return self.path / "bag"
+
+    @property
+    def result(self) -> Path:
+        """The result; its presence says that the calibration is finished."""
+        return self.path / "result.json"
+
+    @property
+    def truth(self) -> Path:
+        """What a simulation injected."""
+        return self.path / "truth.json"
+
+    @property
+    def report(self) -> Path:
+        """The page about the calibration."""
+        return self.path / "report.html"
+
+    @property
+    def compensation(self) -> Path:
+        """Folder of the controller files."""
+        return self.path / "compensation"
+
+    def log(self, run: int = 0) -> Path:
+        """Return the folder that takes what the nodes of a run print."""
+        return self.path / (f"log_{run}" if run else "log")
+
+    def continuation(self, run: int) -> Path:
+        """Return the file that says what is left of the plan for a run."""
+        return self.path / f"continuation_{run}.json"

@@ -1,0 +1,33 @@
+"""What the nodes need around them: ROS, a domain and a middleware for this machine alone."""
+
+from __future__ import annotations
+
+import os
+from importlib.util import find_spec
+
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.middleware import middleware
+from rotcal_ros.sessions.domains import free_domain
+
+
+def require_ros() -> None:
+    """Raise ConfigurationError when the nodes cannot run here."""
+    missing = [name for name in ("rclpy", "rotcal_msgs") if find_spec(name) is None]
+    if missing:
+        raise ConfigurationError(
+            f"live calibration needs ROS 2, not found: {', '.join(missing)}; run it from the "
+            "project's environment (make setup) or source a ROS 2 workspace; recorded bags are "
+            "solved without ROS: rotcal solve BAG"
+        )
+
+
+def node_environment() -> dict[str, str]:
+    """Return the variables for the nodes; what the user has set stays."""
+    environment = {
+        "ROS_DOMAIN_ID": str(free_domain()),
+        "PYTHONUNBUFFERED": "1",
+        "OMP_NUM_THREADS": "1",
+    }
+    environment = {name: os.environ.get(name) or value for name, value in environment.items()}
+    environment |= middleware(os.environ)
+    return environment | {"ROTCAL_SUPERVISOR": str(os.getpid())}

@@ -1,0 +1,186 @@
+"""Running a session to its result: progress, a person's work, cancelling, and what went wrong."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Mapping
+from queue import Empty
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.files import write_atomically
+from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.report.terminal.console import progress_bar, say
+from rotcal_ros.sessions.commands import CLIENT
+from rotcal_ros.sessions.person import Person
+from rotcal_ros.sessions.running import RunningSession, running
+from rotcal_ros.sessions.session import Session
+from rotcal_ros.units import ARCSEC
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+SILENCE_TIMEOUT_S: Final = 60.0
+"""The client reports every second; after this silence it hangs."""
+CANCEL_TIMEOUT_S: Final = 25.0
+_POLL_S: Final = 0.2
+_USAGE_ERRORS: Final = (601, 602)
+"""Error codes of the action that the user cures before the next start: bad configuration,
+topic missing."""
+
+Event = Mapping[str, Any]
+
+
+def calibrate(session: Session, *, at_once: bool = False) -> dict[str, Any]:
+    """Run the nodes of a session to the end and return the outcome of the goal.
+
+    A person's work counts as done ``at_once`` or when the person says so. The outcome's
+    ``interrupted`` is true when the user ended it. Raises RotcalError when it failed.
+    """
+    previous = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        outcome = _solve_bag(session) if session.finished else _run(session, at_once)
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+    if outcome.get("interrupted"):
+        say(f"interrupted; the bag is closed: {outcome.get('bag_folder') or 'none was begun'}")
+        say(f"to go on: {session.resume_command}")
+    elif outcome["error_code"]:
+        _fail(session, outcome)
+    return outcome
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _run(session: Session, at_once: bool) -> dict[str, Any]:
+    """Run the nodes until the client reports the result."""
+    with running(session) as nodes:
+        try:
+            return _follow(nodes, Person(session.configuration, at_once))
+        except KeyboardInterrupt:
+            say("canceling: the bag is being closed")
+            nodes.cancel()
+            return {**_result_of_cancelling(nodes), "interrupted": True}
+
+
+def _solve_bag(session: Session) -> dict[str, Any]:
+    """Solve the bag of a session that was interrupted behind its last step."""
+    recording = read_recording(session.folder.bag)
+    result = recording.solve()
+    write_atomically(session.folder.result, result.to_json())
+    accepted = {o.step for o in recording.observations if o.accepted}
+    return {
+        "error_code": 0,
+        "verdict": result.verdict,
+        "n_used": len(accepted),
+        "n_rejected": sum(not o.accepted for o in recording.observations),
+        "skipped_steps": sorted({o.step for o in recording.observations} - accepted),
+    }
+
+
+def _result_of_cancelling(nodes: RunningSession) -> Event:
+    """Return the result of a canceled goal, empty when none comes."""
+    deadline = time.monotonic() + CANCEL_TIMEOUT_S
+    while time.monotonic() < deadline:
+        try:
+            event = nodes.events.get(timeout=_POLL_S)
+        except Empty:
+            continue
+        if event["event"] in ("result", "end"):
+            return event
+    return {}
+
+
+def _follow(nodes: RunningSession, person: Person) -> dict[str, Any]:
+    """Show the progress and ask the person; return the result event."""
+    with progress_bar() as bar:
+        display = _Display(bar)
+        heard, begun = time.monotonic(), False
+        while True:
+            if person.is_done():
+                nodes.resume()
+            try:
+                event = nodes.events.get(timeout=_POLL_S)
+            except Empty:
+                _check(nodes, begun, time.monotonic() - heard)
+                continue
+            heard = time.monotonic()
+            if event["event"] in ("result", "refused", "end"):
+                return _ending(nodes, event, begun)
+            begun = begun or event["event"] == "started"
+            display.line(person.hear(event))
+            if event["event"] == "feedback":
+                display.feedback(event)
+
+
+def _check(nodes: RunningSession, begun: bool, silence_s: float) -> None:
+    """Raise when a node could not start, or the client hangs."""
+    ended = nodes.ended()
+    if ended and not begun:
+        name, code = next(iter(ended.items()))
+        raise ConfigurationError(
+            f"node {name} ended at its start (exit code {code}):\n{nodes.log_tail(name)}"
+        )
+    if silence_s > SILENCE_TIMEOUT_S:
+        raise DataError(f"the client has said nothing for {silence_s:.0f} s: it hangs")
+
+
+def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[str, Any]:
+    """Return a result event; raise the error that any other ending is."""
+    if event["event"] == "refused":
+        raise ConfigurationError(f"the goal was refused: {event['reason']}")
+    if event["event"] == "end":
+        _check(nodes, begun, 0.0)
+        tail = nodes.log_tail(CLIENT)
+        if not begun:  # the nodes fail for the same reason, but may take longer to say so
+            raise ConfigurationError(f"node client ended at its start:\n{tail}")
+        raise DataError(f"the client ended without a result\n{tail}")
+    return event
+
+
+class _Display:
+    """A progress bar; where there is no terminal, a line for every tenth of the steps."""
+
+    def __init__(self, bar: Progress) -> None:
+        self._bar = bar
+        self._task = bar.add_task("starting the nodes", total=None)
+        self._decile = 0
+
+    def line(self, text: str) -> None:
+        """Print a line, if there is any, above the bar."""
+        if text:
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def feedback(self, event: Event) -> None:
+        """Move the bar."""
+        step, total, text = event["step"], event["total"], describe(event)
+        self._bar.update(self._task, completed=step, total=total, description=text)
+        if self._bar.disable and step * 10 // total > self._decile:
+            self._decile = step * 10 // total
+            say(f"{step} of {total} steps, {text}")
+
+
+def describe(feedback: Event) -> str:
+    """Return a feedback in words: activity, standard deviation, time left."""
+    activity = str(feedback["activity"])
+    words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
+    if feedback["current_std_rad"] is not None:
+        words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
+    if feedback["time_left_s"] is not None:
+        words.append(f"{feedback['time_left_s']:.0f} s left")
+    return ", ".join(words)
+
+
+def _fail(session: Session, outcome: Event) -> NoReturn:
+    """Raise the error that ended the calibration, with what is left to use."""
+    text = str(outcome["error_msg"])
+    if outcome.get("bag_folder"):
+        text += f"; everything up to there is in {outcome['bag_folder']}"
+        text += f"; go on with: {session.resume_command}"
+    text += f"; logs: {session.log_folder}"
+    raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)

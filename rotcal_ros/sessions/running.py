@@ -1,0 +1,68 @@
+"""The running processes of a session: its nodes, and the client that reports on the goal."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any
+
+from rotcal_ros.files import FolderLock
+from rotcal_ros.sessions.commands import CLIENT, client_command, node_command, node_names
+from rotcal_ros.sessions.environment import node_environment
+from rotcal_ros.sessions.processes import Processes
+from rotcal_ros.sessions.session import Session
+
+
+class RunningSession:
+    """Nodes and client of a session; ``events`` holds what the client reports, then ``end``."""
+
+    def __init__(self, processes: Processes) -> None:
+        self._processes = processes
+        self.events: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        Thread(target=self._read, name="client reader", daemon=True).start()
+
+    def ended(self) -> dict[str, int]:
+        """Return the exit codes of nodes that have ended."""
+        ended = self._processes.ended()
+        ended.pop(CLIENT, None)
+        return ended
+
+    def cancel(self) -> None:
+        """Ask the client to cancel its goal."""
+        self._processes.signal(CLIENT, signal.SIGINT)
+
+    def resume(self) -> None:
+        """Let the planner know that the work it waits for is done."""
+        self._processes.tell(CLIENT, "resume")
+
+    def log_tail(self, name: str) -> str:
+        """Return the last lines of a process's log."""
+        return self._processes.log_tail(name)
+
+    def _read(self) -> None:
+        stream = self._processes.children[CLIENT].stdout
+        assert stream is not None
+        for line in stream:
+            self.events.put(json.loads(line))
+        self.events.put({"event": "end"})
+
+
+@contextmanager
+def running(session: Session) -> Iterator[RunningSession]:
+    """Start the nodes and the client of a session, and end them.
+
+    The folder stays locked until the last of them is dead.
+    """
+    lock = FolderLock(session.folder.path)
+    try:
+        with Processes(session.log_folder, node_environment(), (lock.descriptor,)) as processes:
+            for name in node_names(session):
+                processes.start(name, node_command(session, name))
+            processes.start(CLIENT, client_command(session), piped=True)
+            yield RunningSession(processes)
+    finally:
+        lock.release()

@@ -1,0 +1,155 @@
+"""Measure the simulated cell, give its control the correction table, and measure again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.compensation import plain_csv
+from rotcal_ros.compensation.export import ExportFiles
+from rotcal_ros.compensation.table import table_from_result
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
+from rotcal_ros.evaluation.verification import Verification, positioning
+from rotcal_ros.files import write_atomically
+from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.report.terminal.console import say
+from rotcal_ros.sessions.environment import require_ros
+from rotcal_ros.sessions.following import calibrate
+from rotcal_ros.sessions.products import export_files, write_exports, write_truth
+from rotcal_ros.sessions.session import Session, checked_calibration, prepare_session
+from rotcal_ros.simulation.positioning import true_runs
+
+CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
+APPLIED: Final = "csv"
+"""The rows of this table go into the simulated control."""
+ISO_RUNS: Final = 5
+ISO_TARGETS: Final = 47
+"""Does not divide the usual plans, so that most of the targets lie between measured angles."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A finished session and its result."""
+
+    session: Session
+    source: Source
+
+
+@dataclass(frozen=True)
+class Verified:
+    """The outcome, and the controllers that got files."""
+
+    verification: Verification
+    controllers: tuple[str, ...]
+
+
+def verify(
+    configuration: Path,
+    folder: Path,
+    changes: Sequence[str] = (),
+    check: Sequence[str] = (),
+    *,
+    spacing: float,
+    controllers: Sequence[str] = (),
+    files: Path | None = None,
+) -> Verified | None:
+    """Measure, compensate, measure again; None when the user ended a measurement.
+
+    ``folder`` gets ``before``, ``after`` and verification.json. ``changes`` hold for both
+    measurements, ``check`` for the second one. Files with rows every ``spacing`` rad are written
+    for CONTROLLERS and ``controllers`` into ``files`` (``folder``/compensation). Raises
+    ConfigurationError before anything is measured, DataError for a result that is not ok.
+    """
+    _check(configuration, folder, changes, check)
+    require_ros()
+    before = _measure(configuration, folder / "before", changes)
+    if before is None:
+        return None
+    exports = _compensate(before, spacing, controllers, files or folder / "compensation")
+    applied = _applied(exports[APPLIED])
+    after = _measure(configuration, folder / "after", (*changes, *check, *applied))
+    if after is None:
+        return None
+    verification = Verification(
+        before=positioning(before.source.result),
+        after=positioning(after.source.result),
+        stated=exports[APPLIED].residual.stated,
+        iso={"before": _true_figures(before), "after": _true_figures(after)},
+    )
+    data = verification.to_dict() | {"controllers": list(exports)}
+    write_atomically(folder / "verification.json", json.dumps(data, indent=1) + "\n")
+    return Verified(verification, tuple(exports))
+
+
+def _check(
+    configuration: Path, folder: Path, changes: Sequence[str], check: Sequence[str]
+) -> None:
+    """Raise ConfigurationError unless both measurements can begin."""
+    checked_calibration(configuration, (*changes, *check))
+    if not checked_calibration(configuration, changes).configuration.simulated:
+        raise ConfigurationError(
+            f"{configuration} has no group 'simulation': with a real cell measure (rotcal run), "
+            "export, load the table, measure again, and compare (rotcal compare)"
+        )
+    if folder.exists():
+        raise ConfigurationError(f"{folder} exists already and nothing is overwritten")
+
+
+def _measure(configuration: Path, folder: Path, changes: Sequence[str]) -> Measured | None:
+    """Run one calibration; DataError unless its verdict is ok, None when the user ended it."""
+    session = prepare_session(configuration, folder, changes)
+    say(f"measuring {folder.name} compensation")
+    if calibrate(session).get("interrupted"):
+        return None
+    write_truth(session)
+    source = read_source(session.folder.result)
+    if source.result.verdict != "ok":
+        raise DataError(
+            f"the measurement {folder} has the verdict {source.result.verdict}: "
+            f"{'; '.join(source.result.warnings)}"
+        )
+    return Measured(session, source)
+
+
+def _compensate(
+    before: Measured, spacing: float, further: Sequence[str], folder: Path
+) -> Mapping[str, ExportFiles]:
+    """Write the files of all controllers and return them by controller."""
+    axis = before.session.configuration.cell.axis
+    table = table_from_result(before.source.result, axis=axis)
+    # An arc is nothing for a control that repeats its table every turn.
+    names = [
+        n for n in dict.fromkeys((*CONTROLLERS, *further)) if table.closed or n != "sinumerik"
+    ]
+    exports = export_files(before.source, table, names, spacing)
+    write_exports(exports, folder)
+    return exports
+
+
+def _applied(export: ExportFiles) -> list[str]:
+    """Return the changes that put the written table into the simulated control."""
+    files = {name: text for name, text in export.files.items() if name.endswith(".csv")}
+    rows = plain_csv.PlainCsv().read(files)
+    columns = {
+        "angles_deg": rows.angle_deg,
+        "forward_arcsec": rows.forward_arcsec,
+        "reverse_arcsec": rows.reverse_arcsec,
+    }
+    return [
+        f"simulation.table.compensation.{name}=[{', '.join(f'{x:.9f}' for x in column)}]"
+        for name, column in columns.items()
+    ]
+
+
+def _true_figures(measured: Measured) -> Iso230:
+    """Return ISO 230-2 of the simulated axis itself over the measured travel."""
+    angles = measured.source.result.angles
+    targets = np.linspace(angles[0], angles[-1], ISO_TARGETS)
+    settings = measured.session.configuration.simulation
+    return iso230(BidirectionalRuns(targets, *true_runs(settings, targets, ISO_RUNS)))

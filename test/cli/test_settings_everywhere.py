@@ -1,0 +1,80 @@
+"""A misspelt group or setting is answered by every verb that takes a configuration."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from rotcal_ros.cli.main import rotcal
+from rotcal_ros.sessions import environment, running
+
+CONFIG = Path(__file__).parents[2] / "config"
+MISSPELT = [
+    ("solver.variannt=station", "variant"),
+    ("topics.trcer_length=/x", "tracer_length"),
+    ("recorder.queue_byts=1", "queue_bytes"),
+    ("simulation.tabel.x=1", "table"),
+    ("bridge.controler=csv", "controller"),
+    ("planer.max_attempts=1", "planner"),
+]
+WITH_FILE = [
+    ["run", "CONFIG"],
+    ["verify", "CONFIG"],
+    ["solve", "missing.mcap", "--setup", "CONFIG"],
+    ["solve", "missing.csv", "--setup", "CONFIG"],
+    ["reprocess", "missing.mcap", "--setup", "CONFIG"],
+    ["uncertainty", "CONFIG"],
+    ["plan", "order", "CONFIG"],
+]
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch):
+    """Return a function that runs a verb in an empty folder and returns its error text."""
+    monkeypatch.chdir(tmp_path)
+    # Neither is ROS needed for the answer nor does any process start.
+    monkeypatch.setattr(environment, "require_ros", lambda: None)
+    monkeypatch.setattr(running, "Processes", None)
+
+    def run(*arguments):
+        before = sorted(tmp_path.rglob("*"))
+        ran = CliRunner().invoke(rotcal, [str(argument) for argument in arguments])
+        assert ran.exit_code == 2, ran.output
+        assert ran.stdout == ""
+        assert sorted(tmp_path.rglob("*")) == before
+        return ran.stderr
+
+    return run
+
+
+def misspelt(path, change):
+    """Write the demo with a change that no --set would accept."""
+    document = yaml.safe_load((CONFIG / "tracer_demo.yaml").read_text())
+    name, value = change.split("=")
+    *groups, last = name.split(".")
+    place = document["/**"]["ros__parameters"]
+    for group in groups:
+        place = place.setdefault(group, {})
+    place[last] = yaml.safe_load(value)
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+@pytest.mark.parametrize(("change", "nearest"), MISSPELT)
+@pytest.mark.parametrize("words", ["run --set", "run --resume . --set", "verify --set",
+                                   "verify --check"])  # fmt: skip
+def test_a_change_on_the_command_line(refused, words, change, nearest):
+    verb, *options = words.split()
+    text = refused(verb, CONFIG / "tracer_demo.yaml", *options, change)
+    assert f"did you mean '{nearest}'" in text
+    assert "with --set" in text
+
+
+@pytest.mark.parametrize(("change", "nearest"), MISSPELT)
+@pytest.mark.parametrize("arguments", WITH_FILE, ids=lambda a: " ".join(a[:2]))
+def test_a_configuration_file(refused, tmp_path, arguments, change, nearest):
+    path = misspelt(tmp_path / "cell.yaml", change)
+    text = refused(*(path if argument == "CONFIG" else argument for argument in arguments))
+    assert f"did you mean '{nearest}'" in text
+    assert str(path) in text

@@ -1,0 +1,88 @@
+"""One list of nodes for everybody: packaging, launch, sessions, preflight, documentation."""
+
+import ast
+import runpy
+import subprocess
+import sys
+from importlib import import_module
+from inspect import isabstract, isclass
+from pathlib import Path
+from unittest.mock import MagicMock
+
+import pytest
+
+from rotcal_ros.catalogue.configuration import GROUPS
+from rotcal_ros.node_names import DRIVERS, EXECUTABLES, FURTHER_NODES, NODES, PREFLIGHT_NODES
+from rotcal_ros.sessions import session
+
+ROOT = Path(__file__).parents[2]
+MODULES = {
+    path.stem
+    for path in (ROOT / "rotcal_ros" / "nodes").glob("*.py")
+    if 'if __name__ == "__main__"' in path.read_text()
+}
+NO_NODES = {"client", "linuxcnc_agent", "selftest"}
+"""Programs beside the nodes that others start."""
+
+
+def test_every_node_is_a_module_with_a_main_and_every_such_module_is_listed():
+    assert set(EXECUTABLES) == MODULES - NO_NODES
+    for name in EXECUTABLES:
+        tree = ast.parse((ROOT / "rotcal_ros" / "nodes" / f"{name}.py").read_text())
+        assert "main" in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize("name", EXECUTABLES)
+def test_every_node_reports_its_state(name):
+    pytest.importorskip("rclpy")
+    pytest.importorskip("rotcal_msgs")
+    module = import_module(f"rotcal_ros.nodes.{name}")
+    base = import_module("rotcal_ros.nodes.cell_node").CellNode
+    classes = [c for c in vars(module).values() if isclass(c) and issubclass(c, base)]
+    (node,) = (c for c in classes if c is not base)
+    assert not isabstract(node)
+
+
+def test_the_lists_fit_each_other():
+    assert len(set(EXECUTABLES)) == len(EXECUTABLES)
+    assert set(EXECUTABLES) == {*NODES, *FURTHER_NODES.values(), *DRIVERS}
+    assert set(PREFLIGHT_NODES) == set(NODES) - {"planner"}
+    assert set(FURTHER_NODES) <= set(GROUPS)
+
+
+def test_the_package_installs_a_command_for_every_node(monkeypatch):
+    monkeypatch.chdir(ROOT)
+    setup = {}
+    monkeypatch.setattr("setuptools.setup", lambda **arguments: setup.update(arguments))
+    runpy.run_path("setup.py")
+    commands = dict(c.split(" = ") for c in setup["entry_points"]["console_scripts"])
+    commands.pop("rotcal")
+    assert commands == {name: f"rotcal_ros.nodes.{name}:main" for name in EXECUTABLES}
+
+
+def test_sessions_and_preflight_use_the_same_lists():
+    assert session.NODES is NODES
+    assert session.FURTHER_NODES is FURTHER_NODES
+
+
+def test_the_names_are_known_without_numpy():
+    code = "import sys, rotcal_ros.node_names; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+def test_the_launch_file_starts_what_is_listed(monkeypatch):
+    started = []
+    launch = MagicMock()
+    launch.actions.Node.side_effect = lambda **options: started.append(options["executable"])
+    for name in ("launch", "launch_ros"):
+        for module in ("", ".actions", ".conditions", ".substitutions"):
+            stub = launch.actions if name + module == "launch_ros.actions" else MagicMock()
+            monkeypatch.setitem(sys.modules, name + module, stub)
+    runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
+    assert started == [*NODES, FURTHER_NODES["simulation"]]
+
+
+def test_the_page_of_interfaces_has_a_row_for_every_node():
+    page = (ROOT / "docs" / "interfaces.md").read_text()
+    for name in EXECUTABLES:
+        assert page.count(f"\n| `{name}`") >= 2, name

@@ -1,0 +1,87 @@
+"""What the client reports, followed to the end; no process runs here."""
+
+from queue import SimpleQueue
+
+import pytest
+
+from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.sessions import following
+from rotcal_ros.sessions.following import _follow, _result_of_cancelling
+from rotcal_ros.sessions.person import Person
+
+STARTED = {"event": "started"}
+RESULT = {"event": "result", "error_code": 0, "verdict": "ok"}
+PAUSED = {"event": "paused", "instruction": "put the tracker there"}
+END = {"event": "end"}
+
+
+class Nodes:
+    """Stands for running nodes: gives events, and notes what it is asked for."""
+
+    def __init__(self, *events, ended=None):
+        self.events = SimpleQueue()
+        for event in events:
+            self.events.put(event)
+        self._ended = ended or {}
+        self.resumed = 0
+
+    def ended(self):
+        return self._ended
+
+    def log_tail(self, name):
+        return f"last words of {name}"
+
+    def resume(self):
+        self.resumed += 1
+
+
+def feedback(step, total=20):
+    return {"event": "feedback", "step": step, "total": total, "activity": "table position 1",
+            "current_std_rad": None, "time_left_s": 9.0}  # fmt: skip
+
+
+def follow(nodes, at_once=False):
+    person = Person(parse_configuration(dump_configuration("plane_mirror", {})), at_once)
+    return _follow(nodes, person)
+
+
+def test_progress_is_a_line_for_every_tenth_of_the_steps(capsys):
+    nodes = Nodes(STARTED, *(feedback(step) for step in range(21)), RESULT)
+    assert follow(nodes) == RESULT
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 10
+    assert lines[0] == "2 of 20 steps, table position 1, 9 s left"
+
+
+def test_work_of_a_person_that_counts_as_done_goes_on():
+    nodes = Nodes(STARTED, PAUSED, feedback(1), RESULT)
+    assert follow(nodes, at_once=True) == RESULT
+    assert nodes.resumed == 1
+
+
+@pytest.mark.parametrize(
+    ("events", "ended", "kind", "words"),
+    [
+        ([{"event": "refused", "reason": "busy"}], {}, ConfigurationError, "refused: busy"),
+        ([END], {}, ConfigurationError, "node client ended at its start:\nlast words of client"),
+        ([END], {"solver": 2}, ConfigurationError, "node solver ended at its start .exit code 2"),
+        ([], {"solver": 2}, ConfigurationError, "last words of solver"),
+        ([STARTED, END], {"solver": 2}, DataError, "without a result\nlast words of client"),
+    ],
+)
+def test_an_ending_without_a_result_is_an_error(events, ended, kind, words):
+    with pytest.raises(kind, match=words):
+        follow(Nodes(*events, ended=ended))
+
+
+def test_a_client_that_falls_silent_hangs(monkeypatch):
+    monkeypatch.setattr(following, "SILENCE_TIMEOUT_S", 0.1)
+    with pytest.raises(DataError, match="it hangs"):
+        follow(Nodes(STARTED))
+
+
+def test_the_result_of_a_canceled_goal_is_waited_for(monkeypatch):
+    assert _result_of_cancelling(Nodes(feedback(1), RESULT)) == RESULT
+    monkeypatch.setattr(following, "CANCEL_TIMEOUT_S", 0.1)
+    assert _result_of_cancelling(Nodes(feedback(1))) == {}
