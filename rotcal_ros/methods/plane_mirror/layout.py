@@ -34,6 +34,12 @@ class Pairs:
         """Number of groups, that is, of normals."""
         return len(self.position)
 
+    def stations(self, angles: Floats) -> Iterator[tuple[int, Ints, Floats]]:
+        """Yield each station, its groups, and where ``angles`` (N,) send the table for them."""
+        for station in np.unique(self.station):
+            at = np.flatnonzero(self.station == station)
+            yield int(station), at, angles[self.position[at]]
+
     def keep(self, wanted: Bools) -> Pairs:
         """Return the pairs (P,) that are wanted, without the groups that become empty."""
         groups, group = np.unique(self.group[wanted], return_inverse=True)

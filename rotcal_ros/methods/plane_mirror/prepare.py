@@ -165,7 +165,7 @@ def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
     pairs = replace(pairs, position=position.astype(np.int64))
     angles = problem.angles[used]
     if problem.way == STITCHING:
-        poses, nests = _no_stations(), _no_nests()
+        poses, nests = _one_station()
         require_overlap(problem, pairs)
         require_cone(problem, pairs, angles)
         _, zero = np.unique(pairs.station, return_inverse=True)
@@ -215,17 +215,13 @@ def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
 
 def _stations(problem: PlaneMirrorProblem) -> tuple[Poses, Nests, list[str]]:
     if problem.station.max() == 0:
-        return _no_stations(), _no_nests(), []
+        return *_one_station(), []
     return register(problem, find_nests(problem))
 
 
-def _no_stations() -> Poses:
-    return Poses(np.eye(3)[None], np.zeros((1, 3)))
-
-
-def _no_nests() -> Nests:
+def _one_station() -> tuple[Poses, Nests]:
     none = np.zeros(0, dtype=np.int64)
-    return Nests(none, none, none, none, none)
+    return Poses(np.eye(3)[None], np.zeros((1, 3))), Nests(none, none, none, none, none)
 
 
 def _with_mirror(prepared: PreparedNormals) -> PreparedJoint:

@@ -9,7 +9,6 @@ ties are used.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -70,7 +69,7 @@ def stitch(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     """
     axes, _ = station_cones(normals, pairs, angles)
     readings = np.zeros(normals.shape[:-1])
-    for _, at, commanded in _stations(pairs, angles):
+    for _, at, commanded in pairs.stations(angles):
         if len(at) > 1:
             azimuths = cone.azimuths(normals[..., at, :], axes[..., at[0], :])
             readings[..., at] = cone.deviation(azimuths, commanded)
@@ -89,7 +88,7 @@ def stitch_response(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     s = float(station_cones(normals, pairs, angles)[1])
     tan_beta, cos_beta = s / np.sqrt(1.0 - s**2), np.sqrt(1.0 - s**2)
     for few in (False, True):  # stations of two lean on the height that the others give
-        for station, at, azimuth in _stations(pairs, angles):
+        for station, at, azimuth in pairs.stations(angles):
             if len(at) < 2 or (len(at) == 2) is not few:
                 continue
             turn = cone.azimuth_response(azimuth, tan_beta)
@@ -113,7 +112,7 @@ def station_cones(normals: Floats, pairs: Pairs, angles: Floats) -> tuple[Floats
     """
     axes, height = np.zeros_like(normals), np.zeros(normals.shape[:-2])
     shares = _shares(pairs, angles)
-    stations = list(_stations(pairs, angles))
+    stations = list(pairs.stations(angles))
     for station, at, commanded in stations:
         if len(at) >= 3:
             axis, s = cone.fit_cone(normals[..., at, :], commanded)
@@ -149,17 +148,10 @@ def require_cone(problem: PlaneMirrorProblem, pairs: Pairs, angles: Floats) -> N
             )
 
 
-def _stations(pairs: Pairs, angles: Floats) -> Iterator[tuple[int, Ints, Floats]]:
-    """Yield each station with its groups and their commanded angles."""
-    for station in np.unique(pairs.station):
-        at = np.flatnonzero(pairs.station == station)
-        yield int(station), at, angles[pairs.position[at]]
-
-
 def _shares(pairs: Pairs, angles: Floats) -> dict[int, float]:
     """Weight of each station with three or more normals in the common cone height."""
     weights = {}
-    for station, at, azimuth in _stations(pairs, angles):
+    for station, at, azimuth in pairs.stations(angles):
         if len(at) >= 3:
             response = cone.axis_response(azimuth)
             weights[station] = 1.0 / float(response[2] @ response[2])
