@@ -19,6 +19,7 @@ from rotcal_ros.observations import Observation, PointKind
 from rotcal_ros.units import ARCSEC, DEGREE
 
 _DEFAULTS = MirrorSolverSettings()
+KINDS = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
 
 
 @dataclass(frozen=True)
@@ -137,17 +138,13 @@ class PlaneMirrorProblem:
 
 
 def problem_from_observations(
-    observations: Iterable[Observation],
-    angles: Floats,
-    noise: TrackerNoise | None = None,
-    way: Way = _DEFAULTS.way,
+    observations: Iterable[Observation], angles: Floats
 ) -> PlaneMirrorProblem:
     """Make a problem from captured probe points; observations that were not accepted are left out.
 
     ``angles`` (N,) are the commanded angles in rad by ``table_index``.
     """
-    kinds = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
-    used = [o for o in observations if o.accepted and o.kind in kinds]
+    used = [o for o in observations if o.accepted and o.kind in KINDS]
     stations, station = np.unique([o.station for o in used], return_inverse=True)
     return PlaneMirrorProblem(
         angles=np.asarray(angles, dtype=np.float64),
@@ -156,8 +153,6 @@ def problem_from_observations(
         kind=np.array([int(o.kind) for o in used], dtype=np.int64),
         nest=np.array([o.target for o in used], dtype=np.int64),
         xyz=np.array([o.mean for o in used], dtype=np.float64).reshape(-1, 3),
-        noise=noise if noise is not None else TrackerNoise(),
-        way=way,
         station_names=tuple(str(s) for s in stations),
     )
 
@@ -186,9 +181,8 @@ def _require_values(problem: PlaneMirrorProblem) -> None:
     ):
         found = np.unique(problem.station).tolist()
         raise DataError(f"{problem.source}: tracker stations must count from 0, found {found}")
-    known = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
     for row in range(len(problem.xyz)):
-        if problem.kind[row] not in known:
+        if problem.kind[row] not in KINDS:
             raise DataError(
                 f"{problem.source}: {problem.place(row)} has kind {problem.kind[row]}, expected "
                 "direct, mirrored or nest"
