@@ -15,10 +15,10 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from dense_ball_plate import solve_dense
 from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.sphere import fit_spheres
-from rotcal_ros.methods.ball_plate.dense import solve_dense
 from rotcal_ros.methods.ball_plate.model import FIELDS, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.spectral import solve_spectral

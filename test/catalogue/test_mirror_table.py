@@ -100,7 +100,6 @@ def test_observations_become_the_problem():
             observation(PointKind.CENTRE, 1, 7, 1, (2.5, 2.0, 3.0)),
         ],
         np.array([0.0, 1.0]),
-        way="stitching",
     )
     assert isinstance(problem, PlaneMirrorProblem)
     assert problem.station.tolist() == [0, 1]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rotcal_ros.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate import BallPlateProblem
-from rotcal_ros.methods.ball_plate.dense import solve_dense
+from rotcal_ros.methods.ball_plate.general import solve_general
 from rotcal_ros.planning.ball_layout import (
     best_layout,
     count_layouts,
@@ -25,12 +25,12 @@ PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 RADIUS = 0.185
 
 
-def dense_variances(grid, balls):
+def eliminated_variances(grid, balls):
     ball = np.repeat(balls, grid)
     table = np.tile(np.arange(grid), len(balls))
     angle = 2 * np.pi * ((table + ball) % grid) / grid
     centres = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    std = solve_dense(BallPlateProblem(grid, RADIUS, table, ball, centres)).unit_std
+    std = solve_general(BallPlateProblem(grid, RADIUS, table, ball, centres)).unit_std
     mean = {n: np.mean(std.component(n) ** 2) for n in ("EXC", "EYC", "EZC", "EAC", "EBC", "ECC")}
     return [
         mean["ECC"] * RADIUS**2,
@@ -44,9 +44,9 @@ def dense_variances(grid, balls):
     ("grid", "balls"),
     [(72, PAPER_PLATE), (24, [0, 3, 8, 12, 18]), (25, [0, 2, 7, 11, 12, 20]), (13, [0, 1, 3, 9])],
 )
-def test_variances_equal_those_of_the_dense_solution(grid, balls):
+def test_variances_equal_those_of_the_eliminated_solution(grid, balls):
     np.testing.assert_allclose(
-        mean_variances(grid, np.array(balls))[0], dense_variances(grid, balls), rtol=1e-8
+        mean_variances(grid, np.array(balls))[0], eliminated_variances(grid, balls), rtol=1e-8
     )
 
 
