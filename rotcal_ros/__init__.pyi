@@ -1,7 +1,6 @@
 """The names of the front door for type checkers; a test holds them against __init__.py."""
 
-from types import ModuleType
-
+from rotcal_ros import ros as ros
 from rotcal_ros.api import ball_plate as ball_plate
 from rotcal_ros.api import plane_mirror as plane_mirror
 from rotcal_ros.api import tracer as tracer
@@ -40,4 +39,3 @@ from rotcal_ros.units import MICROMETRE as MICROMETRE
 
 __version__: str
 __all__: list[str]
-ros: ModuleType
