@@ -56,7 +56,7 @@ def test_values_are_checked_where_they_enter(changes, text):
 
 
 def test_a_problem_keeps_copies_that_nobody_can_change():
-    names = ("station", "target", "length", "targets", "table_angles")
+    names = ("position", "target", "length", "targets", "table_angles")
     given = {name: getattr(SCENE.problem(), name).copy() for name in names}
     problem = SCENE.problem(**given)
     for name, array in given.items():
@@ -69,7 +69,7 @@ def test_a_problem_keeps_copies_that_nobody_can_change():
     from_lists = SCENE.problem(**lists, length_std=[1e-6] * 704, start_stations=start)
     for name in (*names, "length_std", "target_std", "start_stations"):
         kept = getattr(from_lists, name)
-        assert kept.dtype == (np.int64 if name in ("station", "target") else np.float64)
+        assert kept.dtype == (np.int64 if name in ("position", "target") else np.float64)
     assert from_lists.length_std.shape == (704,)
     assert from_lists.target_std.shape == (64, 3)
 

@@ -66,7 +66,7 @@ def test_given_stations_only_lack_their_zero():
     scene = simulate(n=24, layout=low_ring, length_std=0.0)
     keep = np.arange(11 * 24) % 17 != 0
     station, target = np.divmod(np.flatnonzero(keep), 24)
-    rows = {"station": station, "target": target, "length": scene.length.ravel()[keep]}
+    rows = {"position": station, "target": target, "length": scene.length.ravel()[keep]}
     grid, _, _ = arrange(scene.problem(**rows))
     start, ambiguous = find_start(grid, scene.stations)
     zero = np.linalg.norm(scene.stations - scene.targets[0], axis=1)

@@ -9,7 +9,7 @@ from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.methods.tracer import solve, tracer_trials
 from rotcal_ros.methods.tracer.angles import table_motion
-from rotcal_ros.methods.tracer.trials import cumulative_deviations
+from rotcal_ros.methods.tracer.trials import NetworkGain, cumulative_deviations
 
 VARIANTS = (
     {"variant": "station"},
@@ -55,8 +55,8 @@ def test_more_stations_than_targets():
     scene = simulate(3, arc(24, 14.0), n=10, layout=low_ring, length_std=0.0)
     task = scene.problem(variant="joint", datum="prior", target_std=2e-6)
     trials = tracer_trials(task)
-    assert trials.network is not None
-    assert not trials.network.stations_kept
+    assert isinstance(trials.gain, NetworkGain)
+    assert not trials.gain.stations_kept
     lengths, places, _ = trials.draw(np.random.default_rng(5), 2)
     found = trials(np.random.default_rng(5), 2)
     for length, targets, deviation in zip(lengths, places, found, strict=True):
