@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
@@ -65,20 +65,21 @@ class GoalRun:
         request = StartRecording.Request(
             plan_id=configuration.plan_id, configuration=configuration.text
         )
-        client = self.watch.links.start_recording
-        answer = await self.watch.call(client, request, BAG_TIMEOUT_S)
-        if not answer.success:
-            raise GoalError(Codes.RECORDER_FAILED, answer.message)
+        answer = await self._recorder_did(self.watch.links.start_recording, request)
         self._bag_is_open = self.watch.recording = True
         return SessionFolder(Path(answer.folder))
 
     async def _close_bag(self) -> None:
         self.watch.tell("closing the bag")
         self._bag_is_open = False
-        client = self.watch.links.stop_recording
-        answer = await self.watch.call(client, StopRecording.Request(), BAG_TIMEOUT_S)
+        await self._recorder_did(self.watch.links.stop_recording, StopRecording.Request())
+
+    async def _recorder_did(self, client: Any, request: Any) -> Any:
+        """Return the answer of the recorder; GoalError when it could not do it."""
+        answer = await self.watch.call(client, request, BAG_TIMEOUT_S)
         if not answer.success:
             raise GoalError(Codes.RECORDER_FAILED, answer.message)
+        return answer
 
     async def _close_bag_after_failure(self) -> None:
         """Close the bag if the recorder still lives; a dead one left whole chunks behind."""

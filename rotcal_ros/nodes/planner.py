@@ -19,10 +19,9 @@ from rotcal_ros.catalogue import prepare
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.goal_configuration import PlannerParameters
 from rotcal_ros.nodes.goal_run import GoalRun
 from rotcal_ros.nodes.goal_watch import Codes, GoalWatch, Progress
-from rotcal_ros.nodes.plans import read_continuation, what_is_left
+from rotcal_ros.nodes.plans import PlannerParameters, read_continuation, what_is_left
 from rotcal_ros.nodes.running import run
 
 RESULT_TIMEOUT_S: Final = 3600
