@@ -96,18 +96,10 @@ def deviations_message(
     result: Result, plan_id: str, now_ns: int, *, final: bool
 ) -> DeviationArray:
     """Return the deviations of a result; components that were not measured stay empty."""
-    columns = {name.lower(): values for name, values in result.deviations.items()}
-    columns |= {f"{name.lower()}_std": values for name, values in result.std.items()}
-    rejected = len(result.rejected)
-    return _filled(
-        DeviationArray,
-        result,
-        now_ns,
-        plan_id=plan_id,
-        final=final,
-        n_rejected=rejected,
-        **columns,
-    )
+    others: dict[str, Any] = {n.lower(): values for n, values in result.deviations.items()}
+    others |= {f"{n.lower()}_std": values for n, values in result.std.items()}
+    others |= {"plan_id": plan_id, "final": final, "n_rejected": len(result.rejected)}
+    return _filled(DeviationArray, result, now_ns, **others)
 
 
 def compensation_message(

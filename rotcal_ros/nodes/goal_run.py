@@ -11,7 +11,8 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.files import write_atomically
-from rotcal_ros.nodes import conversions, preflight
+from rotcal_ros.node_names import PREFLIGHT_NODES
+from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
@@ -38,7 +39,7 @@ class GoalRun:
         """Carry the goal out; every way to end leaves a closed bag and an explained outcome."""
         outcome = Codes()
         try:
-            await preflight.check(self.watch, self._calibration.method.topics)
+            await self._preflight()
             folder = self._folder = await self._open_bag()
             await self._announce()
             await self.measuring.measure_all()
@@ -57,6 +58,18 @@ class GoalRun:
         outcome.n_rejected = progress.rejected
         outcome.skipped_steps = progress.skipped
         return outcome
+
+    async def _preflight(self) -> None:
+        """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
+        watch, links = self.watch, self.watch.links
+        topics = self._calibration.method.topics
+        links.forget()
+        watch.tell("preflight: nodes")
+        await watch.have(links.missing_nodes, Codes.NODE_LOST)
+        watch.nodes = links.health.present() | set(PREFLIGHT_NODES)
+        watch.tell("preflight: topics")
+        await watch.have(lambda: links.missing_topics(topics), Codes.TOPIC_MISSING)
+        watch.nodes |= links.health.present()
 
     async def _open_bag(self) -> SessionFolder:
         """Have the recorder open a new session folder with a bag."""
@@ -104,7 +117,7 @@ class GoalRun:
         )
         links.announce(message)
         run = run_name(message)
-        await self.watch.have(lambda: preflight.missing_plan(links.health, run), Codes.NODE_LOST)
+        await self.watch.have(lambda: links.missing_plan(run), Codes.NODE_LOST)
 
     async def _solve(self) -> FinishCalibration.Response:
         """Return the solver's answer, which holds a result."""

@@ -36,7 +36,7 @@ class RecorderNode(CellNode):
         self._settings = self.settings("recorder", RecorderSettings)
         self._bags = SessionBags(self._settings)
         self._recording: Recording | None = None
-        self._silences = Silences(self._settings.silence_s)
+        self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._pending = PendingReceipts()
         self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
         self.create_service(StartRecording, "start_recording", self._start)
@@ -124,16 +124,15 @@ class RecorderNode(CellNode):
         if (open_one := self._writing()) is not None:
             raise BagError(f"the recorder is writing {open_one.file}; stop it first")
         folder, writer = self._bags.open(request.plan_id)
-        self._pending.begin()
+        self._pending = PendingReceipts()
         self._listener.forget_losses()
-        self._silences.begin(time.monotonic())
-        self._recording = Recording(writer, self._settings.queue_bytes, self._confirm)
-        for name, media_type, text in (
-            (names.CONFIGURATION, "application/yaml", request.configuration),
-            (names.VERSIONS, "application/json", versions_json()),
-        ):
-            self._recording.attach(name, media_type, text.encode())
-        self.executor.create_task(self._attach_parameters, self._recording)
+        self._silences = Silences(self._settings.silence_s, time.monotonic())
+        recording = Recording(writer, self._settings.queue_bytes, self._confirm)
+        configuration = request.configuration.encode()
+        recording.attach(names.CONFIGURATION, "application/yaml", configuration)
+        recording.attach(names.VERSIONS, "application/json", versions_json().encode())
+        self._recording = recording
+        self.executor.create_task(self._attach_parameters, recording)
         return folder.path
 
     async def _attach_parameters(self, recording: Recording) -> None:
