@@ -67,9 +67,8 @@ def probe_message(sample: ProbeSample, frame: str) -> ProbePoint:
 
 def temperature_message(sample: TemperatureSample) -> Temperature:
     """Return the message of a temperature; the variance is unknown."""
-    return Temperature(
-        header=header(sample.stamp_ns, sample.sensor), temperature=sample.temperature_c
-    )
+    head = header(sample.stamp_ns, sample.sensor)
+    return Temperature(header=head, temperature=sample.temperature_c)
 
 
 def command_messages(order: Command, now_ns: int) -> tuple[TableAngle, ProbeTarget]:
