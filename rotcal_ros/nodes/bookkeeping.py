@@ -50,19 +50,13 @@ class TopicLosses:
 
 
 class Silences:
-    """``counts`` has one entry ``silent <topic>`` per stream: how often it was silent too long."""
+    """Silences since the beginning: ``counts`` has how many there were per ``silent <topic>``."""
 
-    def __init__(self, limit_s: float) -> None:
+    def __init__(self, limit_s: float, now_s: float) -> None:
         self._limit_s = limit_s
-        self._begun_s = 0.0
+        self._begun_s = now_s
         self._silent: set[str] = set()
         self.counts: Counter[str] = Counter()
-
-    def begin(self, now_s: float) -> None:
-        """Begin to count anew; what was before does not matter."""
-        self._begun_s = now_s
-        self._silent.clear()
-        self.counts.clear()
 
     def look(self, heard_s: Mapping[str, float], now_s: float) -> None:
         """Take the times at which topics were last heard, by their absolute names."""
@@ -81,11 +75,6 @@ class PendingReceipts:
 
     def __init__(self) -> None:
         self._waiting: list[tuple[int, Receipt]] = []
-        self._lost = 0
-
-    def begin(self) -> None:
-        """Begin anew with a new bag."""
-        self._waiting.clear()
         self._lost = 0
 
     def expect(self, step: int, attempt: int, window_end_ns: int) -> None:

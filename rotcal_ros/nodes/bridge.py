@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Any
 
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.srv import ApplyTable, GetCorrection
@@ -22,8 +22,6 @@ from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.units import ARCSEC
-
-T = TypeVar("T")
 
 ANSWERS_PER_ACTION = 8
 """Accesses to the controller in one action at most; each has its own time limit."""
@@ -73,29 +71,40 @@ class BridgeNode(CellNode):
     async def _apply(
         self, request: ApplyTable.Request, response: ApplyTable.Response
     ) -> ApplyTable.Response:
-        try:
-            done = await self._do(lambda: self._feed.apply(request.table_hash))
-        except (RotcalError, OSError) as error:
-            response.message = str(error)
-            self._note(f"not applied: {error}")
-            return response
-        response.success = True
-        response.files = [str(path) for path in done.files]
-        response.backup = str(done.backup)
-        response.largest_change = done.largest_change
-        response.message = self._done(f"table {request.table_hash[:12]} applied", done)
+        table_hash = request.table_hash
+        what = f"table {table_hash[:12]} applied"
+        done = await self._do(lambda: self._feed.apply(table_hash), response, what, "not applied")
+        if done is not None:
+            response.files = [str(path) for path in done.files]
+            response.backup = str(done.backup)
+            response.largest_change = done.largest_change
         return response
 
     async def _restore(
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
+        await self._do(self._feed.restore, response, "old table restored", "not restored")
+        return response
+
+    async def _do(
+        self, action: Callable[[], Applied], response: Any, good: str, bad: str
+    ) -> Applied | None:
+        """Change the table of the controller and say in the response what came of it."""
+        limit_s = ANSWERS_PER_ACTION * self._settings.answer_timeout_s
         try:
-            response.message = self._done("old table restored", await self._do(self._feed.restore))
-            response.success = True
+            done = await self.answer_of(self._worker.submit(action), limit_s)
         except (RotcalError, OSError) as error:
             response.message = str(error)
-            self._note(f"not restored: {error}")
-        return response
+            self._note(f"{bad}: {error}")
+            return None
+        self._facts["backup"] = str(done.backup)
+        response.success = True
+        response.message = (
+            f"{good}, read back and equal; largest change {done.largest_change / ARCSEC:.4g} "
+            "arcsec; most controllers use it from their next start on"
+        )
+        self._note(response.message)
+        return done
 
     def _look_up(
         self, request: GetCorrection.Request, response: GetCorrection.Response
@@ -111,20 +120,6 @@ class BridgeNode(CellNode):
         except (RotcalError, ValueError) as error:
             response.message = str(error)
         return response
-
-    async def _do(self, action: Callable[[], T]) -> T:
-        """Return what ``action`` returns, which may wait for the controller."""
-        limit_s = ANSWERS_PER_ACTION * self._settings.answer_timeout_s
-        return await self.answer_of(self._worker.submit(action), limit_s)
-
-    def _done(self, what: str, done: Applied) -> str:
-        self._facts["backup"] = str(done.backup)
-        text = (
-            f"{what}, read back and equal; largest change {done.largest_change / ARCSEC:.4g} "
-            "arcsec; most controllers use it from their next start on"
-        )
-        self._note(text)
-        return text
 
     def _note(self, state: str) -> None:
         self._state = state

@@ -1,11 +1,13 @@
 """Calibrating a cell from a script, without knowledge of ROS.
 
-with Calibrator("/cell") as calibrator:
-calibrator.wait_until_ready()
-calibrator.start(Path("cell.yaml"))
-while not calibrator.is_done():
-print(calibrator.feedback())
-print(calibrator.result().load().deviations)
+For example::
+
+    with Calibrator("/cell") as calibrator:
+        calibrator.wait_until_ready()
+        calibrator.start(Path("cell.yaml"))
+        while not calibrator.is_done():
+            print(calibrator.feedback())
+        print(calibrator.result().load().deviations)
 """
 
 from __future__ import annotations

@@ -49,7 +49,9 @@ class CaptureNode(CellNode):
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
         self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
         self._listen(TracerLength, names.TRACER_LENGTH, messages.tracer_sample)
-        self._listen(JointState, names.JOINT_STATES, self._table_sample)
+        self._listen(
+            JointState, names.JOINT_STATES, lambda m: messages.table_sample(m, self._joint)
+        )
         self._listen(ProbePoint, names.PROBE_POINT, messages.probe_sample)
         self._listen(Temperature, names.TEMPERATURE, messages.temperature_sample)
         self._orders = self.take_orders(self._feed)
@@ -66,9 +68,6 @@ class CaptureNode(CellNode):
                     self._feed(record)
 
         listen_to_instrument(self, kind, topic, self.health.guarded(handle))
-
-    def _table_sample(self, message: JointState) -> TableSample | None:
-        return messages.table_sample(message, self._joint)
 
     def _feed(self, record: Record) -> None:
         if self._capture is None:

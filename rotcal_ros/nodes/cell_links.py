@@ -1,8 +1,10 @@
-"""The planner's links to the cell: orders out, observations, receipts and deviations in."""
+"""The planner's links to the cell: what goes out, what comes in, and what is missing."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Final
 
 from rotcal_msgs.msg import (
     CalibrationPlan,
@@ -16,11 +18,13 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
+from rotcal_ros.node_names import PREFLIGHT_NODES
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.observations import Command, Observation
 
+ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
 Attempt = tuple[int, int]
 """Step and attempt."""
 
@@ -38,12 +42,9 @@ class CellLinks:
         self._plans = node.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
         self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
         self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
-        for kind, topic, callback, qos in (
-            (ObservationMsg, names.OBSERVATION, self._observed, EVENT),
-            (RecordedObservation, "observation_recorded", self._recorded, EVENT),
-            (DeviationArray, "deviations", self._solved, LATCHED),
-        ):
-            node.listen(kind, topic, callback, qos)
+        node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT)
+        node.listen(RecordedObservation, "observation_recorded", self._recorded, EVENT)
+        node.listen(DeviationArray, "deviations", self._solved, LATCHED)
         self.start_recording = node.create_client(StartRecording, "start_recording")
         self.stop_recording = node.create_client(StopRecording, "stop_recording")
         self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")
@@ -79,6 +80,48 @@ class CellLinks:
         """Return the absolute name of a topic of the cell."""
         name: str = self.node.resolve_topic_name(topic)
         return name
+
+    def missing_nodes(self) -> list[str]:
+        """Return what keeps the nodes of the suite from working together, in words."""
+        lost = [f"node {name} does not beat" for name in self.health.missing(PREFLIGHT_NODES)]
+        for node, client in (
+            ("recorder", self.start_recording),
+            ("recorder", self.stop_recording),
+            ("solver", self.finish_calibration),
+        ):
+            if not lost and not client.service_is_ready():
+                lost.append(f"node {node} does not offer {client.srv_name}")
+        return lost
+
+    def missing_topics(self, topics: Sequence[str]) -> list[str]:
+        """Return what is missing around the instrument topics and the orders, in words."""
+        found: list[str] = []
+        heard = self.health.values("capture")
+        for topic in topics:
+            name = self.resolve(topic)
+            publishers = self.publishers(topic)
+            if not publishers:
+                found.append(f"nobody publishes {name}: start its instrument")
+            elif len(publishers) > 1:
+                found.append(
+                    f"{len(publishers)} publishers on {name} (nodes {', '.join(publishers)}): "
+                    "one instrument topic has one publisher; stop the others"
+                )
+            elif heard.get(f"valid.{topic}", "0") == "0":
+                found.append(f"{name} has not delivered a valid message (node {publishers[0]})")
+        disobeyed = (t for t in ORDERS if not set(self.listeners(t)) - {"capture", "recorder"})
+        found += [f"nobody obeys {self.resolve(t)}: start the machine's node" for t in disobeyed]
+        recorded = (*topics, *ORDERS, names.PLAN, names.OBSERVATION)
+        unheard = (topic for topic in recorded if "recorder" not in self.listeners(topic))
+        return found + [f"the recorder does not listen to {self.resolve(t)} yet" for t in unheard]
+
+    def missing_plan(self, run: str) -> list[str]:
+        """Return which nodes have not taken the plan of this run, with their reason."""
+        return [
+            f"node {name} has not taken the plan ({self.health.state(name) or 'silent'})"
+            for name in ("capture", "solver")
+            if self.health.values(name).get("run") != run
+        ]
 
     def _observed(self, message: ObservationMsg) -> None:
         self.observations[message.step, message.attempt] = messages.observation(message)

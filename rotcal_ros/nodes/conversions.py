@@ -29,6 +29,7 @@ TABLE: Final = "table_base"
 MACHINE: Final = "machine"
 TRACER: Final = "tracer"
 """The frames that messages of the cell are stamped with."""
+_WRAPS: Final = 0xFFFFFFFF
 
 
 def time_message(nanoseconds: int) -> Time:
@@ -44,13 +45,8 @@ def header(nanoseconds: int, frame: str = TABLE) -> Header:
 
 def tracer_message(sample: TracerSample) -> TracerLength:
     """Return the message of a tracer reading."""
-    return TracerLength(
-        header=header(sample.stamp_ns, TRACER),
-        sequence=sample.sequence & 0xFFFFFFFF,
-        length=sample.length,
-        length_std=sample.length_std,
-        status=int(sample.status),
-    )
+    sequence = sample.sequence & _WRAPS
+    return _filled(TracerLength, sample, sample.stamp_ns, TRACER, sequence=sequence)
 
 
 def table_message(sample: TableSample, joint: str) -> JointState:
@@ -65,47 +61,33 @@ def table_message(sample: TableSample, joint: str) -> JointState:
 
 def probe_message(sample: ProbeSample, frame: str) -> ProbePoint:
     """Return the message of a probe point."""
-    fields = _same_fields(ProbePoint, sample)
-    fields |= {"header": header(sample.stamp_ns, frame), "sequence": sample.sequence & 0xFFFFFFFF}
-    return ProbePoint(**fields)
+    sequence = sample.sequence & _WRAPS
+    return _filled(ProbePoint, sample, sample.stamp_ns, frame, sequence=sequence)
 
 
 def temperature_message(sample: TemperatureSample) -> Temperature:
     """Return the message of a temperature; the variance is unknown."""
-    return Temperature(
-        header=header(sample.stamp_ns, sample.sensor), temperature=sample.temperature_c
-    )
+    head = header(sample.stamp_ns, sample.sensor)
+    return Temperature(header=head, temperature=sample.temperature_c)
 
 
 def command_messages(order: Command, now_ns: int) -> tuple[TableAngle, ProbeTarget]:
     """Return the two messages that give an order."""
-    table = TableAngle(
-        header=header(now_ns),
-        step=order.step,
-        attempt=order.attempt,
-        angle=order.table_angle,
-        approach=int(order.approach),
-    )
-    probe = ProbeTarget(
-        header=header(now_ns, MACHINE),
-        step=order.step,
-        attempt=order.attempt,
-        kind=int(order.kind),
-        target=order.target,
-        station=order.station,
-        position=order.position,
-    )
-    return table, probe
+    table = _filled(TableAngle, order, now_ns, angle=order.table_angle)
+    # The table's side of approach is an enumeration, the probe's a direction, here any.
+    return table, _filled(ProbeTarget, order, now_ns, MACHINE, approach=(0.0, 0.0, 0.0))
 
 
 def observation_message(captured: Observation) -> ObservationMsg:
     """Return the message of a captured step."""
-    return ObservationMsg(
-        header=header(captured.window_end_ns, TRACER),
+    return _filled(
+        ObservationMsg,
+        captured,
+        captured.window_end_ns,
+        TRACER,
         temperature=math.nan if captured.temperature_c is None else captured.temperature_c,
         window_start=time_message(captured.window_start_ns),
         window_end=time_message(captured.window_end_ns),
-        **_same_fields(ObservationMsg, captured),
     )
 
 
@@ -113,24 +95,17 @@ def deviations_message(
     result: Result, plan_id: str, now_ns: int, *, final: bool
 ) -> DeviationArray:
     """Return the deviations of a result; components that were not measured stay empty."""
-    columns = {name.lower(): values for name, values in result.deviations.items()}
-    columns |= {f"{name.lower()}_std": values for name, values in result.std.items()}
-    return DeviationArray(
-        header=header(now_ns),
-        plan_id=plan_id,
-        final=final,
-        n_rejected=len(result.rejected),
-        **_same_fields(DeviationArray, result),
-        **columns,
-    )
+    others: dict[str, Any] = {n.lower(): values for n, values in result.deviations.items()}
+    others |= {f"{n.lower()}_std": values for n, values in result.std.items()}
+    others |= {"plan_id": plan_id, "final": final, "n_rejected": len(result.rejected)}
+    return _filled(DeviationArray, result, now_ns, **others)
 
 
 def compensation_message(
     table: CompensationTable, plan_id: str, now_ns: int
 ) -> CompensationTableMsg:
     """Return the message of a compensation table."""
-    fields = _same_fields(CompensationTableMsg, table)
-    return CompensationTableMsg(header=header(now_ns), plan_id=plan_id, **fields)
+    return _filled(CompensationTableMsg, table, now_ns, plan_id=plan_id)
 
 
 def compensation_table(message: CompensationTableMsg) -> CompensationTable:
@@ -145,7 +120,8 @@ def compensation_table(message: CompensationTableMsg) -> CompensationTable:
     return table
 
 
-def _same_fields(kind: Any, record: object) -> dict[str, Any]:
-    """Return the fields of a message that its record has under the same name."""
+def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **others: Any) -> Any:
+    """Return a message with the fields that its record has under the same name, and others."""
     names = kind.get_fields_and_field_types()
-    return {name: getattr(record, name) for name in names if hasattr(record, name)}
+    same = {name: getattr(record, name) for name in names if hasattr(record, name)}
+    return kind(**{**same, **others, "header": header(stamp_ns, frame)})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
@@ -11,7 +11,8 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.files import write_atomically
-from rotcal_ros.nodes import conversions, preflight
+from rotcal_ros.node_names import PREFLIGHT_NODES
+from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
@@ -38,7 +39,7 @@ class GoalRun:
         """Carry the goal out; every way to end leaves a closed bag and an explained outcome."""
         outcome = Codes()
         try:
-            await preflight.check(self.watch, self._calibration.method.topics)
+            await self._preflight()
             folder = self._folder = await self._open_bag()
             await self._announce()
             await self.measuring.measure_all()
@@ -58,6 +59,18 @@ class GoalRun:
         outcome.skipped_steps = progress.skipped
         return outcome
 
+    async def _preflight(self) -> None:
+        """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
+        watch, links = self.watch, self.watch.links
+        topics = self._calibration.method.topics
+        links.forget()
+        watch.tell("preflight: nodes")
+        await watch.have(links.missing_nodes, Codes.NODE_LOST)
+        watch.nodes = links.health.present() | set(PREFLIGHT_NODES)
+        watch.tell("preflight: topics")
+        await watch.have(lambda: links.missing_topics(topics), Codes.TOPIC_MISSING)
+        watch.nodes |= links.health.present()
+
     async def _open_bag(self) -> SessionFolder:
         """Have the recorder open a new session folder with a bag."""
         self.watch.tell("opening the bag")
@@ -65,20 +78,21 @@ class GoalRun:
         request = StartRecording.Request(
             plan_id=configuration.plan_id, configuration=configuration.text
         )
-        client = self.watch.links.start_recording
-        answer = await self.watch.call(client, request, BAG_TIMEOUT_S)
-        if not answer.success:
-            raise GoalError(Codes.RECORDER_FAILED, answer.message)
+        answer = await self._recorder_did(self.watch.links.start_recording, request)
         self._bag_is_open = self.watch.recording = True
         return SessionFolder(Path(answer.folder))
 
     async def _close_bag(self) -> None:
         self.watch.tell("closing the bag")
         self._bag_is_open = False
-        client = self.watch.links.stop_recording
-        answer = await self.watch.call(client, StopRecording.Request(), BAG_TIMEOUT_S)
+        await self._recorder_did(self.watch.links.stop_recording, StopRecording.Request())
+
+    async def _recorder_did(self, client: Any, request: Any) -> Any:
+        """Return the answer of the recorder; GoalError when it could not do it."""
+        answer = await self.watch.call(client, request, BAG_TIMEOUT_S)
         if not answer.success:
             raise GoalError(Codes.RECORDER_FAILED, answer.message)
+        return answer
 
     async def _close_bag_after_failure(self) -> None:
         """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
@@ -103,7 +117,7 @@ class GoalRun:
         )
         links.announce(message)
         run = run_name(message)
-        await self.watch.have(lambda: preflight.missing_plan(links.health, run), Codes.NODE_LOST)
+        await self.watch.have(lambda: links.missing_plan(run), Codes.NODE_LOST)
 
     async def _solve(self) -> FinishCalibration.Response:
         """Return the solver's answer, which holds a result."""

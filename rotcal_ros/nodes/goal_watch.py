@@ -59,6 +59,7 @@ class Progress:
         self.done += 1
 
 
+@dataclass
 class GoalWatch:
     """One goal's view of the cell.
 
@@ -67,29 +68,20 @@ class GoalWatch:
     open, from then on the recorder and the streams are watched too.
     """
 
-    def __init__(
-        self,
-        settings: PlannerSettings,
-        links: CellLinks,
-        progress: Progress,
-        *,
-        show: Callable[[Progress], None],
-        canceled: Callable[[], bool],
-    ) -> None:
-        self.settings = settings
-        self.links = links
-        self.progress = progress
-        self.stopping = ""
-        self.nodes: set[str] = set()
-        self.recording = False
-        self._show = show
-        self._canceled = canceled
-        self._stream_beat: object = None
+    settings: PlannerSettings
+    links: CellLinks
+    progress: Progress
+    show: Callable[[Progress], None]
+    canceled: Callable[[], bool]
+    stopping: str = ""
+    nodes: set[str] = field(default_factory=set)
+    recording: bool = False
+    _stream_beat: object = None
 
     def tell(self, activity: str) -> None:
         """Show what is done now."""
         self.progress.activity = activity
-        self._show(self.progress)
+        self.show(self.progress)
 
     async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until ``condition``; False after the time-out, GoalError when all is in vain."""
@@ -114,7 +106,7 @@ class GoalWatch:
         place = f"at step {self.progress.step} of {self.progress.total}"
         if self.stopping:
             raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
-        if self._canceled():
+        if self.canceled():
             raise GoalError(
                 Codes.CANCELED,
                 f"canceled {place}; continue with start_index {self.progress.step}",

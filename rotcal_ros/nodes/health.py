@@ -34,31 +34,23 @@ Values = Mapping[str, object]
 
 @dataclass
 class RollCall:
-    """Who is there: names with the monotonic time (s) of their last beat.
+    """Who is there: ``seen`` is name -> monotonic time (s) of the last beat.
 
     ``timeout_s`` is the silence after which a node counts as lost. A pause of the caller itself
     (a stalled machine) is not blamed on the others: it is granted to all.
     """
 
     timeout_s: float
-    _seen: dict[str, float] = field(default_factory=dict)
+    seen: dict[str, float] = field(default_factory=dict)
     _checked: float | None = None
-
-    def beat(self, name: str, now: float) -> None:
-        """Note a beat of ``name``."""
-        self._seen[name] = now
-
-    def leave(self, name: str) -> None:
-        """Forget ``name``: it left on purpose."""
-        self._seen.pop(name, None)
 
     def silent(self, now: float) -> dict[str, float]:
         """Return the lost names with their silence in seconds; call it regularly."""
         pause = 0.0 if self._checked is None else now - self._checked
         self._checked = now
         if pause > self.timeout_s / 2:
-            self._seen = {name: seen + pause for name, seen in self._seen.items()}
-        return {n: now - seen for n, seen in self._seen.items() if now - seen > self.timeout_s}
+            self.seen = {name: seen + pause for name, seen in self.seen.items()}
+        return {n: now - seen for n, seen in self.seen.items() if now - seen > self.timeout_s}
 
 
 class Health:
@@ -139,10 +131,10 @@ class Health:
     def _hear(self, batch: Batch) -> None:
         for status, _ in batch:
             if status.message == LEAVING:
-                self._roll.leave(status.name)
+                self._roll.seen.pop(status.name, None)
                 self.others.pop(status.name, None)
             elif status.name != self._node.get_name():
-                self._roll.beat(status.name, time.monotonic())
+                self._roll.seen[status.name] = time.monotonic()
                 self.others[status.name] = status
 
     def _beat(self) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ament_index_python.packages import get_package_share_directory
-from rclpy.duration import Duration, Infinite
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -182,9 +182,7 @@ def _offered(profile: QoSProfile) -> OfferedQos:
     )
 
 
-def _nanoseconds(duration: Duration | Any) -> int:
+def _nanoseconds(duration: Duration) -> int:
     """Return a duration; "unspecified" (0) and "infinite" are both infinite for rosbag2."""
     nanoseconds: int = duration.nanoseconds
-    if nanoseconds <= 0 or duration == Infinite:
-        return INFINITE_NS
-    return min(nanoseconds, INFINITE_NS)
+    return nanoseconds if nanoseconds > 0 else INFINITE_NS

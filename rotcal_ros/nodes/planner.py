@@ -16,13 +16,13 @@ from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
 from rotcal_ros.catalogue import prepare
+from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.goal_configuration import PlannerParameters
 from rotcal_ros.nodes.goal_run import GoalRun
 from rotcal_ros.nodes.goal_watch import Codes, GoalWatch, Progress
-from rotcal_ros.nodes.plans import read_continuation, what_is_left
+from rotcal_ros.nodes.plans import PlannerParameters, read_continuation
 from rotcal_ros.nodes.running import run
 
 RESULT_TIMEOUT_S: Final = 3600
@@ -115,8 +115,13 @@ class Planner(CellNode, LifecycleNode):
     def _prepare(self, handle: ServerGoalHandle) -> GoalRun:
         """Return the run of a goal; ConfigurationError or PlanError when it is impossible."""
         calibration = prepare(self._configured.configuration(handle.request))
-        known, self._continuation = self._continuation, None
-        continuation = what_is_left(known, calibration, handle.request.start_index)
+        continuation, self._continuation = self._continuation, None
+        plan_id, start_index = calibration.configuration.plan_id, handle.request.start_index
+        asked = (plan_id, start_index)
+        if continuation is None or (continuation.plan_id, continuation.start_index) != asked:
+            calibration.plan.step(start_index)  # PlanError when there is no such step
+            steps = tuple(range(start_index, len(calibration.plan.steps)))
+            continuation = Continuation(plan_id, 0, start_index, (), steps, ())
         watch = GoalWatch(
             calibration.configuration.planner,
             self._links,

@@ -1,17 +1,76 @@
-"""What is to be calibrated: the announced plan, and what an interrupted one left over."""
+"""What is to be calibrated: by a goal, by the announced plan, by what an interrupted one left."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
 
 from rclpy.node import Node
+from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.catalogue import Calibration, prepare
-from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.catalogue.configuration import (
+    GROUPS,
+    Configuration,
+    dump_configuration,
+    parse_configuration,
+    settings_classes,
+)
 from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.errors import DataError, PlanError
+from rotcal_ros.catalogue.method import DEFAULT, find_method
+from rotcal_ros.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.messages import stamp_ns
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.parameters import read_settings
+from rotcal_ros.plugins import nearest
+from rotcal_ros.settings import to_mapping
+
+ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner")
+"""Groups that are parameters of the planner even if it was not given them."""
+
+
+class PlannerParameters:
+    """The parameters of a planner: the groups of its configured method.
+
+    Raises ConfigurationError, with the nearest name, for whatever the node was given that is
+    misspelt or impossible.
+    """
+
+    def __init__(self, node: CellNode) -> None:
+        self._node = node
+        method = find_method(node.declare_parameter("method", DEFAULT).value)
+        for group, value in node.given.items():
+            if isinstance(value, dict) and group not in GROUPS:
+                raise ConfigurationError(
+                    f"{node.get_name()}: parameters: unknown group {group!r}"
+                    f"{nearest(group, GROUPS)}"
+                )
+        self._groups = {
+            group: cls
+            for group, cls in settings_classes(method).items()
+            if group in ALWAYS or group in node.given
+        }
+        for group, cls in self._groups.items():
+            node.settings(group, cls, read_only=False)
+
+    def configuration(self, goal: Calibrate.Goal) -> Configuration:
+        """Return the configuration of a goal, or that of the parameters if it has none."""
+        text, source = goal.configuration, "configuration of the goal"
+        if not text:
+            method = self._node.get_parameter("method").value
+            groups = {
+                group: to_mapping(read_settings(self._node, group, cls))
+                for group, cls in self._groups.items()
+            }
+            text, source = dump_configuration(method, groups), "parameters of the planner"
+        configuration = parse_configuration(text, source)
+        if goal.method and goal.method != configuration.method.name:
+            raise ConfigurationError(
+                f"the goal asks for method {goal.method!r}, its configuration describes "
+                f"{configuration.method.name!r}"
+            )
+        return configuration
 
 
 def run_name(message: CalibrationPlan) -> str:
@@ -45,19 +104,3 @@ def read_continuation(node: Node) -> Continuation | None:
         return Continuation.from_json(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise DataError(f"cannot read the continuation {path}: {error}") from error
-
-
-def what_is_left(
-    known: Continuation | None, calibration: Calibration, start_index: int
-) -> Continuation:
-    """Return the ``known`` continuation if a goal asks for it, else all steps from an index on.
-
-    Raises PlanError when the plan has no such step.
-    """
-    plan_id, plan = calibration.configuration.plan_id, calibration.plan
-    if known is not None and (known.plan_id, known.start_index) == (plan_id, start_index):
-        return known
-    plan.step(start_index)
-    return Continuation(
-        plan_id, 0, start_index, (), tuple(range(start_index, len(plan.steps))), ()
-    )

@@ -21,14 +21,7 @@ from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.listening import HeardTopic, Listener
 from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.recording import (
-    Attachment,
-    Messages,
-    Note,
-    Receipt,
-    Recording,
-    SessionBags,
-)
+from rotcal_ros.nodes.recording import Messages, Receipt, Recording, SessionBags
 from rotcal_ros.nodes.running import run
 from rotcal_ros.nodes.surroundings import parameters_json, versions_json
 
@@ -43,7 +36,7 @@ class RecorderNode(CellNode):
         self._settings = self.settings("recorder", RecorderSettings)
         self._bags = SessionBags(self._settings)
         self._recording: Recording | None = None
-        self._silences = Silences(self._settings.silence_s)
+        self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._pending = PendingReceipts()
         self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
         self.create_service(StartRecording, "start_recording", self._start)
@@ -76,7 +69,7 @@ class RecorderNode(CellNode):
         heard = {name: topic.heard_s for name, topic in self._listener.topics.items()}
         self._silences.look(heard, time.monotonic())
         if counters := self._all_losses() + self._silences.counts:
-            recording.put(Note(names.LOSSES, counters))
+            recording.note(names.LOSSES, counters)
 
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
         if self._recording is not None:
@@ -99,18 +92,15 @@ class RecorderNode(CellNode):
         topics = self._listener.topics
         stream = next((topics[name] for name in self._windowed if name in topics), None)
         reached_ns = None if stream is None else stream.latest_stamp_ns()
-        for receipt in self._pending.due(reached_ns, self._lost_in_streams()):
-            self._recording.put(receipt)
+        losses = self._all_losses().items()  # of the messages that a replay needs
+        lost = sum(count for where, count in losses if where.rpartition("/")[2] in names.ROLES)
+        for receipt in self._pending.due(reached_ns, lost):
+            self._recording.confirm(receipt)
 
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""
         queued = self._recording.losses if self._recording is not None else Counter[str]()
         return self._listener.losses + queued
-
-    def _lost_in_streams(self) -> int:
-        """Return how many of the messages were lost that a replay needs."""
-        losses = self._all_losses().items()
-        return sum(count for where, count in losses if where.rpartition("/")[2] in names.ROLES)
 
     def _confirm(self, receipt: Receipt, file: str) -> None:
         """Publish a receipt; called from the writer's thread."""
@@ -134,22 +124,21 @@ class RecorderNode(CellNode):
         if (open_one := self._writing()) is not None:
             raise BagError(f"the recorder is writing {open_one.file}; stop it first")
         folder, writer = self._bags.open(request.plan_id)
-        self._pending.begin()
+        self._pending = PendingReceipts()
         self._listener.forget_losses()
-        self._silences.begin(time.monotonic())
-        self._recording = Recording(writer, self._settings.queue_bytes, self._confirm)
-        for name, media_type, text in (
-            (names.CONFIGURATION, "application/yaml", request.configuration),
-            (names.VERSIONS, "application/json", versions_json()),
-        ):
-            self._recording.put(Attachment(name, media_type, text.encode()))
-        self.executor.create_task(self._attach_parameters, self._recording)
+        self._silences = Silences(self._settings.silence_s, time.monotonic())
+        recording = Recording(writer, self._settings.queue_bytes, self._confirm)
+        configuration = request.configuration.encode()
+        recording.attach(names.CONFIGURATION, "application/yaml", configuration)
+        recording.attach(names.VERSIONS, "application/json", versions_json().encode())
+        self._recording = recording
+        self.executor.create_task(self._attach_parameters, recording)
         return folder.path
 
     async def _attach_parameters(self, recording: Recording) -> None:
         """Ask all nodes for their parameters, while the calibration begins."""
         text = await parameters_json(self, self.health.present())
-        recording.put(Attachment(names.PARAMETERS, "application/json", text.encode()))
+        recording.attach(names.PARAMETERS, "application/json", text.encode())
 
     async def _stop(
         self, _request: StopRecording.Request, response: StopRecording.Response

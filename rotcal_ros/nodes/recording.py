@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timezone
+from functools import partial
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
@@ -25,8 +26,6 @@ from rotcal_ros.errors import BagError
 from rotcal_ros.session_folder import SessionFolder
 
 _TURN_S: Final = 0.1
-_END: Final = object()
-"""The last item of the queue."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,29 +52,12 @@ class Messages:
 
 
 @dataclass(frozen=True, slots=True)
-class Attachment:
-    """A file that goes beside the messages."""
-
-    name: str
-    media_type: str
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True)
 class Receipt:
     """A request to confirm that everything before it is on disk; ``lost`` messages are not."""
 
     step: int
     attempt: int
     lost: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Note:
-    """A metadata record."""
-
-    name: str
-    values: Mapping[str, object]
 
 
 class Recording:
@@ -91,7 +73,7 @@ class Recording:
         self._writer = writer
         self._limit = queue_bytes
         self._confirm = confirm
-        self._queue: SimpleQueue[object] = SimpleQueue()
+        self._queue: SimpleQueue[Callable[[], object] | None] = SimpleQueue()
         self._waiting = 0
         self._lock = Lock()
         self._channels: dict[Channel, int] = {}
@@ -112,16 +94,27 @@ class Recording:
         """Whether the bag is closed."""
         return not self._thread.is_alive()
 
-    def put(self, item: Messages | Attachment | Receipt | Note) -> None:
-        """Queue ``item``; messages that find the queue full are lost and counted."""
-        if isinstance(item, Messages):
-            size = item.size()
-            with self._lock:
-                if self.error or self._waiting + size > self._limit:
-                    self.losses[f"queue {item.channel.topic}"] += len(item.items)
-                    return
-                self._waiting += size
-        self._queue.put(item)
+    def put(self, messages: Messages) -> None:
+        """Queue messages; those that find the queue full are lost and counted."""
+        size = messages.size()
+        with self._lock:
+            if self.error or self._waiting + size > self._limit:
+                self.losses[f"queue {messages.channel.topic}"] += len(messages.items)
+                return
+            self._waiting += size
+        self._queue.put(partial(self._write, messages))
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Queue a file that goes beside the messages."""
+        self._queue.put(partial(self._writer.attach, name, media_type, data))
+
+    def note(self, name: str, values: Mapping[str, object]) -> None:
+        """Queue a metadata record."""
+        self._queue.put(partial(self._writer.note, name, values))
+
+    def confirm(self, receipt: Receipt) -> None:
+        """Queue a request for a receipt."""
+        self._queue.put(partial(self._sync, receipt))
 
     def close(self, further_losses: Mapping[str, int]) -> None:
         """Close the bag after everything that is queued; see ``finished``.
@@ -129,7 +122,7 @@ class Recording:
         ``further_losses`` happened before the queue and go into the bag's counters too.
         """
         self._further_losses = Counter(further_losses)
-        self._queue.put(_END)
+        self._queue.put(None)
 
     def join(self, timeout_s: float) -> bool:
         """Wait for the bag to be closed."""
@@ -137,34 +130,26 @@ class Recording:
         return self.finished
 
     def _work(self) -> None:
-        while True:
+        work: Callable[[], object] | None = _rest
+        while work is not None:
             try:
-                item = self._queue.get(timeout=_TURN_S)
+                work = self._queue.get(timeout=_TURN_S)
             except Empty:
-                item = None
+                work = _rest
             try:
-                if item is _END:
+                if work is None:
                     self._finish()
                 elif not self.error:
-                    self._handle(item)
+                    work()
+                    self._writer.tick(time.monotonic_ns())
             except BagError as error:
                 self.error = str(error)
             except Exception as error:
                 self.error = f"unexpected failure of the bag writer: {error!r}"
-            if item is _END:
-                return
 
-    def _handle(self, item: object) -> None:
-        if isinstance(item, Messages):
-            self._write(item)
-        elif isinstance(item, Receipt):
-            self._writer.sync()
-            self._confirm(item, self.file)
-        elif isinstance(item, Attachment):
-            self._writer.attach(item.name, item.media_type, item.data)
-        elif isinstance(item, Note):
-            self._writer.note(item.name, item.values)
-        self._writer.tick(time.monotonic_ns())
+    def _sync(self, receipt: Receipt) -> None:
+        self._writer.sync()
+        self._confirm(receipt, self.file)
 
     def _write(self, messages: Messages) -> None:
         with self._lock:
@@ -183,6 +168,10 @@ class Recording:
         if losses and not self._writer.closed:
             self._writer.note(names.LOSSES, losses)
         self._writer.close()
+
+
+def _rest() -> None:
+    """Do nothing for a turn."""
 
 
 class SessionBags:

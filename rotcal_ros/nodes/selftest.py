@@ -10,18 +10,17 @@ import sys
 import time
 from typing import Final
 
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import get_rmw_implementation_identifier
 from rotcal_msgs.msg import TableAngle
 
 from rotcal_ros.nodes.peer import Peer
+from rotcal_ros.nodes.qos import LATCHED
 
 DEADLINE_S: Final = 10.0
 TURN_S: Final = 0.02
-LATCHED: Final = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def round_trip(deadline_s: float = DEADLINE_S) -> float | None:
+def round_trip() -> float | None:
     """Return the seconds from the first sign of life to the answer; None after the deadline."""
     here, there = Peer("doctor_here"), Peer("doctor_there")
     returned: list[TableAngle] = []
@@ -31,7 +30,7 @@ def round_trip(deadline_s: float = DEADLINE_S) -> float | None:
     start = time.monotonic()
     here.node.create_publisher(TableAngle, "doctor_out", LATCHED).publish(TableAngle(step=7))
     try:
-        while time.monotonic() < start + deadline_s:
+        while time.monotonic() < start + DEADLINE_S:
             there.work_until(lambda: False, TURN_S)
             if here.work_until(lambda: bool(returned), TURN_S):
                 return time.monotonic() - start

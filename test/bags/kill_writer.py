@@ -61,7 +61,7 @@ def record(folder: Path, receipts: Any, how: dict[str, Any]) -> None:
             recording.put(Messages(TABLE, [(payload(number // 5), now_ns, now_ns)]))
         if number % 10 == 0:
             recording.put(Messages(OBSERVATION, [(payload(number // 10), now_ns, now_ns)]))
-            recording.put(Receipt(number // 10, 0))
+            recording.confirm(Receipt(number // 10, 0))
         number += 1
         time.sleep(PERIOD_S)
     recording.close({})

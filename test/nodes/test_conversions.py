@@ -108,6 +108,8 @@ def test_absent_components_of_a_result_are_absent():
     assert message.ecc_std.tolist() == [0.0, 2e-7]
     assert len(message.exc) == len(message.eac_std) == 0
     assert (message.final, message.dof, message.n_observations) == (True, 7, 9)
+    assert (message.plan_id, message.method, message.verdict) == ("p", "m", "ok")
+    assert (message.angles.tolist(), message.sigma0) == ([0.0, 1.0], 1.1)
 
 
 def test_no_temperature_is_not_a_number_in_the_message():

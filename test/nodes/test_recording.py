@@ -6,7 +6,7 @@ import pytest
 
 from rotcal_ros.bags.reader import scan_file
 from rotcal_ros.bags.writer import BagWriter
-from rotcal_ros.nodes.recording import Attachment, Channel, Messages, Receipt, Recording
+from rotcal_ros.nodes.recording import Channel, Messages, Receipt, Recording
 
 CHANNEL = Channel("/cell/a", "std_msgs/msg/Float64", "float64 data", "", "")
 TIMEOUT_S = 30.0
@@ -33,9 +33,9 @@ def test_a_receipt_is_given_when_the_message_before_it_is_on_disk(tmp_path):
         given.set()
 
     recording = Recording(BagWriter(tmp_path / "bag"), 1000, confirm)
-    recording.put(Attachment("a.txt", "text/plain", b"a"))
+    recording.attach("a.txt", "text/plain", b"a")
     recording.put(message(1))
-    recording.put(Receipt(7, 2))
+    recording.confirm(Receipt(7, 2))
     assert given.wait(TIMEOUT_S)
     recording.put(message(2))
     recording.close({})
@@ -53,7 +53,7 @@ def test_what_does_not_fit_the_queue_is_lost_and_counted_in_the_bag(tmp_path):
         go_on.wait(TIMEOUT_S)
 
     recording = Recording(BagWriter(tmp_path / "bag"), 30, confirm)
-    recording.put(Receipt(0, 0))
+    recording.confirm(Receipt(0, 0))
     assert blocked.wait(TIMEOUT_S)
     for number in range(5):
         recording.put(message(number))
@@ -75,7 +75,7 @@ def test_after_a_failure_nothing_is_confirmed_and_everything_is_counted(tmp_path
 
     monkeypatch.setattr("os.write", refuse)
     recording.put(message(1))
-    recording.put(Receipt(0, 0))
+    recording.confirm(Receipt(0, 0))
     recording.close({})
     assert recording.join(TIMEOUT_S)
     assert "the disk is full" in recording.error
