@@ -20,17 +20,6 @@ from rotcal_ros.cli.console import json_option, print_json
 from rotcal_ros.middleware import middleware
 from rotcal_ros.sessions.domains import free_domain
 
-CORE: Final = (
-    "click",
-    "jinja2",
-    "matplotlib",
-    "mcap",
-    "numpy",
-    "PyYAML",
-    "rich",
-    "rosbags",
-    "scipy",
-)
 COMPILERS: Final = (("CC", "cc"), ("CXX", "c++"))
 NEEDED_BYTES: Final = 2_000_000_000
 """A calibration of an hour at 1 kHz takes a fraction of this."""
@@ -110,7 +99,8 @@ def compiler() -> Check:
 
 def packages() -> Check:
     """Look for the packages of the core."""
-    versions = {name: _version(name) for name in CORE}
+    needed = [need for need in metadata.requires("rotcal_ros") or () if "extra ==" not in need]
+    versions = {name: _version(name) for name in needed}
     missing = [name for name, version in versions.items() if version is None]
     return Check(
         "Python packages",

@@ -24,11 +24,7 @@ VOLUMETRIC: Final = "volumetric"
 DEFAULT_AXIS: Final = "C"
 
 
-@click.command(
-    "export",
-    short_help="Write the correction table of a calibration for a controller.",
-    epilog="Controllers and their settings: docs/compensation.md.",
-)
+@click.command(epilog="Controllers and their settings: docs/compensation.md.")
 @click.argument("source", type=path_type, metavar="BAG|RESULT")
 @click.option("--to", "controller", required=True, help="Controller, or 'volumetric'.")
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")

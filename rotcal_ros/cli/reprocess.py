@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 BAD = 1
 
 
-@click.command(short_help="Solve many bags with one configuration, on all cores or a cluster.")
+@click.command()
 @click.argument("sources", nargs=-1, required=True, metavar="BAG|FOLDER|GLOB|LIST...")
 @click.option("--setup", type=path_type, required=True, help="Configuration for all bags.")
 @click.option(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rotcal_ros.recordings.replay import Recording
 
 
-@click.command(short_help="Solve a recorded bag or a plain table, without ROS.")
+@click.command()
 @click.argument("source", type=path_type, metavar="BAG|TABLE")
 @click.option("--setup", type=path_type, help="Configuration; default: the one in the bag.")
 @click.option(

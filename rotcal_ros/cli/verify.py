@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from rotcal_ros.evaluation.verification import Verification
 
 
-@click.command(
-    "verify", short_help="Measure the simulated cell, compensate it, and measure again."
-)
+@click.command()
 @click.argument("configuration", type=path_type, metavar="CONFIG")
 @click.option("-o", "--output", "--out", type=path_type, help="New folder; default: out/NAME.")
 @click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change both.")

@@ -28,6 +28,7 @@ from rotcal_ros.curves.interpolation import (
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.suspicion import suspicion
+from rotcal_ros.results import plain_fields
 from rotcal_ros.units import ARCSEC, DEGREE
 
 SURE: Final = 0.01
@@ -75,14 +76,7 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON."""
-        arrays = ("angles", "difference", "std", "normalised_error", "interpolated")
-        plain = {name: getattr(self, name).tolist() for name in arrays}
-        scalars = ("offset", "rms", "chi2", "dof", "p_value", "agree")
-        return {
-            **plain,
-            **{name: getattr(self, name) for name in scalars},
-            "notes": list(self.notes),
-        }
+        return plain_fields(self)
 
 
 def compare(first: MeasuredCurve, second: MeasuredCurve, align_order: int = 0) -> Comparison:

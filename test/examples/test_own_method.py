@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from one_table import by_ball_plate
 
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
-from rotcal_ros.evaluation.one_table import by_ball_plate
 from rotcal_ros.methods import ball_plate
 from rotcal_ros.sessions.domains import free_domain
 from rotcal_ros.settings import load
