@@ -11,17 +11,19 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
+from dense_ball_plate import solve_dense
 from scipy.optimize import least_squares
 
 from rotcal_ros.geometry.sphere import fit_spheres
-from rotcal_ros.methods.ball_plate.dense import solve_dense
 from rotcal_ros.methods.ball_plate.model import FIELDS, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.spectral import solve_spectral
-from rotcal_ros.planning.ball_layout import best_layout, rank_subsets
+from rotcal_ros.planning.ball_layout import best_layout
+from rotcal_ros.planning.layout_variance import mean_variances
 
 PLATE = (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62)
 RADIUS = 0.185
@@ -106,8 +108,9 @@ def peak_memory() -> float:
 
 def bench_layouts() -> list[Row]:
     """924 six-ball subsets ranked, against one dense solution each."""
-    ours_s = best_time(lambda: rank_subsets(72, list(PLATE), 6), 10)
-    layouts, variances = rank_subsets(72, list(PLATE), 6)
+    layouts = np.array(list(combinations(PLATE, 6)), dtype=np.int64)
+    ours_s = best_time(lambda: mean_variances(72, layouts), 10)
+    variances = mean_variances(72, layouts)
     checked = layouts[:: len(layouts) // 3]
     start = time.perf_counter()
     dense = [solve_dense(measurement(72, tuple(layout.tolist()))) for layout in checked]

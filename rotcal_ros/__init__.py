@@ -10,9 +10,8 @@ from importlib import import_module
 __version__ = "0.1.0"
 
 _NAMES = {
-    "api.reading": (
-        "read_bag", "read_configuration", "read_result", "read_streams", "read_table",
-    ),
+    "api.reading": ("read_bag", "read_configuration", "read_result", "read_table"),
+    "api.streams": ("read_streams",),
     "api.measuring": (
         "capture_records", "simulate_observations", "simulate_records", "simulated_truth", "solve",
     ),

@@ -1,7 +1,6 @@
 """The names of the front door for type checkers; a test holds them against __init__.py."""
 
-from types import ModuleType
-
+from rotcal_ros import ros as ros
 from rotcal_ros.api import ball_plate as ball_plate
 from rotcal_ros.api import plane_mirror as plane_mirror
 from rotcal_ros.api import tracer as tracer
@@ -21,8 +20,8 @@ from rotcal_ros.api.measuring import solve as solve
 from rotcal_ros.api.reading import read_bag as read_bag
 from rotcal_ros.api.reading import read_configuration as read_configuration
 from rotcal_ros.api.reading import read_result as read_result
-from rotcal_ros.api.reading import read_streams as read_streams
 from rotcal_ros.api.reading import read_table as read_table
+from rotcal_ros.api.streams import read_streams as read_streams
 from rotcal_ros.catalogue.configuration import Configuration as Configuration
 from rotcal_ros.catalogue.method import method_names as method_names
 from rotcal_ros.compensation.controllers import controller_names as controller_names
@@ -40,4 +39,3 @@ from rotcal_ros.units import MICROMETRE as MICROMETRE
 
 __version__: str
 __all__: list[str]
-ros: ModuleType

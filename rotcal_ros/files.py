@@ -57,9 +57,8 @@ class DurableFile:
 class FolderLock:
     """The right to write in ``folder``; the system takes it back when the process dies.
 
-    Children that inherit ``descriptor`` hold the right as well.
-
-    Raises BagError when another process holds it.
+    Children that inherit ``descriptor`` hold the right as well. Raises BagError when another
+    process holds it.
     """
 
     def __init__(self, folder: Path) -> None:

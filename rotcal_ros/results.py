@@ -169,8 +169,7 @@ class Result:
         if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
             raise DataError(f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry")
         try:
-            details = dict(data["details"])
-            runs = _runs(details.pop(RUNS, None))
+            runs = _runs(data.get("details"))
             return cls(
                 method=data["method"],
                 angles=_floats(data["angles_rad"]),
@@ -186,12 +185,12 @@ class Result:
                 adjacent_deviations=_optional(data.get("adjacent_deviations_rad")),
                 adjacent_std=_optional(data.get("adjacent_std_rad")),
                 residuals=_residuals(data.get("residuals")),
-                details=details if runs else data["details"],
+                details={k: v for k, v in data["details"].items() if not (runs and k == RUNS)},
                 runs=runs,
             )
         except KeyError as error:
             raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
-        except (TypeError, ValueError) as error:
+        except (AttributeError, TypeError, ValueError) as error:
             raise DataError(f"damaged rotcal result: {error}") from error
 
 
@@ -241,7 +240,8 @@ def _float_map(values: Mapping[str, Any]) -> dict[str, Floats]:
     return {name: _floats(column) for name, column in values.items()}
 
 
-def _runs(data: Any) -> RepeatedRuns | None:
+def _runs(details: Any) -> RepeatedRuns | None:
+    data = details.get(RUNS) if isinstance(details, Mapping) else None
     if not isinstance(data, Mapping) or "targets" not in data:
         return None
     return RepeatedRuns(

@@ -32,7 +32,7 @@ class Row:
     def index(self, name: str) -> int:
         """Return a cell as an index from 0."""
         text = self.cells[name]
-        if not (text.isascii() and text.isdigit()):
+        if not (text.isascii() and text.isdigit()) or len(text) > 9:
             raise DataError(f"{self.place}: {name} must be a whole number from 0, found {text!r}")
         return int(text)
 
@@ -47,27 +47,27 @@ class Row:
             raise DataError(f"{self.place}: {name} must be a finite number, found {text!r}")
         return value
 
-    def metres(self, name: str) -> float:
+    def metres(self, name: str, farthest: float = _FARTHEST) -> float:
         """Return a cell as a finite number of metres of plausible size."""
         value = self.number(name)
-        if abs(value) > _FARTHEST:
+        if abs(value) > farthest:
             raise DataError(
-                f"{self.place}: {name} is {value:g} m, more than {_FARTHEST:g} m; are these "
+                f"{self.place}: {name} is {value:g} m, more than {farthest:g} m; are these "
                 "millimetres? Tables are in metres"
             )
         return value
 
-    def point(self) -> tuple[float, float, float]:
+    def point(self, farthest: float = _FARTHEST) -> tuple[float, float, float]:
         """Return the columns x_m, y_m, z_m."""
-        return self.metres("x_m"), self.metres("y_m"), self.metres("z_m")
+        x, y, z = (self.metres(name, farthest) for name in ("x_m", "y_m", "z_m"))
+        return x, y, z
 
 
 @dataclass(frozen=True)
 class Table:
-    """The text of a table file, its header and the cells of its lines by line number."""
+    """A table file: its header and the cells of its lines by line number."""
 
     path: Path
-    text: str
     header: Header
     lines: tuple[tuple[int, tuple[str, ...]], ...]
 
@@ -103,7 +103,7 @@ def read_table(path: Path) -> Table:
         for cells in csv.reader([line])
     ]
     header = lines[0][1] if lines else ()
-    return Table(path, text, header, tuple(lines[1:]))
+    return Table(path, header, tuple(lines[1:]))
 
 
 def require_header(table: Table, headers: Sequence[Header]) -> None:

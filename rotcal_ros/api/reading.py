@@ -1,11 +1,10 @@
-"""Reading what was measured: bags, raw streams, tables, results, configurations."""
+"""Reading what was measured: bags, tables, results, configurations."""
 
 from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
 
-from rotcal_ros.api.streams import RawStreams, raw_streams
 from rotcal_ros.catalogue.configuration import Configuration, changed
 from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.catalogue.method import Measurements
@@ -60,24 +59,6 @@ def read_bag(
     return read_recording(
         Path(path), source, configuration=configuration, topics=Topics(namespace)
     )
-
-
-def read_streams(
-    path: Name, *, configuration: Configuration | None = None, namespace: str = ""
-) -> RawStreams:
-    """Return the raw streams of a bag as numpy tables, for solvers of your own.
-
-    ``lengths``, ``angles``, ``points`` and ``temperatures`` are structured arrays, one row per
-    message in the order of recording, stamps in ns, lengths and positions in m, angles in rad.
-    ``configuration`` (default: the one in the bag) names joint, topics and units. Nothing is
-    captured, left out or corrected. Raises BagError when there is no bag or no configuration.
-
-    >>> import rotcal_ros as rc
-    >>> streams = rc.read_streams("examples/data/ball_plate_bag")
-    >>> streams.points["position"].shape, streams.points.dtype.names[:3]
-    ((504, 3), ('stamp_ns', 'sequence', 'step'))
-    """
-    return raw_streams(Path(path), configuration, Topics(namespace))
 
 
 def read_table(

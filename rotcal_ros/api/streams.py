@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.api.reading import Name
 from rotcal_ros.arrays import Ints
 from rotcal_ros.bags.reader import bag_files, read_blocks
 from rotcal_ros.catalogue.configuration import Configuration
@@ -76,9 +77,22 @@ class _Collector:
         return np.array(rows, dtype=columns)
 
 
-def raw_streams(path: Path, configuration: Configuration | None, topics: Topics) -> RawStreams:
-    """Return the streams of the bag at ``path``; see :func:`rotcal_ros.read_streams`."""
-    files = bag_files(path)
+def read_streams(
+    path: Name, *, configuration: Configuration | None = None, namespace: str = ""
+) -> RawStreams:
+    """Return the raw streams of a bag as numpy tables, for solvers of your own.
+
+    ``lengths``, ``angles``, ``points`` and ``temperatures`` are structured arrays, one row per
+    message in the order of recording, stamps in ns, lengths and positions in m, angles in rad.
+    ``configuration`` (default: the one in the bag) names joint, topics and units. Nothing is
+    captured, left out or corrected. Raises BagError when there is no bag or no configuration.
+
+    >>> import rotcal_ros as rc
+    >>> streams = rc.read_streams("examples/data/ball_plate_bag")
+    >>> streams.points["position"].shape, streams.points.dtype.names[:3]
+    ((504, 3), ('stamp_ns', 'sequence', 'step'))
+    """
+    topics, files = Topics(namespace), bag_files(Path(path))
     setup = configuration or find_configuration(files, topics)
     topics.renamed = setup.topics.renamed()
     kept = _Collector()

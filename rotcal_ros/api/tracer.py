@@ -11,11 +11,11 @@ geometry cannot tell.
 >>> actual = angles + 2 * rc.ARCSEC * np.sin(angles)
 >>> stations = 0.15 * np.column_stack([np.cos(actual), np.sin(actual), np.zeros(8)])
 >>> targets = rng.uniform([-0.5, -0.5, 0.5], [0.5, 0.5, 1.0], (20, 3))
->>> station, target = np.divmod(np.arange(8 * 20), 20)
->>> length = np.linalg.norm(targets[target] - stations[station], axis=1) - 0.4  # any zero
+>>> position, target = np.divmod(np.arange(8 * 20), 20)
+>>> length = np.linalg.norm(targets[target] - stations[position], axis=1) - 0.4  # any zero
 >>> result = rc.tracer.solve(
 ...     rc.tracer.Problem(
-...         station=station, target=target, length=length, length_std=1e-7,
+...         position=position, target=target, length=length, length_std=1e-7,
 ...         targets=targets, target_std=1e-6, table_angles=angles,
 ...     )
 ... )

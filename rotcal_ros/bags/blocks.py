@@ -14,12 +14,7 @@ from rotcal_ros.arrays import Bools, Bytes, Ints
 from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord
 
 HEADER_TYPE: Final = np.dtype(
-    [
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
+    [("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
 )
 """What stands before the payload of a message; packed, 22 bytes."""
 
@@ -46,6 +41,11 @@ class Block:
         """Return the serialised message number ``index``."""
         start = self.start[index]
         return self.data[start : start + self.size[index]]
+
+    def counts(self) -> dict[int, int]:
+        """Return the number of messages by channel id."""
+        counts = np.bincount(self.headers["channel"])
+        return {number: int(counts[number]) for number in np.flatnonzero(counts).tolist()}
 
     def select(self, rows: Bools | Ints) -> Block:
         """Return the block of some of the messages, in the same order."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -62,19 +63,13 @@ class Decoder:
 
         None, and counted as broken, when the bytes are not such a message.
         """
-        try:
+        with suppress(Exception):
             return self._store.deserialize_cdr(data, self.channel.type_name)
-        except Exception:
-            return self._message_without_rest(data)
-
-    def _message_without_rest(self, data: bytes) -> Any | None:
-        """Decode a message behind which a serialiser left unused bytes, as rclpy's does."""
-        try:
+        with suppress(Exception):  # some serialisers, as rclpy's, leave unused bytes at the end
             end = work_out_layout(data, self.channel.type_name, self._definitions).end
             return self._store.deserialize_cdr(data[:end], self.channel.type_name)
-        except Exception:
-            self.broken += 1
-            return None
+        self.broken += 1
+        return None
 
     def columns(self, block: Block, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield the ``wanted`` fields of all messages of ``block``, shape by shape.

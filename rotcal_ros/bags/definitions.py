@@ -49,7 +49,10 @@ def collect_definition(type_name: str, share: ShareLookup) -> str:
             texts[name] = _own_text(name, share, type_name)
             waiting += _dependencies(texts[name], name.split("/", maxsplit=1)[0])
     own = texts.pop(type_name)
-    parts = [f"{_SEPARATOR}\nMSG: {_short(name)}\n{text}" for name, text in texts.items()]
+    parts = [
+        f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/', 1)}\n{text}"
+        for name, text in texts.items()
+    ]
     return "\n".join([own, *parts])
 
 
@@ -81,12 +84,8 @@ def _own_text(name: str, share: ShareLookup, wanted_by: str) -> str:
 
 def _dependencies(text: str, package: str) -> list[str]:
     """Return the full names of the message types that the fields of ``text`` have."""
-    names = []
-    for line in text.splitlines():
-        match = _FIELD.match(line.split("#", maxsplit=1)[0].strip())
-        if match and match["type"] not in _BUILTIN:
-            names.append(_full(match["type"], package))
-    return names
+    found = (_FIELD.match(line.split("#", maxsplit=1)[0].strip()) for line in text.splitlines())
+    return [_full(m["type"], package) for m in found if m and m["type"] not in _BUILTIN]
 
 
 def _full(name: str, package: str) -> str:
@@ -94,8 +93,3 @@ def _full(name: str, package: str) -> str:
         return "std_msgs/msg/Header"
     parts = name.split("/")
     return f"{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}"
-
-
-def _short(name: str) -> str:
-    package, _, short = name.split("/")
-    return f"{package}/{short}"

@@ -31,16 +31,8 @@ TABLE_ANGLE: Final = "table_angle"
 PROBE_TARGET: Final = "probe_target"
 OBSERVATION: Final = "observation"
 
-ROLES: Final = frozenset(
-    {
-        PLAN,
-        TRACER_LENGTH,
-        PROBE_POINT,
-        JOINT_STATES,
-        TEMPERATURE,
-        TABLE_ANGLE,
-        PROBE_TARGET,
-        OBSERVATION,
-    }
-)
+ROLES: Final = frozenset({
+    PLAN, TRACER_LENGTH, PROBE_POINT, JOINT_STATES, TEMPERATURE, TABLE_ANGLE, PROBE_TARGET,
+    OBSERVATION,
+})  # fmt: skip
 """Topics that a replay needs, by their last name."""

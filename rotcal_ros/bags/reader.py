@@ -6,13 +6,12 @@ import hashlib
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from rotcal_ros.bags.blocks import Block
-from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.mcap_records import Attachment
 from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
+from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.sqlite_scan import SqliteScan
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.errors import BagError
@@ -24,22 +23,6 @@ _NUMBER: Final = re.compile(r"(.*?)_?(\d+)$")
 _HASH_BYTES: Final = 1 << 20
 
 
-class Scan(Protocol):
-    """One pass over one storage file; ``position`` is how far it has come, in bytes."""
-
-    path: Path
-    channels: dict[int, ChannelDefinition]
-    attachments: dict[str, Attachment]
-    metadata: dict[str, dict[str, str]]
-    position: int
-
-    def blocks(self) -> Iterator[Block]:
-        """Yield the readable messages in file order."""
-
-    def verdict(self) -> FileVerdict:
-        """Return what is to be said about the file, after the iteration."""
-
-
 def bag_files(path: Path) -> tuple[Path, ...]:
     """Return the storage files of a bag, oldest first; ``metadata.yaml`` is not needed.
 
@@ -48,7 +31,7 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     if not path.exists():
         raise BagError(f"{path} does not exist; expected a bag folder or an .mcap or .db3 file")
     if path.is_file():
-        _scan_type(path)
+        scan_file(path)
         return (path,)
     for suffix in (".mcap", ".db3"):
         files = sorted((f for f in path.iterdir() if f.suffix == suffix), key=_order)
@@ -60,8 +43,11 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
 
 def scan_file(path: Path) -> Scan:
-    """Return a pass over the storage file ``path``."""
-    return _scan_type(path)(path)
+    """Return a pass over the storage file ``path``; raises BagError for any other file."""
+    kinds: dict[str, type[McapScan | SqliteScan]] = {".mcap": McapScan, ".db3": SqliteScan}
+    if path.suffix not in kinds:
+        raise BagError(f"{path} is no bag: expected a folder or a file ending in .mcap or .db3")
+    return kinds[path.suffix](path)
 
 
 def read_blocks(
@@ -106,13 +92,6 @@ def sha256_of(path: Path) -> str:
         while part := file.read(_HASH_BYTES):
             digest.update(part)
     return digest.hexdigest()
-
-
-def _scan_type(path: Path) -> type[McapScan] | type[SqliteScan]:
-    kinds: dict[str, type[McapScan] | type[SqliteScan]] = {".mcap": McapScan, ".db3": SqliteScan}
-    if path.suffix not in kinds:
-        raise BagError(f"{path} is no bag: expected a folder or a file ending in .mcap or .db3")
-    return kinds[path.suffix]
 
 
 def _order(path: Path) -> tuple[str, int]:

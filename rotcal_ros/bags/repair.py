@@ -9,7 +9,8 @@ from pathlib import Path
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.reader import Progress, Scan, bag_files, check_files, read_blocks
+from rotcal_ros.bags.reader import Progress, bag_files, check_files, read_blocks
+from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.bags.writer import BagWriter, WriterSettings
 from rotcal_ros.errors import BagError
@@ -58,10 +59,7 @@ class _Copier:
         self._run: dict[str, str] = {}
 
     def copy(self, scan: Scan, block: Block) -> None:
-        numbers = {
-            number: self._channel(scan.channels[number])
-            for number in set(block.headers["channel"].tolist())
-        }
+        numbers = {number: self._channel(scan.channels[number]) for number in block.counts()}
         for row, (channel, sequence, log_time, publish_time) in enumerate(block.headers.tolist()):
             self._writer.write(
                 numbers[channel], block.payload(row), log_time, publish_time, sequence
@@ -91,12 +89,7 @@ class _Copier:
         key = (channel.topic, channel.type_name, channel.definition)
         if key not in self._channels:
             self._channels[key] = self._writer.channel(
-                channel.topic,
-                channel.type_name,
-                channel.definition,
-                channel.type_hash,
-                channel.offered_qos,
-                encoding=channel.encoding,
+                *key, channel.type_hash, channel.offered_qos, encoding=channel.encoding
             )
         return self._channels[key]
 

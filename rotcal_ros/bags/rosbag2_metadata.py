@@ -8,6 +8,8 @@ from typing import Any, Final
 
 import yaml
 
+from rotcal_ros.bags.definitions import ChannelDefinition
+
 VERSION: Final = 9
 """Version of the format: the one of ROS 2 Kilted."""
 INFINITE_NS: Final = 2**63 - 1
@@ -43,17 +45,7 @@ def qos_text(profiles: Iterable[OfferedQos]) -> str:
         }
         for profile in profiles
     ]
-    return _dump(entries) if entries else ""
-
-
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
-    """What a channel says about its topic."""
-
-    topic: str
-    type_name: str
-    type_hash: str = ""
-    offered_qos: str = ""
+    return yaml_text(entries) if entries else ""
 
 
 @dataclass(slots=True)
@@ -73,7 +65,7 @@ class FileInfo:
 
 def bag_information(
     files: Sequence[FileInfo],
-    topics: Sequence[TopicInfo],
+    channels: Iterable[ChannelDefinition],
     *,
     ros_distro: str = "",
     custom_data: Mapping[str, str] | None = None,
@@ -83,7 +75,7 @@ def bag_information(
         "version": VERSION,
         "storage_identifier": "mcap",
         **_span(files),
-        "topics_with_message_count": [_topic(topic, files) for topic in topics],
+        "topics_with_message_count": [_topic(channel, files) for channel in channels],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.name for file in files],
@@ -93,26 +85,16 @@ def bag_information(
     }
 
 
-def embedded_text(information: Mapping[str, Any]) -> str:
-    """Return the text of the ``serialized_metadata`` entry inside an MCAP file."""
-    return _dump(information)
-
-
-def file_text(information: Mapping[str, Any]) -> str:
-    """Return the text of ``metadata.yaml``."""
-    return _dump({"rosbag2_bagfile_information": information})
-
-
-def _topic(topic: TopicInfo, files: Sequence[FileInfo]) -> dict[str, Any]:
+def _topic(channel: ChannelDefinition, files: Sequence[FileInfo]) -> dict[str, Any]:
     return {
         "topic_metadata": {
-            "name": topic.topic,
-            "type": topic.type_name,
+            "name": channel.topic,
+            "type": channel.type_name,
             "serialization_format": "cdr",
-            "offered_qos_profiles": yaml.safe_load(topic.offered_qos) or [],
-            "type_description_hash": topic.type_hash,
+            "offered_qos_profiles": yaml.safe_load(channel.offered_qos) or [],
+            "type_description_hash": channel.type_hash,
         },
-        "message_count": sum(file.counts.get(topic.topic, 0) for file in files),
+        "message_count": sum(file.counts.get(channel.topic, 0) for file in files),
     }
 
 
@@ -132,6 +114,7 @@ def _duration(nanoseconds: int) -> dict[str, int]:
     return {"sec": seconds, "nsec": rest}
 
 
-def _dump(data: Any) -> str:
+def yaml_text(data: Any) -> str:
+    """Return ``data`` as YAML in the form of rosbag2's files."""
     text: str = yaml.safe_dump(data, sort_keys=False, default_flow_style=False)
     return text

@@ -15,27 +15,21 @@ from rosbags.typesys import Stores, get_typestore
 
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.mcap_records import Attachment
-from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
+from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.verdict import Damage, FileVerdict
 from rotcal_ros.errors import BagError
 
 _BLOCK_BYTES: Final = 1 << 20
 
 
-class SqliteScan:
-    """One pass over a sqlite3 file; see McapScan for the interface.
+class SqliteScan(Scan):
+    """One pass over a sqlite3 file.
 
     sqlite3 has no checksums: what the database gives is taken as it is.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.position = 0
-        self.channels: dict[int, ChannelDefinition] = {}
-        self.attachments: dict[str, Attachment] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
-        self._counts: Counter[int] = Counter()
-        self._span: tuple[int, int] | None = None
+        super().__init__(path)
         self._damages: tuple[Damage, ...] = ()
 
     def blocks(self) -> Iterator[Block]:
@@ -52,18 +46,15 @@ class SqliteScan:
 
     def verdict(self) -> FileVerdict:
         """Return what is to be said about the file, after the iteration."""
-        topics = {
-            channel.topic: TopicCount(channel.type_name, self._counts[number])
-            for number, channel in self.channels.items()
-        }
+        start_ns, end_ns = self._span or (None, None)
         return FileVerdict(
             path=self.path,
             size=self.path.stat().st_size,
             state="damaged" if self._damages else "complete",
             damages=self._damages,
-            topics=topics,
-            start_ns=self._span[0] if self._span else None,
-            end_ns=self._span[1] if self._span else None,
+            topics=self._topics(Counter()),
+            start_ns=start_ns,
+            end_ns=end_ns,
             lost_exactly=not self._damages,
         )
 
@@ -85,12 +76,10 @@ class SqliteScan:
         headers = np.zeros(len(batch), HEADER_TYPE)
         headers["channel"] = [number for number, _, _ in batch]
         headers["log_time"] = headers["publish_time"] = [time_ns for _, time_ns, _ in batch]
-        self._counts.update(number for number, _, _ in batch)
-        start, end = int(headers["log_time"].min()), int(headers["log_time"].max())
-        known = self._span or (start, end)
-        self._span = (min(known[0], start), max(known[1], end))
         content = b"".join(data for _, _, data in batch)
-        return Block(content, np.cumsum(sizes) - sizes, sizes, headers)
+        block = Block(content, np.cumsum(sizes) - sizes, sizes, headers)
+        self._count(block)
+        return block
 
 
 def _definition(connection: Connection) -> ChannelDefinition:

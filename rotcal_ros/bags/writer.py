@@ -7,9 +7,8 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Final, TypeVar
 
 from mcap.writer import CompressionType, Writer
@@ -17,13 +16,7 @@ from mcap.writer import CompressionType, Writer
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions
-from rotcal_ros.bags.rosbag2_metadata import (
-    FileInfo,
-    TopicInfo,
-    bag_information,
-    embedded_text,
-    file_text,
-)
+from rotcal_ros.bags.rosbag2_metadata import FileInfo, bag_information, yaml_text
 from rotcal_ros.errors import BagError
 from rotcal_ros.files import DurableFile, FolderLock, sync_folder, write_atomically
 from rotcal_ros.settings import setting
@@ -58,13 +51,6 @@ class WriterSettings:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Channel:
-    info: TopicInfo
-    definition: str
-    encoding: str
-
-
 class BagWriter:
     """One recording session: a new folder with ``<name>_0.mcap`` and ``metadata.yaml``.
 
@@ -89,12 +75,12 @@ class BagWriter:
         self.files: list[FileInfo] = list(earlier or ())
         self.closed = False
         self._ros_distro = ros_distro
-        self._channels: dict[int, _Channel] = {}
-        self._attachments: list[tuple[str, str, bytes, int]] = []
+        self._channels: dict[int, ChannelDefinition] = {}
+        self._attachments: list[tuple[int, int, str, str, bytes]] = []
         self._notes: dict[str, dict[str, str]] = {}
         self._sequences: dict[int, int] = {}
         self._unsynced = 0
-        self._undescribed: dict[int, _Channel] = {}
+        self._undescribed: dict[int, ChannelDefinition] = {}
         self._last_sync_ns: int | None = None
         self._file: DurableFile | None = None
         self._guarded(lambda: self._prepare_folder(resume=earlier is not None))
@@ -109,14 +95,15 @@ class BagWriter:
     @property
     def counts(self) -> dict[str, int]:
         """Number of messages per topic, over all files of the session."""
-        topics = [channel.info.topic for channel in self._channels.values()]
+        topics = [channel.topic for channel in self._channels.values()]
         return {t: sum(file.counts.get(t, 0) for file in self.files) for t in topics}
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put ``data`` beside the messages, in this file and in every later one."""
-        attachment = (name, media_type, data, time.time_ns())
+        now_ns = time.time_ns()
+        attachment = (now_ns, now_ns, name, media_type, data)
         self._attachments.append(attachment)
-        self._guarded(lambda: self._attach(*attachment))
+        self._guarded(lambda: self._writer.add_attachment(*attachment))
         self._unsynced += 1
 
     def note(self, name: str, values: Mapping[str, object]) -> None:
@@ -147,10 +134,11 @@ class BagWriter:
             raise BagError(
                 f"topic {topic}: no definition of {type_name}; without it nobody can read the bag"
             )
-        info = TopicInfo(topic, type_name, type_hash, offered_qos)
-        channel = _Channel(info, definition, encoding)
+        channel = ChannelDefinition(
+            0, topic, type_name, encoding, definition, type_hash, offered_qos
+        )
         number = self._guarded(lambda: self._register(channel))
-        self._channels[number] = self._undescribed[number] = channel
+        self._channels[number] = self._undescribed[number] = replace(channel, channel_id=number)
         self._sequences[number] = 0
         return number
 
@@ -179,7 +167,7 @@ class BagWriter:
         self._sequences[channel] = (sequence + 1) & 0xFFFFFFFF
         self._unsynced += 1
         file = self.files[-1]
-        topic = self._channels[channel].info.topic
+        topic = self._channels[channel].topic
         file.counts[topic] = file.counts.get(topic, 0) + 1
         file.start_ns = min(file.start_ns, log_time_ns)
         file.end_ns = max(file.end_ns, log_time_ns)
@@ -213,12 +201,7 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _prepare_folder(self, *, resume: bool) -> None:
@@ -250,48 +233,33 @@ class BagWriter:
         self._writer.start(profile="ros2", library=LIBRARY)
         self._write_metadata()
         for attachment in self._attachments:
-            self._attach(*attachment)
+            self._writer.add_attachment(*attachment)
         for name, values in self._notes.items():
             self._writer.add_metadata(name, values)
-        for number, channel in self._channels.items():
+        for channel in self._channels.values():
             self._register(channel)
-            self._undescribed[number] = channel
+        self._undescribed.update(self._channels)
         self._sync()
 
-    def _attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
-        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
-
-    def _register(self, channel: _Channel) -> int:
-        info = channel.info
-        key = (info.type_name, channel.definition)
+    def _register(self, channel: ChannelDefinition) -> int:
+        key = (channel.type_name, channel.definition)
         if key not in self._schemas:
             self._schemas[key] = self._writer.register_schema(
-                info.type_name, channel.encoding, channel.definition.encode()
+                channel.type_name, channel.encoding, channel.definition.encode()
             )
         self._unsynced += 1
         return self._writer.register_channel(
-            info.topic,
+            channel.topic,
             "cdr",
             self._schemas[key],
-            {"offered_qos_profiles": info.offered_qos, "topic_type_hash": info.type_hash},
+            {"offered_qos_profiles": channel.offered_qos, "topic_type_hash": channel.type_hash},
         )
 
     def _describe(self) -> None:
         """Put new definitions beside the chunks, before the first message that needs them."""
-        definitions = (
-            ChannelDefinition(
-                number,
-                c.info.topic,
-                c.info.type_name,
-                c.encoding,
-                c.definition,
-                c.info.type_hash,
-                c.info.offered_qos,
-            )
-            for number, c in self._undescribed.items()
-        )
-        data = dump_definitions(definitions)
-        self._attach(names.DEFINITIONS, "application/json", data, time.time_ns())
+        data = dump_definitions(self._undescribed.values())
+        now_ns = time.time_ns()
+        self._writer.add_attachment(now_ns, now_ns, names.DEFINITIONS, "application/json", data)
         self._undescribed.clear()
 
     def _sync(self) -> None:
@@ -321,13 +289,14 @@ class BagWriter:
     def _write_metadata(self) -> None:
         information = bag_information(
             self.files,
-            [channel.info for channel in self._channels.values()],
+            self._channels.values(),
             ros_distro=self._ros_distro,
             custom_data={"library": LIBRARY},
         )
-        values = {"serialized_metadata": embedded_text(information)}
+        values = {"serialized_metadata": yaml_text(information)}
         self._writer.add_metadata(names.ROSBAG2, values)
-        write_atomically(self.folder / METADATA_FILE, file_text(information))
+        text = yaml_text({"rosbag2_bagfile_information": information})
+        write_atomically(self.folder / METADATA_FILE, text)
 
     def _check_space(self) -> None:
         free = shutil.disk_usage(self.folder).free

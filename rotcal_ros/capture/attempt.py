@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan
-
-import numpy as np
 
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream
@@ -87,15 +85,9 @@ class Attempt:
     ) -> Observation:
         """Return the observation of this attempt; a reason in ``reduced`` rejects it."""
         begin, end = window_ns or (self.begin_ns, self.begin_ns)
-        return Observation(
-            step=self.step.index,
+        return replace(
+            self.step.observed(reduced.mean),
             attempt=self.number,
-            table_index=self.step.table_index,
-            table_angle=self.step.table_angle,
-            target=self.step.target,
-            station=self.step.station,
-            kind=self.step.kind,
-            mean=reduced.mean,
             std=reduced.std,
             scatter=reduced.scatter,
             probe_position=self.samples[0].position,
@@ -148,11 +140,6 @@ def _temperature_stamp(streams: Streams, begin_ns: int, settings: CaptureSetting
 def forgotten(stream: Stream, stamp_ns: int) -> bool:
     """Return whether samples from ``stamp_ns`` on are no longer in memory."""
     return stream.forgotten is not None and stream.forgotten >= stamp_ns
-
-
-def finite(values: tuple[float, ...]) -> bool:
-    """Return whether all values are finite numbers."""
-    return bool(np.isfinite(values).all())
 
 
 def nanoseconds(duration_s: float) -> int:

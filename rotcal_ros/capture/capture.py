@@ -16,7 +16,6 @@ from rotcal_ros.capture.attempt import (
     Attempt,
     Streams,
     Wait,
-    finite,
     missing_temperature,
     nanoseconds,
     seconds,
@@ -88,11 +87,7 @@ class Capture:
         return self._takers[type(record)](record)
 
     def feed_tracer(
-        self,
-        stamp_ns: Stamps,
-        sequence: NDArray[Any],
-        length: NDArray[Any],
-        status: NDArray[Any],
+        self, stamp_ns: Stamps, sequence: NDArray[Any], length: NDArray[Any], status: NDArray[Any]
     ) -> Observations:
         """Take many tracer readings at once, all arrays (n,); same answer as one by one."""
         stamps = np.asarray(stamp_ns, dtype=np.int64)
@@ -102,14 +97,12 @@ class Capture:
     @property
     def counts(self) -> dict[str, dict[str, int]]:
         """What each stream delivered and what was wrong with it, by stream; zeros left out."""
-        streams = {
-            "tracer": self._streams.tracer,
-            "table": self._streams.table,
-            "temperature": self._streams.temperature,
-        }
-        for stream in streams.values():
+        all_counts = {}
+        for name, stream in zip(
+            ("tracer", "table", "temperature"), self._streams.all(), strict=True
+        ):
             stream.flush()
-        all_counts = {name: stream.counts for name, stream in streams.items()}
+            all_counts[name] = stream.counts
         all_counts |= {"probe": self._probe, "command": self._commands}
         return {
             name: {key: n for key, n in asdict(counts).items() if n or key == "received"}
@@ -124,8 +117,8 @@ class Capture:
         attempt, wait = self._pending[0], self._waiting
         return (
             f"step {attempt.step.index}, attempt {attempt.number}: waiting for "
-            f"{self._name(wait.stream)}, now {self._lag_s(attempt, wait):.3g} s behind the other "
-            "streams"
+            f"{self._name(wait.stream)}, now {seconds(self._lag_ns(attempt, wait)):.3g} s behind "
+            "the other streams"
         )
 
     def remarks(self) -> tuple[str, ...]:
@@ -136,14 +129,12 @@ class Capture:
 
     def _take_tracer(self, sample: TracerSample) -> Observations:
         values = (sample.sequence, sample.length, sample.status)
-        if self._streams.tracer.stage(sample.stamp_ns, values):
-            return self._decide()
-        return ()
+        due = self._streams.tracer.stage(sample.stamp_ns, values)
+        return self._decide() if due else ()
 
     def _take_table(self, sample: TableSample) -> Observations:
-        if self._streams.table.stage(sample.stamp_ns, (sample.angle, sample.velocity)):
-            return self._decide()
-        return ()
+        due = self._streams.table.stage(sample.stamp_ns, (sample.angle, sample.velocity))
+        return self._decide() if due else ()
 
     def _take_temperature(self, sample: TemperatureSample) -> Observations:
         stream = self._streams.temperature
@@ -159,11 +150,11 @@ class Capture:
         if not 0 <= command.step < len(self._plan.steps):
             self._commands.unknown_step += 1
             self._remarks.append(f"a command for {self._not_in_plan(command.step)}")
-        elif command != self._plan.steps[command.step].command(command.attempt):
+        elif command != (planned := self._plan.steps[command.step].command(command.attempt)):
             self._commands.off_plan += 1
             self._remarks.append(
                 f"the command for step {command.step} is not the plan's: found {command}, "
-                f"expected {self._plan.steps[command.step].command(command.attempt)}"
+                f"expected {planned}"
             )
         return ()
 
@@ -176,10 +167,7 @@ class Capture:
         if not 0 <= sample.step < len(self._plan.steps):
             self._probe.unknown_step += 1
             self._remarks.append(f"a probe sample for {self._not_in_plan(sample.step)}")
-        elif newest is not None and (sample.step, sample.attempt) == (
-            newest.step.index,
-            newest.number,
-        ):
+        elif newest and (newest.step.index, newest.number) == (sample.step, sample.attempt):
             self._add_point(newest, sample)
         elif sample.attempt < self._next_attempt[sample.step]:
             self._probe.duplicates += 1
@@ -215,7 +203,7 @@ class Capture:
             self._probe.backwards += 1
             back = seconds(self._probe_stamp - sample.stamp_ns)
             return f"probe stamps go backwards: {back:.3g} s before the sample before it"
-        if not finite(sample.position):
+        if not all(map(isfinite, sample.position)):
             self._probe.non_finite += 1
             return f"probe position is not finite: {sample.position}"
         if (sample.kind, sample.target) != (step.kind, step.target):
@@ -258,20 +246,23 @@ class Capture:
         if attempt.refusal:
             return attempt.rejection(attempt.refusal)
         outcome = self._judge(attempt)
-        if isinstance(outcome, Wait) and self._too_far_behind(attempt, outcome):
+        if not isinstance(outcome, Wait):
+            return outcome
+        lag_ns = self._lag_ns(attempt, outcome)
+        if lag_ns > self._tolerance_ns:
             return attempt.rejection(
-                f"{self._name(outcome.stream)} are {self._lag_s(attempt, outcome):.3g} s behind "
-                f"the other streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or "
-                "stamped by another clock"
+                f"{self._name(outcome.stream)} are {seconds(lag_ns):.3g} s behind the other "
+                f"streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or stamped by "
+                "another clock"
             )
-        if isinstance(outcome, Wait) and len(self._pending) > _MAX_PENDING:
+        if len(self._pending) > _MAX_PENDING:
             return attempt.rejection(f"undecided while {_MAX_PENDING} later attempts were begun")
         return outcome
 
     def _judge(self, attempt: Attempt) -> Observation | Wait:
         """Judge an attempt by the streams; a temperature too far behind is done without."""
         wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
-        if wait is not None and not self._too_far_behind(attempt, wait):
+        if wait is not None and self._lag_ns(attempt, wait) <= self._tolerance_ns:
             return wait
         decide = self._rules.decide[attempt.step.kind]
         outcome = decide(attempt, self._streams, self._settings)
@@ -287,20 +278,11 @@ class Capture:
             stream.wait(too_late)
         wait.stream.wait(wait.stamp_ns, wait.samples, wait.latest_ns)
 
-    def _too_far_behind(self, attempt: Attempt, wait: Wait) -> bool:
-        return self._lag_ns(attempt, wait) > self._tolerance_ns
-
-    def _lag_s(self, attempt: Attempt, wait: Wait) -> float:
-        return seconds(self._lag_ns(attempt, wait))
-
     def _lag_ns(self, attempt: Attempt, wait: Wait) -> int:
-        """Return how far the awaited stream is behind the others."""
-        return self._newest_ns(attempt) - self._reached(wait.stream, attempt)
-
-    def _newest_ns(self, attempt: Attempt) -> int:
-        """Return the newest stamp of probe, tracer and table."""
-        tracer, table = self._streams.tracer, self._streams.table
-        return max(attempt.begin_ns, self._reached(tracer, attempt), self._reached(table, attempt))
+        """Return how far the awaited stream is behind the newest of probe, tracer and table."""
+        fast = (self._streams.tracer, self._streams.table)
+        newest = max(attempt.begin_ns, *(self._reached(stream, attempt) for stream in fast))
+        return newest - self._reached(wait.stream, attempt)
 
     def _reached(self, stream: Stream, attempt: Attempt) -> int:
         """Return how far a stream has come; a stream without samples is at the attempt's begin."""
@@ -311,6 +293,5 @@ class Capture:
         return next(n for n, s in zip(names, self._streams.all(), strict=True) if s is stream)
 
     def _not_in_plan(self, step: int) -> str:
-        return f"step {step}, which is not in the plan: it has the steps 0 to " + str(
-            len(self._plan.steps) - 1
-        )
+        last = len(self._plan.steps) - 1
+        return f"step {step}, which is not in the plan: it has the steps 0 to {last}"

@@ -44,15 +44,11 @@ class Continuation:
     def from_json(cls, text: str) -> Continuation:
         """Read the text of :meth:`to_json`; raises DataError when it is something else."""
         try:
-            data = json.loads(text)
-            return cls(
-                plan_id=data["plan_id"],
-                run=data["run"],
-                start_index=data["start_index"],
-                again=tuple(data["again"]),
-                steps=tuple(data["steps"]),
-                observations=tuple(_observation(o) for o in data["observations"]),
+            data = json.loads(text, object_hook=_with_tuples)
+            observations = tuple(
+                Observation(**o | {"kind": PointKind(o["kind"])}) for o in data.pop("observations")
             )
+            return cls(**data, observations=observations)
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"not a continuation of an interrupted plan: {error!r}") from error
 
@@ -99,6 +95,5 @@ def _spread(values: Sequence[int], count: int) -> tuple[int, ...]:
     return tuple(values[place] for place in places)
 
 
-def _observation(data: dict[str, Any]) -> Observation:
-    lists = {name: tuple(value) for name, value in data.items() if isinstance(value, list)}
-    return Observation(**{**data, **lists, "kind": PointKind(data["kind"])})
+def _with_tuples(data: dict[str, Any]) -> dict[str, Any]:
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in data.items()}

@@ -10,7 +10,7 @@ from rotcal_ros.catalogue.calibration import Calibration
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Measurements, find_method, method_names
 from rotcal_ros.errors import DataError
-from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.results import Result
 from rotcal_ros.tables import Row, read_table, require_header
@@ -59,18 +59,14 @@ class StepFinder:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._steps: dict[tuple[int, int, PointKind | None], Step] = {}
+        self._steps: dict[tuple[int, int], Step] = {}
         for step in plan.steps:
-            index, target = step.table_index, step.target
-            self._steps[index, target, step.kind] = step
-            self._steps.setdefault((index, target, None), step)
+            self._steps.setdefault((step.table_index, step.target), step)
         self._seen: dict[int, str] = {}
 
-    def __call__(
-        self, row: Row, position: int, target: int, kind: PointKind | None = None
-    ) -> Step:
-        """Return the step at a table position; ``kind`` None: whatever is measured there."""
-        step = self._steps.get((position, target, kind))
+    def __call__(self, row: Row, position: int, target: int) -> Step:
+        """Return the step that measures a target at a table position."""
+        step = self._steps.get((position, target))
         if step is None:
             raise DataError(
                 f"{row.place}: position {position}, target {target} is not in the plan, which has "

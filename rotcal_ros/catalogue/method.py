@@ -41,15 +41,16 @@ class Measurements(Protocol):
         """Return the result."""
 
 
-class TableReader(Protocol):
-    """Reads plain tables with one of ``headers``, the present one first."""
+@dataclass(frozen=True)
+class TableReader:
+    """Reads plain tables with one of ``headers``, the present one first.
+
+    ``read`` takes the configuration, the table and the file of targets, if any, and returns what
+    was measured; DataError names file and row of what cannot be.
+    """
 
     headers: tuple[Header, ...]
-
-    def read(
-        self, configuration: Configuration, table: Table, targets: Path | None
-    ) -> Measurements:
-        """Return what was measured; DataError names file and row of what cannot be."""
+    read: Callable[[Configuration, Table, Path | None], Measurements]
 
 
 DEFAULT: Final = "tracer_multistation"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -23,21 +22,15 @@ def read_setup(path: Path) -> Configuration:
     A file with ``method: NAME`` at the top is one too where the method knows what its other
     entries mean, as the ball plate does with those of a plate. Raises ConfigurationError.
     """
-    document = _document(path)
-    name = document.get("method") if isinstance(document, dict) else None
-    if name not in method_names():
-        return read_configuration(path)
-    short_setup = find_method(name).short_setup
-    if short_setup is None:
-        return read_configuration(path)
-    text = dump_configuration(name, short_setup(document, str(path)))
-    return parse_configuration(text, str(path))
-
-
-def _document(path: Path) -> Any:
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot read the set-up {path}: {error}") from error
     except yaml.YAMLError as error:
         raise ConfigurationError(f"{path}: not valid YAML: {error}") from error
+    name = document.get("method") if isinstance(document, dict) else None
+    short_setup = find_method(name).short_setup if name in method_names() else None
+    if name is None or short_setup is None:
+        return read_configuration(path)
+    text = dump_configuration(name, short_setup(document, str(path)))
+    return parse_configuration(text, str(path))

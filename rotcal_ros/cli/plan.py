@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.components import unit_of
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import PlanError
 from rotcal_ros.report.terminal.console import progress
 from rotcal_ros.units import DEGREE, MICROMETRE
@@ -170,7 +170,7 @@ def effort(
             }
         )
     if as_json:
-        print_json({"component": component, "coverage": ways[0].coverage, "ways": rows})
+        print_json({"component": component, "coverage": COVERAGE_FACTOR, "ways": rows})
     else:
         _print_effort(component, limit, rows)
     return 0

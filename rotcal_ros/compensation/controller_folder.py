@@ -79,13 +79,9 @@ class ControllerFolder:
         return descriptor
 
     def _read(self, names: list[str]) -> dict[str, str]:
-        found = {}
         self.folder.stat()  # a folder that is gone is not an empty one
-        for name in names:
-            path = self.folder / name
-            if path.exists():
-                found[name] = path.read_bytes().decode(ENCODING)
-        return found
+        paths = {name: self.folder / name for name in names}
+        return {n: p.read_bytes().decode(ENCODING) for n, p in paths.items() if p.exists()}
 
     def _write(self, files: Mapping[str, str | None]) -> None:
         for name, text in files.items():

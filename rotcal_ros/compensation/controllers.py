@@ -16,16 +16,6 @@ def controller_names() -> tuple[str, ...]:
     return plugins.names(plugins.CONTROLLERS)
 
 
-def controller_class(name: str) -> type[Controller]:
-    """Return the kind of controller ``name``; ConfigurationError when there is none."""
-    found = plugins.load(plugins.CONTROLLERS, name, "controller")
-    if not (isinstance(found, type) and issubclass(found, Controller)):
-        raise ConfigurationError(
-            f"the controller {name!r} is {found!r}, no subclass of Controller"
-        )
-    return found
-
-
 def make_controller(
     name: str, values: Mapping[str, Any] | None = None, where: str | None = None
 ) -> Controller:
@@ -34,4 +24,9 @@ def make_controller(
     Raises ConfigurationError, with the place (``where``, else the name) and the nearest name,
     for what it does not know or what is out of range.
     """
-    return load(controller_class(name), values, where or name)
+    found = plugins.load(plugins.CONTROLLERS, name, "controller")
+    if not (isinstance(found, type) and issubclass(found, Controller)):
+        raise ConfigurationError(
+            f"the controller {name!r} is {found!r}, no subclass of Controller"
+        )
+    return load(found, values, where or name)

@@ -63,7 +63,10 @@ def prepare_export(
     """
     controller = make_controller(controller_name, settings)
     check_verdict(table)
-    _refuse_other_axis(table, axis)
+    if axis is not None and check_axis(axis) != table.axis:
+        raise ConfigurationError(
+            f"the table is for axis {table.axis} and the export for axis {axis}: nothing written"
+        )
     if not accept_unverified:
         _refuse_unverified(controller)
     name = check_stem(stem or f"{table.axis}_{controller_name}".lower())
@@ -76,7 +79,12 @@ def prepare_export(
     side = {
         "schema": SCHEMA,
         "written": now.isoformat(timespec="seconds"),
-        **_origin(table, sources),
+        "axis": table.axis,
+        "method": table.method,
+        "verdict": table.verdict,
+        "table_sha256": table.table_hash,
+        "sources_sha256": dict(sources or {}),
+        "sign_of_the_table": SIGN_CONVENTION,
         "controller": controller_name,
         **_controller_facts(controller),
         **_written_rows(rows, files),
@@ -90,13 +98,6 @@ def prepare_export(
         warnings=warnings,
         table=rows,
     )
-
-
-def _refuse_other_axis(table: CompensationTable, axis: str | None) -> None:
-    if axis is not None and check_axis(axis) != table.axis:
-        raise ConfigurationError(
-            f"the table is for axis {table.axis} and the export for axis {axis}: nothing written"
-        )
 
 
 def _refuse_unverified(controller: Controller) -> None:
@@ -124,17 +125,6 @@ def _refuse_harm(residual: ResidualBudget, title: str) -> None:
         )
 
 
-def _origin(table: CompensationTable, sources: Mapping[str, str] | None) -> dict[str, Any]:
-    return {
-        "axis": table.axis,
-        "method": table.method,
-        "verdict": table.verdict,
-        "table_sha256": table.table_hash,
-        "sources_sha256": dict(sources or {}),
-        "sign_of_the_table": SIGN_CONVENTION,
-    }
-
-
 def _controller_facts(controller: Controller) -> dict[str, Any]:
     words = asdict(controller.facts)
     return {"controller_title": words.pop("title"), "settings": asdict(controller), **words}
@@ -142,7 +132,9 @@ def _controller_facts(controller: Controller) -> dict[str, Any]:
 
 def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str, Any]:
     return {
-        "files_sha256": {file: _sha256(text) for file, text in files.items()},
+        "files_sha256": {
+            file: hashlib.sha256(text.encode()).hexdigest() for file, text in files.items()
+        },
         "rows": len(rows.angles),
         "widest_spacing_deg": float(np.max(np.diff(rows.angles))) / DEGREE,
         "reference_angle_deg": rows.reference_angle / DEGREE,
@@ -157,7 +149,3 @@ def _left(residual: ResidualBudget, table: CompensationTable) -> dict[str, Any]:
         "residual_arcsec": {part: value / ARCSEC for part, value in figures.items()},
         "blind_to": f"what repeats more than {count // 2} times over the {count} angles measured",
     }
-
-
-def _sha256(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()

@@ -2,13 +2,11 @@
 
 Linear between points. On a rotary axis the points 0 and 360 carry the same error, and then
 the table holds in every turn. When all errors of the negative direction are zero, the
-control takes those of the positive direction for both. Source: CNC 8055 Installation Manual
-(V02.2x), section 7.5.7, p. 328.
+control takes those of the positive direction for both. Source: ``Fagor.facts``.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -16,11 +14,11 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import number, only_file
+from rotcal_ros.compensation.parsing import matches, number, only_file
 from rotcal_ros.compensation.rows import columns_deg, fixed, require_at_most, require_circle
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
 
@@ -64,24 +62,19 @@ class Fagor(Controller):
         axis = table.axis
         lines = [
             f"P{k:03d} {axis} {fixed(angle, DECIMALS)} "
-            f"E{axis} {fixed(up_error, DECIMALS)} E{axis} {fixed(down_error, DECIMALS)}"
-            for k, (angle, (up_error, down_error)) in enumerate(
-                zip(angles, errors, strict=True), 1
-            )
+            f"E{axis} {fixed(forward, DECIMALS)} E{axis} {fixed(reverse, DECIMALS)}"
+            for k, (angle, forward, reverse) in enumerate(np.column_stack([angles, errors]), 1)
         ]
         return {f"{stem}.txt": "\n".join(lines) + "\n"}
 
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read the table back; BagError unless it goes from 0 to 360 deg and closes."""
         name, text = only_file(files, ".txt")
-        rows = []
-        for row, line in enumerate(text.splitlines(), start=1):
-            match = re.fullmatch(r"P\d+ (\w+) (\S+) E\1 (\S+) E\1 (\S+)", line.strip())
-            if match is None:
-                raise BagError(
-                    f"{name}, line {row}: {line!r} is no line such as P001 C 0 EC 0 EC 0"
-                )
-            rows.append([number(match.group(k), f"{name}, line {row}") for k in (2, 3, 4)])
+        line = r"P\d+ (\w+) (\S+) E\1 (\S+) E\1 (\S+)"
+        rows = [
+            [number(match.group(k), where) for k in (2, 3, 4)]
+            for where, match in matches(name, text, line, "P001 C 0 EC 0 EC 0")
+        ]
         angles, up, down = np.array(rows, dtype=np.float64).reshape(-1, 3).T
         return PeriodicTable(name, angles, up, down if np.any(down) else up, -DEGREE)
 

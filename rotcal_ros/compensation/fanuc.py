@@ -10,7 +10,6 @@ Descriptions B-63522EN/02 p. 222; Series 15i Parameter Manual B-63330EN/03 p. 25
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +18,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, number, only_file
+from rotcal_ros.compensation.parsing import integer, matches, number, only_file
 from rotcal_ros.compensation.rows import (
     even_interval_deg,
     fixed,
@@ -135,13 +134,9 @@ class Fanuc(Controller):
     def read(self, files: Mapping[str, str]) -> PitchTable:
         """Read parameters and slots back; BagError unless they obey the rule for rotary axes."""
         name, text = only_file(files, ".txt")
-        values: dict[int, str] = {}
-        for row, line in enumerate(text.splitlines(), start=1):
-            match = re.fullmatch(r"N(\d{5})(?:A\d+)?P(-?[\d.]+);|%", line.strip())
-            if match is None:
-                raise BagError(f"{name}, line {row}: {line!r} is no line such as N10061P-3;")
-            if match.group(1):
-                values[int(match.group(1))] = match.group(2)
+        line = r"N(\d{5})(?:A\d+)?P(-?[\d.]+);|%"
+        found = matches(name, text, line, "N10061P-3;")
+        values = {int(match[1]): match[2] for _, match in found if match[1]}
         missing = [k for k in (3620, 3621, 3622, 3623, 3624, 3625) if k not in values]
         if missing:
             raise BagError(f"{name}: parameters {missing} are missing")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -115,12 +115,12 @@ class Feed:
             )
         before: dict[str, str | None] = {name: old.get(name) for name in new}
         now_ns = self._now_ns()
-        backup = self._journal.keep(before, now_ns)
-        self._journal.note(Entry("applying", now_ns, table_hash, backup))
-        self._replace(new, before, table_hash, backup)
-        self._journal.note(Entry("applied", self._now_ns(), table_hash, backup))
+        entry = Entry("applying", now_ns, table_hash, self._journal.keep(before, now_ns))
+        self._journal.note(entry)
+        self._replace(new, before, entry)
+        self._journal.note(replace(entry, action="applied", time_ns=self._now_ns()))
         paths = tuple(self._folder / name for name in new)
-        return Applied(paths, self._journal.folder / backup, change)
+        return Applied(paths, self._journal.folder / entry.backup, change)
 
     def restore(self) -> Applied:
         """Put back what the controller held before the last table that was applied."""
@@ -133,7 +133,7 @@ class Feed:
         present = self._store.read(kept)
         self._store.write(kept)
         self._compare(kept)
-        self._journal.note(Entry("restored", self._now_ns(), entry.table_hash, entry.backup))
+        self._journal.note(replace(entry, action="restored", time_ns=self._now_ns()))
         old = {name: text for name, text in kept.items() if text is not None}
         try:
             change = self._largest_change(present, old)
@@ -202,22 +202,18 @@ class Feed:
         return rule.correction(grid, approach)
 
     def _replace(
-        self,
-        new: Mapping[str, str],
-        before: Mapping[str, str | None],
-        table_hash: str,
-        backup: str,
+        self, new: Mapping[str, str], before: Mapping[str, str | None], entry: Entry
     ) -> None:
         """Write ``new`` and read it back; when that fails put ``before`` back."""
         try:
             self._store.write(new)
             self._compare(new)
         except ControllerError as error:
-            place = self._journal.folder / backup
+            place = self._journal.folder / entry.backup
             try:
                 self._store.write(before)
                 self._compare(before)
-                self._journal.note(Entry("rolled_back", self._now_ns(), table_hash, backup))
+                self._journal.note(replace(entry, action="rolled_back", time_ns=self._now_ns()))
             except (ControllerError, OSError) as second:
                 raise ControllerError(
                     f"{error}; putting the old table back failed too ({second}): it is not known "

@@ -1,8 +1,7 @@
 """Heidenhain, newer form: a .COM table of axis errors, assigned to the axis by a .CMA table.
 
 Columns AXISPOS, BACKLASH (values for the negative direction) and one column named after the
-axis. Sources: Technical Manual MANUALplus 620 pp. 716-718; TNC 407/415/425 Technical Manual
-pp. 4-26 .. 4-31 (256 entries, a rotary axis uses the entries 0 .. 360).
+axis; 256 entries, of which a rotary axis uses 0 .. 360. Sources: ``Heidenhain.facts``.
 """
 
 from __future__ import annotations

@@ -57,14 +57,9 @@ class Journal:
             ) from error
 
     def _append(self, line: bytes) -> None:
-        path = self.folder / FILE
-        with path.open("ab+") as stream:
-            size = stream.seek(0, os.SEEK_END)
-            if size:
-                stream.seek(-1, os.SEEK_END)
-                if stream.read(1) != b"\n":
-                    text = path.read_bytes()
-                    stream.truncate(text.rfind(b"\n") + 1)
+        with (self.folder / FILE).open("ab+") as stream:
+            stream.seek(0)
+            stream.truncate(stream.read().rfind(b"\n") + 1)  # a line that a crash cut off
             stream.write(line)
             stream.flush()
             os.fsync(stream.fileno())
@@ -99,5 +94,4 @@ class Journal:
 
     def last_restore_ns(self) -> int:
         """Return when a table was taken back last, 0 if never."""
-        times = [entry.time_ns for entry in self.entries() if entry.action == "restored"]
-        return max(times, default=0)
+        return max((e.time_ns for e in self.entries() if e.action == "restored"), default=0)

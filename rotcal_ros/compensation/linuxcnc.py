@@ -118,16 +118,14 @@ class LinuxCnc(Controller):
                 f"{name}: {lines} lines, of which LinuxCNC uses {len(loaded.nominal_deg)}; "
                 f"expected all; {'; '.join(loaded.messages) or 'a line is not three numbers'}"
             )
-        numbers = (loaded.nominal_deg, loaded.forward_deg, loaded.reverse_deg)
-        if not all(np.all(np.isfinite(column)) for column in numbers):
+        columns = (loaded.nominal_deg, loaded.forward_deg, loaded.reverse_deg)
+        if not all(np.isfinite(column).all() for column in columns):
             raise BagError(f"{name}: a number is too large")
         return loaded
 
     def resolution(self, table: CompensationTable) -> float:
         """Return twice the rounding: nine decimals, and single precision of trim and slope."""
-        largest = max(
-            np.max(np.abs(table.correction_forward)), np.max(np.abs(table.correction_reverse))
-        )
+        largest = np.max(np.abs([table.correction_forward, table.correction_reverse]))
         return float(2.0 * 10.0**-DECIMALS * DEGREE + 8.0 * np.finfo(np.float32).eps * largest)
 
     def _every_turn(self, *columns: Floats) -> tuple[Floats, Floats, Floats]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from re import Match
 
 import numpy as np
 
@@ -41,6 +43,15 @@ def numbers(name: str, lines: list[str], columns: int, separator: str | None) ->
             raise BagError(f"{name}, row {row}: {len(cells)} columns, expected {columns}")
         rows.append([number(cell, f"{name}, row {row}") for cell in cells])
     return np.array(rows, dtype=np.float64).reshape(-1, columns)
+
+
+def matches(name: str, text: str, pattern: str, example: str) -> Iterator[tuple[str, Match[str]]]:
+    """Yield place and match of every line of ``text``; BagError for one unlike ``example``."""
+    for row, line in enumerate(text.splitlines(), start=1):
+        match = re.fullmatch(pattern, line.strip())
+        if match is None:
+            raise BagError(f"{name}, line {row}: {line!r} is no line such as {example}")
+        yield f"{name}, line {row}", match
 
 
 def number(text: str, where: str) -> float:

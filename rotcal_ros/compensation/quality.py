@@ -85,12 +85,8 @@ def residual_budget(
         written = averaged(rows)
         direction = SAMPLING * _largest(np.subtract(needed, goal))
     steepest = SAMPLING * _largest(np.gradient(np.array(needed), grid, axis=1))
-    lines = np.array(
-        [
-            _neighbours(written, column, grid, controller.staircase)
-            for column in (written.correction_forward, written.correction_reverse)
-        ]
-    )
+    columns = (written.correction_forward, written.correction_reverse)
+    lines = np.array([_neighbours(written, c, grid, controller.staircase) for c in columns])
     interpolation = SAMPLING * _largest(lines - np.array(goal)[:, None, :])
     rounding = controller.resolution(rows) / 2.0
     rounding += steepest * controller.position_resolution
@@ -113,10 +109,9 @@ def simulate(table: CompensationTable, controller: Controller, rule: Rule, grid:
     every turn that the file is made for, and moves by what the control makes of the file.
     """
     first, last = controller.travel if table.closed else (0.0, TURN)
-    turns = range(round(first / TURN), round(last / TURN)) if table.closed else range(1)
     truth = Correction(table)
     worst = 0.0
-    for turn in turns:
+    for turn in range(round(first / TURN), round(last / TURN)):
         for approach in DIRECTIONS:
             command = grid + turn * TURN
             correction = rule.correction(command, approach)

@@ -133,13 +133,11 @@ class Sinumerik(Controller):
 
 
 def _enc_comp(table: CompensationTable, axis: str, system: int, spacing: float) -> list[str]:
-    errors = -mean_deg(table)
-    lines = [
-        f"$AA_ENC_COMP[{system},{k},{axis}]={fixed(value, DECIMALS)}"
-        for k, value in enumerate(errors)
-    ]
     return [
-        *lines,
+        *(
+            f"$AA_ENC_COMP[{system},{k},{axis}]={fixed(value, DECIMALS)}"
+            for k, value in enumerate(-mean_deg(table))
+        ),
         f"$AA_ENC_COMP_STEP[{system},{axis}]={fixed(spacing, DECIMALS)}",
         f"$AA_ENC_COMP_MIN[{system},{axis}]=0.0",
         f"$AA_ENC_COMP_MAX[{system},{axis}]=360.0",

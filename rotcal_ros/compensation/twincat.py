@@ -1,13 +1,11 @@
 """Beckhoff TwinCAT CNC and ISG kernel: leadscrew compensation ``kw.ssfk.*`` in achskw*.lis.
 
 Whole numbers of 0.0001 degrees, actual - commanded, one column for each direction, linear,
-modulo. Sources: Beckhoff Information System TF5200, axis compensation parameters
-P-COMP-00017 .. 00025 and 00059; ISG kernel documentation.
+modulo. Sources: ``TwinCat.facts``, and the ISG kernel's documentation.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -15,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
-from rotcal_ros.compensation.parsing import integer, only_file
+from rotcal_ros.compensation.parsing import integer, matches, only_file
 from rotcal_ros.compensation.rows import columns_deg, even_interval_deg, require_at_most
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
@@ -50,8 +48,7 @@ class TwinCat(Controller):
             n, self.max_points, "twincat: points", "a wider spacing, or raise P-COMP-00059"
         )
         _, up, down = columns_deg(table)
-        pos = np.rint(-up[:-1] / UNIT_DEG).astype(np.int64)
-        neg = np.rint(-down[:-1] / UNIT_DEG).astype(np.int64)
+        pos, neg = (np.rint(-column[:-1] / UNIT_DEG).astype(np.int64) for column in (up, down))
         bilateral = int(table.directional)
         head = {
             "unit": 1,
@@ -71,12 +68,8 @@ class TwinCat(Controller):
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read a compensation list; BagError unless it is one turn in units of 0.0001 deg."""
         name, text = only_file(files, ".lis")
-        values: dict[str, int] = {}
-        for row, line in enumerate(text.splitlines(), start=1):
-            match = re.fullmatch(r"kw\.ssfk\.([\w\[\].]+)\s+(\S+)", line.strip())
-            if match is None:
-                raise BagError(f"{name}, line {row}: {line!r} is no line such as kw.ssfk.unit 1")
-            values[match.group(1)] = integer(match.group(2), f"{name}, line {row}")
+        found = matches(name, text, r"kw\.ssfk\.([\w\[\].]+)\s+(\S+)", "kw.ssfk.unit 1")
+        values = {match[1]: integer(match[2], where) for where, match in found}
         n = values.get("kw_nr_max", 0)
         head = (values.get("unit"), values.get("modulo"), values.get("interval", 0) * n)
         if n < 2 or head != (1, 1, TURN_UNITS):

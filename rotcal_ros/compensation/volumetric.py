@@ -7,13 +7,11 @@ component has no column. Every number is written so that it is read back to the 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.compensation.parsing import numbers
+from rotcal_ros.compensation import parsing
 from rotcal_ros.compensation.table import check_axis, check_verdict
 from rotcal_ros.compensation.writing import check_stem
 from rotcal_ros.components import COMPONENTS, TRANSLATIONS
@@ -39,8 +37,8 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
     for name in names:
         columns[f"{name}_{_si_unit(name)}"] = result.deviations[name]
         columns[f"u_{name}_{_si_unit(name)}"] = result.std[name]
-    lines = [",".join(columns)]
-    lines += [",".join(repr(float(x)) for x in row) for row in zip(*columns.values(), strict=True)]
+    numbers = np.column_stack(list(columns.values()))
+    lines = [",".join(columns), *(",".join(map(repr, row)) for row in numbers.tolist())]
     data = {
         "schema": 1,
         "kind": KIND,
@@ -55,33 +53,14 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "warnings": list(result.warnings),
     }
     table, facts = "\n".join(lines) + "\n", json.dumps(data, indent=1) + "\n"
-    for file, found in (("csv", _csv_columns(table)), ("json", _json_columns(facts))):
-        if not _equal(found, columns):
+    found = parsing.numbers(f"{stem}.csv", table.splitlines()[1:], len(columns), ",")
+    for file, same in (
+        ("csv", np.array_equal(found, numbers)),
+        ("json", json.loads(facts) == data),
+    ):
+        if not same:
             raise BagError(f"{stem}.{file}: read back, it is not what was measured")
     return {f"{stem}.csv": table, f"{stem}.json": facts}
-
-
-def _csv_columns(text: str) -> dict[str, Floats]:
-    """Return the columns of the CSV form by title."""
-    head, *lines = text.splitlines()
-    titles = head.split(",")
-    return dict(zip(titles, numbers("volumetric", lines, len(titles), ",").T, strict=True))
-
-
-def _json_columns(text: str) -> dict[str, Floats]:
-    """Return the columns of the JSON form under the titles of the CSV form."""
-    data: dict[str, Any] = json.loads(text)
-    columns = {"angle_rad": data["angles_rad"]}
-    for name, unit in data["units"].items():
-        columns[f"{name}_{unit}"] = data["deviations"][name]
-        columns[f"u_{name}_{unit}"] = data["std"][name]
-    return {title: np.array(column, dtype=np.float64) for title, column in columns.items()}
-
-
-def _equal(found: Mapping[str, Floats], wanted: Mapping[str, Floats]) -> bool:
-    return list(found) == list(wanted) and all(
-        np.array_equal(found[title], column) for title, column in wanted.items()
-    )
 
 
 def _si_unit(component: str) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 
 from rotcal_ros.errors import BagError, ConfigurationError
@@ -27,9 +26,13 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
         raise BagError(f"cannot make the folder {folder}: {error.strerror}") from error
     done: list[Path] = []
     try:
-        with _staged(files, folder) as staged:
-            for name, temporary in staged.items():
-                os.link(temporary, folder / name)
+        with tempfile.TemporaryDirectory(prefix=".rotcal-", dir=folder) as scratch:
+            for name, text in files.items():
+                temporary = Path(scratch) / name
+                write_durably(temporary, text, "ascii")
+                temporary.chmod(0o644)
+            for name in files:
+                os.link(Path(scratch) / name, folder / name)
                 done.append(folder / name)
         sync_folder(folder)
     except OSError as error:
@@ -59,15 +62,3 @@ def check_file_name(name: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", name):
         raise ConfigurationError(f"file name {name!r} leaves the output folder or is no file name")
     return name
-
-
-@contextmanager
-def _staged(files: Mapping[str, str], folder: Path) -> Iterator[dict[str, Path]]:
-    """Give the texts as complete, synced files below ``folder``, gone afterwards."""
-    with tempfile.TemporaryDirectory(prefix=".rotcal-", dir=folder) as scratch:
-        staged = {}
-        for number, (name, text) in enumerate(files.items()):
-            staged[name] = Path(scratch) / str(number)
-            write_durably(staged[name], text, "ascii")
-            staged[name].chmod(0o644)
-        yield staged

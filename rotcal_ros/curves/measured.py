@@ -38,22 +38,22 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     Raises DataError when it is absent, has fewer than two angles, or when two measurements of one
     table position contradict each other (the deviations do not close).
     """
-    angles, deviation, covariance = _complete(result, component)
-    period = TURN if covers_circle(angles) else 0.0
-    position = np.array([wrapped(a) for a in angles]) if period else angles
+    curve = _complete(result, component)
+    angles = curve.angles
+    position = np.array([wrapped(a) for a in angles]) if curve.period else angles
     order = np.argsort(position, kind="stable")
     new = np.append(True, np.diff(position[order]) > SAME_ANGLE)
     group = np.cumsum(new) - 1
     merge = np.zeros((group[-1] + 1, len(angles)))
     merge[group, order] = 1.0
     for row in merge[merge.sum(axis=1) > 1]:
-        _check_closure(component, angles, deviation, covariance, np.flatnonzero(row))
+        _check_closure(component, curve, np.flatnonzero(row))
     merge /= merge.sum(axis=1, keepdims=True)
     return MeasuredCurve(
         angles=position[order][new],
-        deviation=merge @ deviation,
-        covariance=merge @ covariance @ merge.T,
-        period=period,
+        deviation=merge @ curve.deviation,
+        covariance=merge @ curve.covariance @ merge.T,
+        period=curve.period,
     )
 
 
@@ -66,8 +66,8 @@ def covers_circle(angles: Floats) -> bool:
     return len(ascending) > 2 and TURN - span <= 1.5 * float(np.max(np.diff(ascending)))
 
 
-def _complete(result: Result, component: str) -> tuple[Floats, Floats, Floats]:
-    """Return angles, deviation and covariance of ``component``, else raise DataError.
+def _complete(result: Result, component: str) -> MeasuredCurve:
+    """Return ``component`` with the angles as they were measured, else raise DataError.
 
     That there is one finite deviation for each angle a Result guarantees by itself.
     """
@@ -88,21 +88,16 @@ def _complete(result: Result, component: str) -> tuple[Floats, Floats, Floats]:
             f"{where}: the covariance of {component} has shape {np.shape(covariance)} or is not "
             f"finite, expected ({n}, {n}) finite numbers"
         )
-    return angles, result.deviations[component], covariance
+    period = TURN if covers_circle(angles) else 0.0
+    return MeasuredCurve(angles, result.deviations[component], covariance, period)
 
 
-def _check_closure(
-    component: str,
-    angles: Floats,
-    deviation: Floats,
-    covariance: Floats,
-    members: NDArray[np.intp],
-) -> None:
+def _check_closure(component: str, curve: MeasuredCurve, members: NDArray[np.intp]) -> None:
     """Raise DataError when measurements ``members`` of one position contradict each other."""
     scale, unit = unit_of(component)
-    first = members[0]
+    angles, covariance, first = curve.angles, curve.covariance, members[0]
     for other in members[1:]:
-        gap = float(deviation[other] - deviation[first])
+        gap = float(curve.deviation[other] - curve.deviation[first])
         variance = covariance[first, first] + covariance[other, other]
         # The difference of two equal results may come out below zero by rounding.
         std = float(np.sqrt(max(variance - 2.0 * covariance[first, other], 0.0)))

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.figures import style
@@ -39,7 +38,7 @@ def deviations(result: Result, truth: Mapping[str, Any] | None = None) -> str:
     return style.svg(panels[0])
 
 
-def _draw_truth(ax: Axes, name: str, truth: Mapping[str, Any] | None) -> None:
+def _draw_truth(ax: style.Axes, name: str, truth: Mapping[str, Any] | None) -> None:
     if truth is None or name not in truth.get("deviations", {}):
         return
     factor, _ = unit_of(name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.figures import Figure, style
@@ -47,12 +46,7 @@ def residuals(result: Result, unit: float = MICROMETRE, label: str = "µm") -> s
     return style.svg(left)
 
 
-def _scatter_residuals(
-    ax: Axes,
-    index: Ints,
-    residual: Floats,
-    used: Bools,
-) -> None:
+def _scatter_residuals(ax: style.Axes, index: Ints, residual: Floats, used: Bools) -> None:
     ax.scatter(index[used], residual[used], s=7, color=style.BLUE, alpha=0.55, label="used")
     if not used.all():
         ax.scatter(

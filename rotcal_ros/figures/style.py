@@ -1,19 +1,20 @@
-"""One look for all figures, and figures as inline SVG: no display, no global state."""
+"""One look for all figures, and figures as inline SVG: no display, no global state.
+
+Drawing takes a second to load, so that is done by the first figure.
+"""
 
 from __future__ import annotations
 
 import functools
 import io
 from collections.abc import Callable
-from typing import Any, Final, ParamSpec
-
-import matplotlib as mpl
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 from rotcal_ros.arrays import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes as Axes
+    from matplotlib.axis import Axis
 
 P = ParamSpec("P")
 
@@ -51,6 +52,8 @@ def styled(draw: Callable[P, str]) -> Callable[P, str]:
 
     @functools.wraps(draw)
     def in_style(*args: P.args, **kwargs: P.kwargs) -> str:
+        import matplotlib as mpl
+
         with mpl.rc_context(_RC):
             return draw(*args, **kwargs)
 
@@ -59,6 +62,8 @@ def styled(draw: Callable[P, str]) -> Callable[P, str]:
 
 def grid(rows: int = 1, columns: int = 1, height: float = 3.0, **options: Any) -> list[Axes]:
     """Return the axes of a new figure, row by row; ``height`` in inches per row."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(8.6, height * rows), layout="constrained")
     return list(figure.subplots(rows, columns, squeeze=False, **options).ravel())
 
@@ -75,16 +80,13 @@ def svg(ax: Axes) -> str:
 
 def whole_numbers(axis: Axis) -> None:
     """Tick an axis of indices at whole numbers only."""
+    from matplotlib.ticker import MaxNLocator
+
     axis.set_major_locator(MaxNLocator(integer=True))
 
 
 def curve_with_band(
-    ax: Axes,
-    x: Floats,
-    y: Floats,
-    band: Floats,
-    label: str,
-    colour: str = BLUE,
+    ax: Axes, x: Floats, y: Floats, band: Floats, label: str, colour: str = BLUE
 ) -> None:
     """Draw measured points with their expanded uncertainty as a band."""
     ax.fill_between(x, y - band, y + band, color=colour, alpha=0.18, linewidth=0)

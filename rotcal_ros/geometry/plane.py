@@ -35,8 +35,7 @@ class Plane:
         points P', which are not known yet and lie on the plane; it needs the unprojected P.
         """
         relative = np.asarray(points, dtype=np.float64) - self.centroid
-        result: Floats = relative @ self.normal
-        return result
+        return relative @ self.normal
 
     def basis(self) -> Floats:
         """Return two unit vectors (2, 3) in the plane; with the normal they are right-handed.

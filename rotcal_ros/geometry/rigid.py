@@ -32,12 +32,10 @@ def align(source: Floats, target: Floats) -> tuple[Floats, Floats]:
 
 
 def require_spread(points: Floats, what: str) -> None:
-    """Raise GeometryError unless points (n, 3) span a plane well enough to fix a rotation.
+    """Raise GeometryError unless points (n, 3), n > 2, span a plane and so fix a rotation.
 
     ``what`` names the points in the message, for example "the nests shared by A and B".
     """
-    if len(points) < 3:
-        raise GeometryError(f"{what}: {len(points)} points, a rigid transform needs at least 3")
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if extent[1] < MIN_ASPECT * extent[0] or extent[0] == 0.0:
         raise GeometryError(

@@ -25,8 +25,7 @@ def cross_matrix(vectors: ArrayLike) -> Floats:
     matrix[..., 2, 1] = v[..., 0]
     matrix[..., 0, 2] = v[..., 1]
     matrix[..., 1, 0] = v[..., 2]
-    result: Floats = matrix - np.swapaxes(matrix, -1, -2)
-    return result
+    return matrix - np.swapaxes(matrix, -1, -2)
 
 
 def rotation_about_z(angle: ArrayLike) -> Floats:

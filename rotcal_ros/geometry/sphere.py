@@ -7,7 +7,6 @@ from the ball's centre. All balls are fitted in one go: arrays carry the ball as
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import stdtrit
@@ -54,8 +53,7 @@ class Spheres:
     @property
     def covariance(self) -> Floats:
         """Covariance (B, 3, 3) of the centres in m^2, from each ball's own scatter."""
-        scaled: Floats = self.std[:, None, None] ** 2 * self.unit_covariance
-        return scaled
+        return self.std[:, None, None] ** 2 * self.unit_covariance
 
 
 def fit_spheres(
@@ -93,41 +91,22 @@ def fit_spheres(
             break
         mask = mask & ~bad
     reason = _badly_spread(reason, spread, inverse, centres, free)
-    fits = _Fits(centres, radii - tip_radius, inverse, residuals, mask, square, dof)
-    return _spheres(fits, free, tuple(reason))
-
-
-class _Fits(NamedTuple):
-    """What the last fit of all balls left, refused ones too; as in :class:`Spheres`."""
-
-    centres: Floats
-    radii: Floats
-    inverse: Floats
-    residuals: Floats
-    used: Bools
-    square: Floats
-    dof: Ints
-
-
-def _spheres(fits: _Fits, free: bool, reason: tuple[str, ...]) -> Spheres:
-    """Return the fits with their scatter; the numbers of refused balls are NaN."""
     good = np.array([not why for why in reason])
-    shown = np.where(fits.used, fits.residuals, np.nan)
+    shown = np.where(mask & good[:, None], residuals, np.nan)
     with np.errstate(all="ignore"):
-        std = np.sqrt(np.where(fits.dof > 0, fits.square / np.maximum(fits.dof, 1), np.nan))
         form = np.fmax.reduce(shown, axis=1) - np.fmin.reduce(shown, axis=1)
-    radius_std = std * np.sqrt(fits.inverse[:, 3, 3]) if free else np.zeros(len(std))
+        std = np.sqrt(np.where(good & (dof > 0), square / np.maximum(dof, 1), np.nan))
     return Spheres(
-        centres=np.where(good[:, None], fits.centres, np.nan),
-        radii=np.where(good, fits.radii, np.nan),
-        radius_std=np.where(good, radius_std, np.nan),
-        unit_covariance=np.where(good[:, None, None], fits.inverse[:, :3, :3], np.nan),
-        std=np.where(good, std, np.nan),
-        dof=fits.dof,
-        residuals=fits.residuals,
-        used=fits.used,
-        form_deviation=np.where(good, form, np.nan),
-        reason=reason,
+        centres=np.where(good[:, None], centres, np.nan),
+        radii=np.where(good, radii - tip_radius, np.nan),
+        radius_std=std * np.sqrt(inverse[:, 3, 3]) if free else np.where(good, 0.0, np.nan),
+        unit_covariance=np.where(good[:, None, None], inverse[:, :3, :3], np.nan),
+        std=std,
+        dof=dof,
+        residuals=residuals,
+        used=mask,
+        form_deviation=form,
+        reason=tuple(reason),
     )
 
 

@@ -19,7 +19,6 @@ from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import LATCHED
 from rotcal_ros.nodes.running import run
-from rotcal_ros.nodes.waiting import until
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.units import ARCSEC
@@ -37,7 +36,7 @@ class BridgeNode(CellNode):
         super().__init__("bridge")
         self._settings = self.settings("bridge", BridgeSettings)
         cell = self.settings("cell", CellSettings)
-        self._feed = Feed(self._settings, cell.axis, lambda: self.get_clock().now().nanoseconds)
+        self._feed = Feed(self._settings, cell.axis, self.now_ns)
         self._correction: Correction | None = None
         self._state = "waiting for a table"
         self._facts: dict[str, Any] = {"controller": self._settings.controller, "axis": cell.axis}
@@ -115,10 +114,8 @@ class BridgeNode(CellNode):
 
     async def _do(self, action: Callable[[], T]) -> T:
         """Return what ``action`` returns, which may wait for the controller."""
-        future = self._worker.submit(action)
-        future.add_done_callback(lambda _: self.executor.wake())
-        await until(future.done, ANSWERS_PER_ACTION * self._settings.answer_timeout_s)
-        return future.result(timeout=0.0)
+        limit_s = ANSWERS_PER_ACTION * self._settings.answer_timeout_s
+        return await self.answer_of(self._worker.submit(action), limit_s)
 
     def _done(self, what: str, done: Applied) -> str:
         self._facts["backup"] = str(done.backup)

@@ -15,14 +15,19 @@ from sensor_msgs.msg import JointState, Temperature
 from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
-from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
-from rotcal_ros.nodes.order_subscription import OrderSubscription
-from rotcal_ros.nodes.plan_message import calibration_of, run_name
+from rotcal_ros.nodes.draining import Batch, listen_to_instrument
+from rotcal_ros.nodes.plans import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run
-from rotcal_ros.observations import LengthStatus
+from rotcal_ros.observations import (
+    LengthStatus,
+    ProbeSample,
+    TableSample,
+    TemperatureSample,
+    TracerSample,
+)
 
 CONTINUOUS = (names.TRACER_LENGTH, names.JOINT_STATES)
 """Streams that never pause: their silence means that the instrument is lost."""
@@ -43,53 +48,38 @@ class CaptureNode(CellNode):
         self._verdicts: Counter[str] = Counter()
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
         self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
-        self._listen(TracerLength, names.TRACER_LENGTH, self._tracer)
-        self._listen(JointState, names.JOINT_STATES, self._table)
-        self._listen(ProbePoint, names.PROBE_POINT, self._probe)
-        self._listen(Temperature, names.TEMPERATURE, self._temperature)
-        self._orders = OrderSubscription(self, self._feed)
+        self._listen(TracerLength, names.TRACER_LENGTH, messages.tracer_sample)
+        self._listen(JointState, names.JOINT_STATES, self._table_sample)
+        self._listen(ProbePoint, names.PROBE_POINT, messages.probe_sample)
+        self._listen(Temperature, names.TEMPERATURE, messages.temperature_sample)
+        self._orders = self.take_orders(self._feed)
 
-    def _listen(
-        self, kind: type, topic: str, convert: Callable[[Any], tuple[Record | None, bool]]
-    ) -> None:
-        """Subscribe to an instrument; ``convert`` returns (record, whether it is valid)."""
+    def _listen(self, kind: type, topic: str, convert: Callable[[Any], Record | None]) -> None:
+        """Subscribe to an instrument."""
 
         def handle(batch: Batch) -> None:
             self._heard_s[topic] = time.monotonic()
             for message, _ in batch:
-                record, valid = convert(message)
-                self._valid[topic] += valid
+                record = convert(message)
                 if record is not None:
+                    self._valid[topic] += _is_valid(record)
                     self._feed(record)
 
-        InstrumentSubscription(self, kind, topic, self.health.guarded(handle))
+        listen_to_instrument(self, kind, topic, self.health.guarded(handle))
 
-    def _tracer(self, message: TracerLength) -> tuple[Record, bool]:
-        sample = messages.tracer_sample(message)
-        return sample, sample.status == LengthStatus.OK and math.isfinite(sample.length)
-
-    def _table(self, message: JointState) -> tuple[Record | None, bool]:
-        sample = messages.table_sample(message, self._joint)
-        return sample, sample is not None and math.isfinite(sample.angle)
-
-    def _probe(self, message: ProbePoint) -> tuple[Record, bool]:
-        sample = messages.probe_sample(message)
-        return sample, all(map(math.isfinite, sample.position))
-
-    def _temperature(self, message: Temperature) -> tuple[Record, bool]:
-        sample = messages.temperature_sample(message)
-        return sample, math.isfinite(sample.temperature_c)
+    def _table_sample(self, message: JointState) -> TableSample | None:
+        return messages.table_sample(message, self._joint)
 
     def _feed(self, record: Record) -> None:
         if self._capture is None:
             return
         for observation in self._capture.feed(record):
             self._verdicts["accepted" if observation.accepted else "rejected"] += 1
-            self._observations.publish(conversions.observation_message(observation, frames.TRACER))
+            self._observations.publish(conversions.observation_message(observation))
 
     def _take_plan(self, message: CalibrationPlan) -> None:
         self._capture, self._run = None, ""
-        self._orders.forget()
+        self._orders.clear()
         try:
             calibration = calibration_of(message)
             self._joint = calibration.configuration.cell.joint
@@ -114,6 +104,20 @@ class CaptureNode(CellNode):
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)
         return self._state, values
+
+
+def _is_valid(record: Record) -> bool:
+    """Return whether an instrument measures: a preflight waits for it."""
+    match record:
+        case (
+            TracerSample(status=LengthStatus.OK, length=number)
+            | TableSample(angle=number)
+            | TemperatureSample(temperature_c=number)
+        ):
+            return math.isfinite(number)
+        case ProbeSample():
+            return all(map(math.isfinite, record.position))
+    return False
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
-from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.observations import Command, Observation
@@ -29,7 +29,8 @@ class CellLinks:
     """Publishers, subscriptions and clients, and what came in for the steps so far."""
 
     def __init__(self, node: CellNode) -> None:
-        self._node = node
+        self.node = node
+        self.health = node.health
         self.observations: dict[Attempt, Observation] = {}
         self.receipts: dict[Attempt, int] = {}
         self.current_std = math.nan
@@ -47,11 +48,6 @@ class CellLinks:
         self.stop_recording = node.create_client(StopRecording, "stop_recording")
         self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")
 
-    def now_ns(self) -> int:
-        """Return the time of the node's clock."""
-        nanoseconds: int = self._node.get_clock().now().nanoseconds
-        return nanoseconds
-
     def forget(self) -> None:
         """Forget what came in for an earlier goal."""
         self.observations.clear()
@@ -65,25 +61,23 @@ class CellLinks:
 
     def order(self, command: Command) -> None:
         """Order the table to its angle and the probe to its target."""
-        table, probe = conversions.command_messages(
-            command, self.now_ns(), frames.TABLE, frames.MACHINE
-        )
+        table, probe = conversions.command_messages(command, self.node.now_ns())
         self._tables.publish(table)
         self._probes.publish(probe)
 
     def publishers(self, topic: str) -> list[str]:
         """Return the names of the nodes that publish ``topic``."""
-        infos = self._node.get_publishers_info_by_topic(self.resolve(topic))
+        infos = self.node.get_publishers_info_by_topic(self.resolve(topic))
         return sorted(info.node_name for info in infos)
 
     def listeners(self, topic: str) -> list[str]:
         """Return the names of the nodes that subscribe to ``topic``."""
-        infos = self._node.get_subscriptions_info_by_topic(self.resolve(topic))
+        infos = self.node.get_subscriptions_info_by_topic(self.resolve(topic))
         return sorted(info.node_name for info in infos)
 
     def resolve(self, topic: str) -> str:
         """Return the absolute name of a topic of the cell."""
-        name: str = self._node.resolve_topic_name(topic)
+        name: str = self.node.resolve_topic_name(topic)
         return name
 
     def _observed(self, message: ObservationMsg) -> None:

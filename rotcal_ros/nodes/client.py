@@ -22,8 +22,13 @@ from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 
-from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
-from rotcal_ros.nodes.goal_reports import Feedback, Outcome
+from rotcal_ros.nodes.calibrator import (
+    Calibrator,
+    CalibratorError,
+    Feedback,
+    GoalRefusedError,
+    Outcome,
+)
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
 PERIOD_S: Final = 0.1
@@ -46,33 +51,32 @@ class Client:
         """Wait for the planner, send the goal and follow it."""
         path = self._calibrator.node.declare_parameter("configuration_file", "").value
         start_index = self._calibrator.node.declare_parameter("start_index", 0).value
+        timeout_s = self._calibrator.node.declare_parameter("server_timeout_s", 30.0).value
         _say("waiting")
-        outcome = self._waited()
-        if outcome is None:
-            try:
+        try:
+            if self._planner_came(timeout_s):
                 self._calibrator.start(Path(path) if path else "", start_index)
-            except GoalRefusedError as error:
-                _say("refused", reason=str(error))
-                return
-            except CalibratorError as error:
-                outcome = _failed(Calibrate.Result.NODE_LOST, str(error))
-            else:
                 outcome = self._followed()
+            else:
+                outcome = Outcome(error_code=Calibrate.Result.CANCELED, error_msg="canceled")
+        except GoalRefusedError as error:
+            _say("refused", reason=str(error))
+            return
+        except CalibratorError as error:
+            outcome = Outcome(error_code=Calibrate.Result.NODE_LOST, error_msg=str(error))
         _say("result", **asdict(outcome))
 
-    def _waited(self) -> Outcome | None:
-        """Wait for the planner; return how the calibration ended without one."""
-        timeout_s = self._calibrator.node.declare_parameter("server_timeout_s", 30.0).value
+    def _planner_came(self, timeout_s: float) -> bool:
+        """Wait for the planner; False when the client has to end, CalibratorError if in vain."""
         deadline = time.monotonic() + timeout_s
         while not self._calibrator.is_ready(PERIOD_S):
             self._live()
             if self._end:
-                return _failed(Calibrate.Result.CANCELED, "canceled")
+                return False
             if time.monotonic() > deadline:
                 state = self._calibrator.planner_state or "silent"
-                text = f"no answer from the planner; it is {state}"
-                return _failed(Calibrate.Result.NODE_LOST, text)
-        return None
+                raise CalibratorError(f"no answer from the planner; it is {state}")
+        return True
 
     def _followed(self) -> Outcome:
         """Report on the goal until it ends."""
@@ -118,10 +122,6 @@ class Client:
             except CalibratorError as error:
                 reason = str(error)
             _say("resumed", success=not reason, reason=reason)
-
-
-def _failed(code: int, text: str) -> Outcome:
-    return Outcome(error_code=code, error_msg=text)
 
 
 def _say(event: str, **values: Any) -> None:

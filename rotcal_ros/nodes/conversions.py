@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any, Final
 
@@ -24,24 +25,27 @@ from rotcal_ros.observations import (
 )
 from rotcal_ros.results import Result
 
-_SECOND_NS: Final = 1_000_000_000
+TABLE: Final = "table_base"
+MACHINE: Final = "machine"
+TRACER: Final = "tracer"
+"""The frames that messages of the cell are stamped with."""
 
 
 def time_message(nanoseconds: int) -> Time:
     """Return integer nanoseconds as a stamp."""
-    seconds, rest = divmod(nanoseconds, _SECOND_NS)
+    seconds, rest = divmod(nanoseconds, 1_000_000_000)
     return Time(sec=seconds, nanosec=rest)
 
 
-def header(nanoseconds: int, frame: str) -> Header:
+def header(nanoseconds: int, frame: str = TABLE) -> Header:
     """Return a header."""
     return Header(stamp=time_message(nanoseconds), frame_id=frame)
 
 
-def tracer_message(sample: TracerSample, frame: str) -> TracerLength:
+def tracer_message(sample: TracerSample) -> TracerLength:
     """Return the message of a tracer reading."""
     return TracerLength(
-        header=header(sample.stamp_ns, frame),
+        header=header(sample.stamp_ns, TRACER),
         sequence=sample.sequence & 0xFFFFFFFF,
         length=sample.length,
         length_std=sample.length_std,
@@ -49,10 +53,10 @@ def tracer_message(sample: TracerSample, frame: str) -> TracerLength:
     )
 
 
-def table_message(sample: TableSample, joint: str, frame: str) -> JointState:
+def table_message(sample: TableSample, joint: str) -> JointState:
     """Return the message of table feedback."""
     return JointState(
-        header=header(sample.stamp_ns, frame),
+        header=header(sample.stamp_ns),
         name=[joint],
         position=[sample.angle],
         velocity=[sample.velocity],
@@ -61,19 +65,9 @@ def table_message(sample: TableSample, joint: str, frame: str) -> JointState:
 
 def probe_message(sample: ProbeSample, frame: str) -> ProbePoint:
     """Return the message of a probe point."""
-    return ProbePoint(
-        header=header(sample.stamp_ns, frame),
-        sequence=sample.sequence & 0xFFFFFFFF,
-        step=sample.step,
-        attempt=sample.attempt,
-        kind=int(sample.kind),
-        target=sample.target,
-        station=sample.station,
-        point=sample.point,
-        position=sample.position,
-        position_std=sample.position_std,
-        tip_radius=sample.tip_radius,
-    )
+    fields = _same_fields(ProbePoint, sample)
+    fields |= {"header": header(sample.stamp_ns, frame), "sequence": sample.sequence & 0xFFFFFFFF}
+    return ProbePoint(**fields)
 
 
 def temperature_message(sample: TemperatureSample) -> Temperature:
@@ -83,19 +77,17 @@ def temperature_message(sample: TemperatureSample) -> Temperature:
     )
 
 
-def command_messages(
-    order: Command, now_ns: int, table_frame: str, probe_frame: str
-) -> tuple[TableAngle, ProbeTarget]:
+def command_messages(order: Command, now_ns: int) -> tuple[TableAngle, ProbeTarget]:
     """Return the two messages that give an order."""
     table = TableAngle(
-        header=header(now_ns, table_frame),
+        header=header(now_ns),
         step=order.step,
         attempt=order.attempt,
         angle=order.table_angle,
         approach=int(order.approach),
     )
     probe = ProbeTarget(
-        header=header(now_ns, probe_frame),
+        header=header(now_ns, MACHINE),
         step=order.step,
         attempt=order.attempt,
         kind=int(order.kind),
@@ -106,94 +98,54 @@ def command_messages(
     return table, probe
 
 
-def observation_message(captured: Observation, frame: str) -> ObservationMsg:
+def observation_message(captured: Observation) -> ObservationMsg:
     """Return the message of a captured step."""
     return ObservationMsg(
-        header=header(captured.window_end_ns, frame),
-        step=captured.step,
-        attempt=captured.attempt,
-        table_index=captured.table_index,
-        target=captured.target,
-        station=captured.station,
-        kind=int(captured.kind),
-        table_angle=captured.table_angle,
-        table_angle_measured=captured.table_angle_measured,
-        mean=list(captured.mean),
-        std=list(captured.std),
-        scatter=list(captured.scatter),
-        probe_position=captured.probe_position,
+        header=header(captured.window_end_ns, TRACER),
         temperature=math.nan if captured.temperature_c is None else captured.temperature_c,
-        n_samples=captured.n_samples,
-        n_used=captured.n_used,
-        accepted=captured.accepted,
-        reason=captured.reason,
         window_start=time_message(captured.window_start_ns),
         window_end=time_message(captured.window_end_ns),
-        run=captured.run,
+        **_same_fields(ObservationMsg, captured),
     )
 
 
 def deviations_message(
-    result: Result, *, plan_id: str, final: bool, now_ns: int, frame: str
+    result: Result, plan_id: str, now_ns: int, *, final: bool
 ) -> DeviationArray:
     """Return the deviations of a result; components that were not measured stay empty."""
-    columns: dict[str, Any] = {}
-    for name, values in result.deviations.items():
-        columns[name.lower()] = values.tolist()
-    for name, values in result.std.items():
-        columns[f"{name.lower()}_std"] = values.tolist()
+    columns = {name.lower(): values for name, values in result.deviations.items()}
+    columns |= {f"{name.lower()}_std": values for name, values in result.std.items()}
     return DeviationArray(
-        header=header(now_ns, frame),
+        header=header(now_ns),
         plan_id=plan_id,
-        method=result.method,
         final=final,
-        angles=result.angles.tolist(),
-        sigma0=result.sigma0,
-        dof=result.dof,
-        n_observations=result.n_observations,
         n_rejected=len(result.rejected),
-        verdict=result.verdict,
-        warnings=list(result.warnings),
+        **_same_fields(DeviationArray, result),
         **columns,
     )
 
 
 def compensation_message(
-    table: CompensationTable, *, plan_id: str, now_ns: int, frame: str
+    table: CompensationTable, plan_id: str, now_ns: int
 ) -> CompensationTableMsg:
     """Return the message of a compensation table."""
-    return CompensationTableMsg(
-        header=header(now_ns, frame),
-        axis=table.axis,
-        plan_id=plan_id,
-        method=table.method,
-        table_hash=table.table_hash,
-        verdict=table.verdict,
-        period=table.period,
-        reference_angle=table.reference_angle,
-        angles=table.angles.tolist(),
-        correction_forward=table.correction_forward.tolist(),
-        correction_reverse=table.correction_reverse.tolist(),
-        std=table.std.tolist(),
-    )
+    fields = _same_fields(CompensationTableMsg, table)
+    return CompensationTableMsg(header=header(now_ns), plan_id=plan_id, **fields)
 
 
 def compensation_table(message: CompensationTableMsg) -> CompensationTable:
     """Return the table in a message; DataError when its hash is not that of its numbers."""
-    table = CompensationTable(
-        axis=message.axis,
-        method=message.method,
-        angles=message.angles,
-        correction_forward=message.correction_forward,
-        correction_reverse=message.correction_reverse,
-        std=message.std,
-        period=message.period,
-        reference_angle=message.reference_angle,
-        verdict=message.verdict,
-    )
+    names = (f.name for f in dataclasses.fields(CompensationTable))
+    table = CompensationTable(**{n: getattr(message, n) for n in names if hasattr(message, n)})
     if table.table_hash != message.table_hash:
         raise DataError(
             f"the table of axis {message.axis} carries the hash {message.table_hash or 'none'}, "
             f"its numbers have {table.table_hash}: it was changed on its way"
         )
     return table
+
+
+def _same_fields(kind: Any, record: object) -> dict[str, Any]:
+    """Return the fields of a message that its record has under the same name."""
+    names = kind.get_fields_and_field_types()
+    return {name: getattr(record, name) for name in names if hasattr(record, name)}

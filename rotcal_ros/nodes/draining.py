@@ -67,28 +67,20 @@ class DrainedSubscription:
                 batch.append(pair)
 
 
-class InstrumentSubscription:
-    """A drained subscription that waits for the publisher, to match its quality of service.
+def listen_to_instrument(
+    node: Node, message_type: type, topic: str, handle: Callable[[Batch], None]
+) -> None:
+    """Subscribe once there is a publisher, to match its quality of service.
 
     Reliable where the instrument offers it: best effort would match every publisher, but lose
     readings of a fast one.
     """
 
-    def __init__(
-        self, node: Node, message_type: type, topic: str, handle: Callable[[Batch], None]
-    ) -> None:
-        self._node = node
-        self._type = message_type
-        self._topic = topic
-        self._handle = handle
-        self._drained: DrainedSubscription | None = None
-        self._timer = node.create_timer(GRAPH_PERIOD_S, self._look)
-
-    def _look(self) -> None:
-        infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._topic))
+    def look() -> None:
+        infos = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
         if infos:
             qos = adapted_qos([info.qos_profile for info in infos])
-            self._drained = DrainedSubscription(
-                self._node, self._type, self._topic, qos, self._handle
-            )
-            self._node.destroy_timer(self._timer)
+            DrainedSubscription(node, message_type, topic, qos, handle)
+            node.destroy_timer(timer)
+
+    timer = node.create_timer(GRAPH_PERIOD_S, look)

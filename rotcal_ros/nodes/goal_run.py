@@ -2,52 +2,55 @@
 
 from __future__ import annotations
 
-import time
-from collections import deque
+from pathlib import Path
+from typing import Final
 
 from rotcal_msgs.msg import CalibrationPlan
-from rotcal_msgs.srv import FinishCalibration
+from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.nodes import conversions, frames, preflight
+from rotcal_ros.files import write_atomically
+from rotcal_ros.nodes import conversions, preflight
+from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
-from rotcal_ros.nodes.person_asked import PersonAsked
-from rotcal_ros.nodes.plan_message import run_name
-from rotcal_ros.nodes.session_recording import SessionRecording
-from rotcal_ros.nodes.step_measuring import StepMeasuring
+from rotcal_ros.nodes.measuring import Measuring
+from rotcal_ros.nodes.plans import run_name
+from rotcal_ros.session_folder import SessionFolder
+
+BAG_TIMEOUT_S: Final = 10.0
 
 
 class GoalRun:
-    """One goal; ``person`` is who does the work that the plan pauses for."""
+    """One goal; ``measuring`` pauses where a person has to work."""
 
     def __init__(
         self, calibration: Calibration, continuation: Continuation, watch: GoalWatch
     ) -> None:
         self._calibration = calibration
         self._continuation = continuation
-        self._recording = SessionRecording(watch)
-        self._steps = StepMeasuring(calibration.plan, continuation.run, watch)
+        self._folder: SessionFolder | None = None
+        self._bag_is_open = False
         self.watch = watch
-        self.person = PersonAsked(calibration, continuation, watch, self._steps)
+        self.measuring = Measuring(calibration, continuation, watch)
 
     async def execute(self) -> Codes:
         """Carry the goal out; every way to end leaves a closed bag and an explained outcome."""
         outcome = Codes()
         try:
             await preflight.check(self.watch, self._calibration.method.topics)
-            await self._recording.open(self._calibration.configuration)
+            folder = self._folder = await self._open_bag()
             await self._announce()
-            await self._measure()
+            await self.measuring.measure_all()
             answer = await self._solve()
             outcome.verdict = answer.verdict
-            await self._recording.close()
-            outcome.result_file = str(self._recording.keep(answer.result_json))
+            await self._close_bag()
+            outcome.result_file = _keep(answer.result_json, folder.result)
         except GoalError as error:
             outcome.error_code, outcome.error_msg = error.code, str(error)
-            await self._recording.close_after_failure()
-        if self._recording.folder is not None:
-            outcome.bag_folder = str(self._recording.folder.bag)
+            await self._close_bag_after_failure()
+        if self._folder is not None:
+            outcome.bag_folder = str(self._folder.bag)
         progress = self.watch.progress
         earlier = {o.step for o in self._continuation.observations}
         outcome.n_used = len(earlier.union(progress.accepted))
@@ -55,12 +58,42 @@ class GoalRun:
         outcome.skipped_steps = progress.skipped
         return outcome
 
+    async def _open_bag(self) -> SessionFolder:
+        """Have the recorder open a new session folder with a bag."""
+        self.watch.tell("opening the bag")
+        configuration = self._calibration.configuration
+        request = StartRecording.Request(
+            plan_id=configuration.plan_id, configuration=configuration.text
+        )
+        client = self.watch.links.start_recording
+        answer = await self.watch.call(client, request, BAG_TIMEOUT_S)
+        if not answer.success:
+            raise GoalError(Codes.RECORDER_FAILED, answer.message)
+        self._bag_is_open = self.watch.recording = True
+        return SessionFolder(Path(answer.folder))
+
+    async def _close_bag(self) -> None:
+        self.watch.tell("closing the bag")
+        self._bag_is_open = False
+        client = self.watch.links.stop_recording
+        answer = await self.watch.call(client, StopRecording.Request(), BAG_TIMEOUT_S)
+        if not answer.success:
+            raise GoalError(Codes.RECORDER_FAILED, answer.message)
+
+    async def _close_bag_after_failure(self) -> None:
+        """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
+        links = self.watch.links
+        if self._bag_is_open and not links.health.missing(["recorder"]):
+            future = links.stop_recording.call_async(StopRecording.Request())
+            await until(
+                lambda: future.done() or bool(links.health.missing(["recorder"])), BAG_TIMEOUT_S
+            )
+
     async def _announce(self) -> None:
         """Publish the plan and wait until everybody has taken it."""
-        links, health = self.watch.links, self.watch.health
-        configuration = self._calibration.configuration
+        links, configuration = self.watch.links, self._calibration.configuration
         message = CalibrationPlan(
-            header=conversions.header(links.now_ns(), frames.TABLE),
+            header=conversions.header(links.node.now_ns()),
             plan_id=configuration.plan_id,
             method=configuration.method.name,
             configuration=configuration.text,
@@ -70,23 +103,7 @@ class GoalRun:
         )
         links.announce(message)
         run = run_name(message)
-        await self.watch.have(lambda: preflight.missing_plan(health, run), Codes.NODE_LOST)
-
-    async def _measure(self) -> None:
-        """Measure what is left of the plan, with a person where it needs one."""
-        progress = self.watch.progress
-        progress.started_s = time.monotonic()
-        left = deque(self._continuation.steps)
-        while left:
-            pause = self._calibration.plan.pause_before(left[0])
-            if pause is not None:
-                await self.person.have_done(pause)
-                while left and left[0] <= pause.last:
-                    left.popleft()
-            if pause is None or pause.last < pause.first:
-                await self._steps.measure(left.popleft())
-            progress.left = len(left)
-        progress.step = progress.total
+        await self.watch.have(lambda: preflight.missing_plan(links.health, run), Codes.NODE_LOST)
 
     async def _solve(self) -> FinishCalibration.Response:
         """Return the solver's answer, which holds a result."""
@@ -103,3 +120,12 @@ class GoalRun:
             code = Codes.TOO_FEW_OBSERVATIONS if few else Codes.SOLVER_FAILED
             raise GoalError(code, f"no result: {answer.message}")
         return answer
+
+
+def _keep(result_json: str, path: Path) -> str:
+    """Write the result into the session folder and return its path."""
+    try:
+        write_atomically(path, result_json)
+    except OSError as error:
+        raise GoalError(Codes.RECORDER_FAILED, f"cannot write {path}: {error}") from error
+    return str(path)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.health import RECORDING_FAILED, Health
-from rotcal_ros.nodes.progress import Progress
-from rotcal_ros.nodes.waiting import until
+from rotcal_ros.nodes.cell_node import until
+from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.planning.planner_settings import PlannerSettings
 
 SILENCE: Final = "silent_s."
@@ -28,6 +30,35 @@ class GoalError(Exception):
         self.code = code
 
 
+@dataclass
+class Progress:
+    """How far a goal has come."""
+
+    total: int
+    step: int = 0
+    activity: str = "preflight"
+    accepted: list[int] = field(default_factory=list)
+    skipped: list[int] = field(default_factory=list)
+    rejected: int = 0
+    done: int = 0
+    left: int = 0
+    started_s: float = field(default_factory=time.monotonic)
+
+    def time_left(self) -> float:
+        """Return the estimated seconds to the last step; NaN before the first is done."""
+        if not self.done:
+            return math.nan
+        return (time.monotonic() - self.started_s) / self.done * self.left
+
+    def note(self, index: int, *, accepted: bool) -> None:
+        """Note how step ``index`` ended; what was noted of it before no longer counts."""
+        for book in (self.accepted, self.skipped):
+            if index in book:
+                book.remove(index)
+        (self.accepted if accepted else self.skipped).append(index)
+        self.done += 1
+
+
 class GoalWatch:
     """One goal's view of the cell.
 
@@ -40,7 +71,6 @@ class GoalWatch:
         self,
         settings: PlannerSettings,
         links: CellLinks,
-        health: Health,
         progress: Progress,
         *,
         show: Callable[[Progress], None],
@@ -48,7 +78,6 @@ class GoalWatch:
     ) -> None:
         self.settings = settings
         self.links = links
-        self.health = health
         self.progress = progress
         self.stopping = ""
         self.nodes: set[str] = set()
@@ -90,22 +119,22 @@ class GoalWatch:
                 Codes.CANCELED,
                 f"canceled {place}; continue with start_index {self.progress.step}",
             )
-        if missing := self.health.missing(self.nodes):
-            how = "fell silent" if set(missing) & self.health.lost else "was ended"
+        if missing := self.links.health.missing(self.nodes):
+            how = "fell silent" if set(missing) & self.links.health.lost else "was ended"
             raise GoalError(Codes.NODE_LOST, f"node {', '.join(missing)} {how} {place}")
         if self.recording:
-            state = self.health.state("recorder")
+            state = self.links.health.state("recorder")
             if state.startswith(RECORDING_FAILED):
                 raise GoalError(Codes.RECORDER_FAILED, f"{state}, {place}")
             self._check_streams(place)
 
     def _check_streams(self, place: str) -> None:
         """Raise when the capture tells of an instrument that fell silent after it had spoken."""
-        beat = self.health.others.get("capture")
+        beat = self.links.health.others.get("capture")
         if beat is self._stream_beat:
             return
         self._stream_beat = beat
-        for key, value in self.health.values("capture").items():
+        for key, value in self.links.health.values("capture").items():
             if key.startswith(SILENCE) and float(value) > self.settings.stream_timeout_s:
                 topic = key.removeprefix(SILENCE)
                 publishers = ", ".join(self.links.publishers(topic)) or "gone"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, Final
 
@@ -18,7 +19,6 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.draining import Batch, DrainedSubscription
-from rotcal_ros.nodes.rollcall import RollCall
 
 BEAT_PERIOD_S: Final = 0.2
 DIAGNOSTICS_PERIOD_S: Final = 1.0
@@ -30,6 +30,35 @@ RECORDING_FAILED: Final = "recording failed"
 LEAVE_TIMEOUT_S: Final = 0.5
 
 Values = Mapping[str, object]
+
+
+@dataclass
+class RollCall:
+    """Who is there: names with the monotonic time (s) of their last beat.
+
+    ``timeout_s`` is the silence after which a node counts as lost. A pause of the caller itself
+    (a stalled machine) is not blamed on the others: it is granted to all.
+    """
+
+    timeout_s: float
+    _seen: dict[str, float] = field(default_factory=dict)
+    _checked: float | None = None
+
+    def beat(self, name: str, now: float) -> None:
+        """Note a beat of ``name``."""
+        self._seen[name] = now
+
+    def leave(self, name: str) -> None:
+        """Forget ``name``: it left on purpose."""
+        self._seen.pop(name, None)
+
+    def silent(self, now: float) -> dict[str, float]:
+        """Return the lost names with their silence in seconds; call it regularly."""
+        pause = 0.0 if self._checked is None else now - self._checked
+        self._checked = now
+        if pause > self.timeout_s / 2:
+            self._seen = {name: seen + pause for name, seen in self._seen.items()}
+        return {n: now - seen for n, seen in self._seen.items() if now - seen > self.timeout_s}
 
 
 class Health:
@@ -86,7 +115,7 @@ class Health:
 
     def present(self) -> set[str]:
         """Return the names of the other nodes that beat."""
-        return self._roll.known() - self.lost
+        return self.others.keys() - self.lost
 
     def missing(self, names: Iterable[str]) -> list[str]:
         """Return those of ``names`` that fell silent, left, or never were there."""

@@ -21,8 +21,6 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 START_TIMEOUT_S = 30.0
@@ -100,17 +98,10 @@ def obey(linuxcnc: Any, orders: queue.Queue[dict[str, float]], errors: list[str]
     machine = Machine(linuxcnc)
     while True:
         order = orders.get()
-        with noted(errors):
+        try:
             machine.move(order)
-
-
-@contextmanager
-def noted(errors: list[str]) -> Iterator[None]:
-    """Put the text of an exception into ``errors``."""
-    try:
-        yield
-    except Exception as error:
-        errors.append(str(error))
+        except Exception as error:
+            errors.append(str(error))
 
 
 def listen(orders: queue.Queue[dict[str, float]]) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from threading import Thread
 from typing import Any, Final
@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run
@@ -88,13 +88,10 @@ class LinuxCncDriver(CellNode):
             if "event" in reading:
                 self._state = str(reading["event"])
                 continue
-            self._complain(reading["errors"])
+            for error in reading["errors"]:
+                self._complaints += 1
+                self.get_logger().error(f"LinuxCNC: {error}")
             self._publish(reading)
-
-    def _complain(self, errors: Sequence[str]) -> None:
-        for error in errors:
-            self._complaints += 1
-            self.get_logger().error(f"LinuxCNC: {error}")
 
     def _publish(self, reading: Mapping[str, Any]) -> None:
         """Publish the joint's angle; its speed is the motor's, which the correction moves too."""
@@ -104,10 +101,10 @@ class LinuxCncDriver(CellNode):
             moved = (reading["motor_deg"] - self._motor_deg) * DEGREE
             speed = moved / ((stamp_ns - self._last.stamp_ns) * NANOSECOND)
         self._last, self._motor_deg = TableSample(stamp_ns, angle, speed), reading["motor_deg"]
-        self._positions.publish(conversions.table_message(self._last, self._joint, frames.TABLE))
+        self._positions.publish(conversions.table_message(self._last, self._joint))
         if reading["actual_deg"] is not None:
             actual = TableSample(stamp_ns, reading["actual_deg"] * DEGREE, speed)
-            self._actual.publish(conversions.table_message(actual, self._joint, frames.TABLE))
+            self._actual.publish(conversions.table_message(actual, self._joint))
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         return self._state, {"complaints": self._complaints}

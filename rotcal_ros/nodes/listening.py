@@ -5,19 +5,29 @@ from __future__ import annotations
 import struct
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
 from typing import Any, Final
 
+from ament_index_python.packages import get_package_share_directory
+from rclpy.duration import Duration, Infinite
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
 
+from rotcal_ros.bags.definitions import collect_definition
+from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, OfferedQos, qos_text
 from rotcal_ros.errors import BagError
+from rotcal_ros.nodes.bookkeeping import TopicLosses
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
+from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.nodes.recording import Channel
-from rotcal_ros.nodes.topic_discovery import DiscoveredTopic, discover, wanted_topics
-from rotcal_ros.nodes.topic_losses import TopicLosses
 
+ALWAYS: Final = ("/diagnostics", "/rosout")
+"""Topics outside the namespace of the cell that are recorded too."""
 _STAMP: Final = struct.Struct("<4xiI")
 """CDR encapsulation, then the stamp that begins every message with a header."""
 
@@ -76,22 +86,25 @@ class Listener:
             drained.drain()
 
     def _look(self) -> None:
-        """Subscribe to topics that are new in the graph."""
-        for name, type_name in wanted_topics(self._node).items():
+        """Subscribe to topics that are new in the graph and have publishers."""
+        for name, type_name in _wanted_topics(self._node).items():
             if name in self.topics or name in self.refused:
                 continue
+            infos = self._node.get_publishers_info_by_topic(name)
+            if not infos:
+                continue
             try:
-                discovered = discover(self._node, name, type_name)
+                message_type = _message_type(type_name)
+                self.topics[name] = HeardTopic(_channel(name, type_name, infos))
             except BagError as error:
                 self.refused[name] = str(error)
                 self._node.get_logger().error(f"{name} cannot be recorded: {error}")
                 continue
-            if discovered is not None:
-                self._subscribe(discovered)
+            qos = adapted_qos([info.qos_profile for info in infos])
+            self._subscribe(self.topics[name], message_type, qos)
 
-    def _subscribe(self, found: DiscoveredTopic) -> None:
-        name = found.channel.topic
-        topic = self.topics[name] = HeardTopic(found.channel)
+    def _subscribe(self, topic: HeardTopic, message_type: type, qos: QoSProfile) -> None:
+        name = topic.channel.topic
 
         def handle(batch: Batch) -> None:
             topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
@@ -112,9 +125,9 @@ class Listener:
         self._drained.append(
             DrainedSubscription(
                 self._node,
-                found.message_type,
+                message_type,
                 name,
-                found.qos,
+                qos,
                 self._node.health.guarded(handle),
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(
@@ -122,3 +135,56 @@ class Listener:
                 ),
             )
         )
+
+
+def _wanted_topics(node: Node) -> dict[str, str]:
+    """Return name -> type of all topics of the cell: its namespace, diagnostics and log."""
+    prefix = node.get_namespace().rstrip("/") + "/"
+    return {
+        name: types[0]
+        for name, types in node.get_topic_names_and_types()
+        if (name in ALWAYS or name.startswith(prefix)) and "/_" not in name
+    }
+
+
+def _channel(name: str, type_name: str, infos: Sequence[Any]) -> Channel:
+    """Return what a bag says of a topic; BagError when its type is not installed here."""
+    hashes = {str(info.topic_type_hash) for info in infos}
+    type_hash = hashes.pop() if len(hashes) == 1 else ""
+    return Channel(
+        topic=name,
+        type_name=type_name,
+        definition=collect_definition(type_name, lambda p: Path(get_package_share_directory(p))),
+        type_hash=type_hash if type_hash.startswith("RIHS") else "",
+        offered_qos=qos_text(_offered(info.qos_profile) for info in infos),
+    )
+
+
+def _message_type(type_name: str) -> type:
+    package, kind, name = type_name.split("/")
+    try:
+        message_type: type = getattr(import_module(f"{package}.{kind}"), name)
+    except (ImportError, AttributeError) as error:
+        raise BagError(f"message type {type_name} is not installed here: {error}") from error
+    return message_type
+
+
+def _offered(profile: QoSProfile) -> OfferedQos:
+    return OfferedQos(
+        history=profile.history.short_key,
+        depth=profile.depth,
+        reliability=profile.reliability.short_key,
+        durability=profile.durability.short_key,
+        deadline_ns=_nanoseconds(profile.deadline),
+        lifespan_ns=_nanoseconds(profile.lifespan),
+        liveliness=profile.liveliness.short_key,
+        lease_ns=_nanoseconds(profile.liveliness_lease_duration),
+    )
+
+
+def _nanoseconds(duration: Duration | Any) -> int:
+    """Return a duration; "unspecified" (0) and "infinite" are both infinite for rosbag2."""
+    nanoseconds: int = duration.nanoseconds
+    if nanoseconds <= 0 or duration == Infinite:
+        return INFINITE_NS
+    return min(nanoseconds, INFINITE_NS)

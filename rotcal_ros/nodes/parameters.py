@@ -11,11 +11,10 @@ from operator import attrgetter
 from typing import Any, Final, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
-from rclpy.exceptions import ParameterUninitializedException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from rotcal_ros.settings import Declaration, SettingInfo, declarations, load
+from rotcal_ros.settings import Declaration, declarations, load
 
 T = TypeVar("T")
 
@@ -27,6 +26,12 @@ _TYPES: Final = {
     float: (Parameter.Type.DOUBLE, Parameter.Type.DOUBLE_ARRAY),
     str: (Parameter.Type.STRING, Parameter.Type.STRING_ARRAY),
 }
+_LARGEST: Final = sys.float_info.max
+_RANGES: Final[dict[type, Any]] = {
+    float: ("floating_point_range", FloatingPointRange, -_LARGEST, _LARGEST),
+    int: ("integer_range", IntegerRange, -(2**63), 2**63 - 1),
+}
+"""Field of the descriptor, its message, and the ends of an open range."""
 
 
 def given_parameters(node: Node) -> dict[str, Any]:
@@ -61,7 +66,12 @@ def declare_settings(
 
 def read_settings(node: Node, group: str, cls: type[T]) -> T:
     """Return the present values of parameters that :func:`declare_settings` declared."""
-    values = {d.name: _value(node, group, d) for d in declarations(cls)}
+    values = {}
+    for declared in declarations(cls):
+        value = node.get_parameter_or(f"{group}.{declared.name}").value
+        if declared.is_list and not (declared.optional and value is None):
+            value = list(value or ())
+        values[declared.name] = value
     return load(cls, _nested(values), f"{node.get_name()}: parameters {group}")
 
 
@@ -76,17 +86,6 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
         if value is not None:
             place[name] = value
     return found
-
-
-def _value(node: Node, group: str, declared: Declaration) -> Any:
-    """Return the value of a parameter; one without a value is an empty list, or None."""
-    try:
-        value = node.get_parameter(f"{group}.{declared.name}").value
-    except ParameterUninitializedException:
-        value = None
-    if declared.is_list and not (declared.optional and value is None):
-        return list(value or ())
-    return value
 
 
 def _default(value: Any, declared: Declaration) -> Any:
@@ -108,21 +107,12 @@ def _descriptor(declared: Declaration, read_only: bool) -> ParameterDescriptor:
         words.append(f"one of: {', '.join(info.choices)}")
     low, high = info.minimum, info.maximum
     if low is not None or high is not None:
-        if declared.is_list or declared.kind not in (int, float):
+        if declared.is_list or declared.kind not in _RANGES:
             words.append(f"every value from {low} to {high}")
-        elif declared.kind is float:
-            limits = (-sys.float_info.max, sys.float_info.max)
-            descriptor.floating_point_range = [FloatingPointRange(**_limits(info, limits))]
         else:
-            integers = _limits(info, (-(2**63), 2**63 - 1))
-            descriptor.integer_range = [IntegerRange(**{k: int(v) for k, v in integers.items()})]
+            field, kind, lowest, highest = _RANGES[declared.kind]
+            lowest = lowest if low is None else declared.kind(low)
+            highest = highest if high is None else declared.kind(high)
+            setattr(descriptor, field, [kind(from_value=lowest, to_value=highest)])
     descriptor.additional_constraints = "; ".join(words)
     return descriptor
-
-
-def _limits(info: SettingInfo, open_ends: tuple[float, float]) -> dict[str, float]:
-    low, high = open_ends
-    return {
-        "from_value": low if info.minimum is None else info.minimum,
-        "to_value": high if info.maximum is None else info.maximum,
-    }

@@ -19,11 +19,10 @@ from rotcal_ros.catalogue import prepare
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.continuing import read_continuation, what_is_left
 from rotcal_ros.nodes.goal_configuration import PlannerParameters
 from rotcal_ros.nodes.goal_run import GoalRun
-from rotcal_ros.nodes.goal_watch import Codes, GoalWatch
-from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.goal_watch import Codes, GoalWatch, Progress
+from rotcal_ros.nodes.plans import read_continuation, what_is_left
 from rotcal_ros.nodes.running import run
 
 RESULT_TIMEOUT_S: Final = 3600
@@ -89,8 +88,8 @@ class Planner(CellNode, LifecycleNode):
 
     def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Go on after a person's work is done."""
-        if self._run is not None and self._run.person.waiting:
-            self._run.person.waiting = False
+        if self._run is not None and self._run.measuring.waiting:
+            self._run.measuring.waiting = False
             response.success = True
         else:
             response.message = f"nothing waits for resume: the planner is {self._report()[0]}"
@@ -121,7 +120,6 @@ class Planner(CellNode, LifecycleNode):
         watch = GoalWatch(
             calibration.configuration.planner,
             self._links,
-            self.health,
             Progress(
                 total=len(calibration.plan.steps),
                 step=continuation.start_index,
@@ -146,7 +144,7 @@ class Planner(CellNode, LifecycleNode):
     def _show(self, handle: ServerGoalHandle, progress: Progress) -> None:
         """Publish feedback, not more often than a person can follow."""
         now = time.monotonic()
-        waiting = self._run is not None and self._run.person.waiting
+        waiting = self._run is not None and self._run.measuring.waiting
         measuring = 0 < progress.step < progress.total
         if now - self._shown_s < FEEDBACK_PERIOD_S and measuring and not waiting:
             return

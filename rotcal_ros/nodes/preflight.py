@@ -16,19 +16,19 @@ ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
 
 async def check(watch: GoalWatch, topics: Sequence[str]) -> None:
     """Wait for all nodes and ``topics``; GoalError names what is missing after the time for it."""
-    links, health = watch.links, watch.health
+    links, health = watch.links, watch.links.health
     links.forget()
     watch.tell("preflight: nodes")
-    await watch.have(lambda: missing_nodes(links, health), Codes.NODE_LOST)
+    await watch.have(lambda: missing_nodes(links), Codes.NODE_LOST)
     watch.nodes = health.present() | set(PREFLIGHT_NODES)
     watch.tell("preflight: topics")
-    await watch.have(lambda: missing_topics(links, health, topics), Codes.TOPIC_MISSING)
+    await watch.have(lambda: missing_topics(links, topics), Codes.TOPIC_MISSING)
     watch.nodes |= health.present()
 
 
-def missing_nodes(links: CellLinks, health: Health) -> list[str]:
+def missing_nodes(links: CellLinks) -> list[str]:
     """Return what keeps the nodes of the suite from working together, in words."""
-    lost = [f"node {name} does not beat" for name in health.missing(PREFLIGHT_NODES)]
+    lost = [f"node {name} does not beat" for name in links.health.missing(PREFLIGHT_NODES)]
     for node, client in (
         ("recorder", links.start_recording),
         ("recorder", links.stop_recording),
@@ -39,10 +39,10 @@ def missing_nodes(links: CellLinks, health: Health) -> list[str]:
     return lost
 
 
-def missing_topics(links: CellLinks, health: Health, topics: Sequence[str]) -> list[str]:
+def missing_topics(links: CellLinks, topics: Sequence[str]) -> list[str]:
     """Return what is missing around the instrument topics and the orders, in words."""
     found: list[str] = []
-    heard = health.values("capture")
+    heard = links.health.values("capture")
     for topic in topics:
         name = links.resolve(topic)
         publishers = links.publishers(topic)

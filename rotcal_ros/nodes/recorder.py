@@ -7,25 +7,30 @@ from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
-from rotcal_msgs.msg import RecordedObservation
+from rclpy.serialization import deserialize_message
+from rotcal_msgs.msg import Observation, RecordedObservation
 from rotcal_msgs.srv import StartRecording, StopRecording
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.errors import BagError
-from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.messages import stamp_ns
+from rotcal_ros.nodes.bookkeeping import PendingReceipts, Silences
+from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.listening import HeardTopic, Listener
-from rotcal_ros.nodes.parameter_snapshot import parameters_json
 from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.receipts import PendingReceipts
-from rotcal_ros.nodes.recording import Attachment, Messages, Note, Receipt, Recording
+from rotcal_ros.nodes.recording import (
+    Attachment,
+    Messages,
+    Note,
+    Receipt,
+    Recording,
+    SessionBags,
+)
 from rotcal_ros.nodes.running import run
-from rotcal_ros.nodes.session_bags import SessionBags
-from rotcal_ros.nodes.silence import Silences
-from rotcal_ros.nodes.versions import versions_json
-from rotcal_ros.nodes.waiting import until
+from rotcal_ros.nodes.surroundings import parameters_json, versions_json
 
 CLOSE_TIMEOUT_S: Final = 15.0
 
@@ -82,7 +87,9 @@ class RecorderNode(CellNode):
             items = [(data, received, sent or received) for data, received, sent in times]
             self._recording.put(Messages(topic.channel, items))
         if topic.channel.topic == self._observation_topic:
-            self._pending.expect(batch)
+            for data, _ in batch:
+                message = deserialize_message(data, Observation)
+                self._pending.expect(message.step, message.attempt, stamp_ns(message.window_end))
         self._settle_receipts()
 
     def _settle_receipts(self) -> None:

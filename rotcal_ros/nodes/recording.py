@@ -9,16 +9,24 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from datetime import datetime, timezone
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
 from typing import Final
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.reader import session_files
+from rotcal_ros.bags.recorder_settings import RecorderSettings
+from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
+from rotcal_ros.session_folder import SessionFolder
 
 _TURN_S: Final = 0.1
+_END: Final = object()
+"""The last item of the queue."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +78,6 @@ class Note:
     values: Mapping[str, object]
 
 
-class _Close:
-    """The end of the queue."""
-
-
 class Recording:
     """One bag being written. ``confirm`` is called from the thread, after the sync.
 
@@ -119,13 +123,13 @@ class Recording:
                 self._waiting += size
         self._queue.put(item)
 
-    def close(self, further_losses: Mapping[str, int] | None = None) -> None:
+    def close(self, further_losses: Mapping[str, int]) -> None:
         """Close the bag after everything that is queued; see ``finished``.
 
         ``further_losses`` happened before the queue and go into the bag's counters too.
         """
-        self._further_losses = Counter(further_losses or {})
-        self._queue.put(_Close())
+        self._further_losses = Counter(further_losses)
+        self._queue.put(_END)
 
     def join(self, timeout_s: float) -> bool:
         """Wait for the bag to be closed."""
@@ -139,16 +143,15 @@ class Recording:
             except Empty:
                 item = None
             try:
-                if isinstance(item, _Close):
+                if item is _END:
                     self._finish()
-                    return
-                if not self.error:
+                elif not self.error:
                     self._handle(item)
             except BagError as error:
                 self.error = str(error)
             except Exception as error:
                 self.error = f"unexpected failure of the bag writer: {error!r}"
-            if isinstance(item, _Close):
+            if item is _END:
                 return
 
     def _handle(self, item: object) -> None:
@@ -166,23 +169,13 @@ class Recording:
     def _write(self, messages: Messages) -> None:
         with self._lock:
             self._waiting -= messages.size()
-        number = self._channels.get(messages.channel)
-        if number is None:
-            number = self._add_channel(messages.channel)
+        channel = messages.channel
+        if channel not in self._channels:
+            self._channels[channel] = self._writer.channel(**asdict(channel))
+        number = self._channels[channel]
         for data, received_ns, published_ns in messages.items:
             self._writer.write(number, data, received_ns, published_ns)
         self.messages += len(messages.items)
-
-    def _add_channel(self, channel: Channel) -> int:
-        number = self._writer.channel(
-            channel.topic,
-            channel.type_name,
-            channel.definition,
-            channel.type_hash,
-            channel.offered_qos,
-        )
-        self._channels[channel] = number
-        return number
 
     def _finish(self) -> None:
         """Keep the loss counters in the bag and close it."""
@@ -190,3 +183,27 @@ class Recording:
         if losses and not self._writer.closed:
             self._writer.note(names.LOSSES, losses)
         self._writer.close()
+
+
+class SessionBags:
+    """Opens bags as the settings say; the first one may continue an interrupted session."""
+
+    def __init__(self, settings: RecorderSettings) -> None:
+        self._settings = settings
+        self._earlier: tuple[FileInfo, ...] | None = None
+        if settings.run:
+            bag = self._folder(settings.session).bag
+            self._earlier = session_files(bag) if any(bag.glob("*.mcap")) else ()
+
+    def open(self, plan_id: str) -> tuple[SessionFolder, BagWriter]:
+        """Return the folder of a new session (or run of one) and the writer of its bag."""
+        now = datetime.now(timezone.utc)
+        name = self._settings.session or f"{now:%Y%m%dT%H%M%SZ}_{plan_id[:8]}"
+        folder = self._folder(name)
+        writer = BagWriter(folder.bag, self._settings.writer, earlier=self._earlier)
+        self._earlier = None
+        writer.note(names.RUN, {"number": self._settings.run})
+        return folder, writer
+
+    def _folder(self, session: str) -> SessionFolder:
+        return SessionFolder((Path(self._settings.folder).expanduser() / session).absolute())

@@ -10,9 +10,8 @@ from sensor_msgs.msg import JointState, Temperature
 
 from rotcal_ros import messages
 from rotcal_ros.catalogue.method import DEFAULT, find_method
-from rotcal_ros.nodes import conversions, frames
+from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.order_subscription import OrderSubscription
 from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Command
@@ -34,7 +33,7 @@ class SimulatedCellNode(CellNode):
         settings = self.settings("simulation", method.simulation_settings)
         self._joint = self.settings("cell", CellSettings).joint or "table"
         self._scale = settings.time_scale
-        self._cell = SimulatedCell(settings, self.get_clock().now().nanoseconds)
+        self._cell = SimulatedCell(settings, self.now_ns())
         self._turned_s = time.monotonic()
         self._order_text = "no order yet"
         if self._cell.instrument.streams_lengths:
@@ -47,7 +46,7 @@ class SimulatedCellNode(CellNode):
             self.every(PERIOD_S, self._turn)
         self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
         self._temperature = self.create_publisher(Temperature, "temperature", EVENT)
-        OrderSubscription(self, self._obey)
+        self.take_orders(self._obey)
         self.every(UNASKED_PERIOD_S, self._tell_position)
 
     def _obey(self, command: Command) -> None:
@@ -74,11 +73,11 @@ class SimulatedCellNode(CellNode):
         for probe in output.probe:
             self._probe.publish(conversions.probe_message(probe, self._probe_frame))
         for table in output.table:
-            self._table.publish(conversions.table_message(table, self._joint, frames.TABLE))
+            self._table.publish(conversions.table_message(table, self._joint))
         for temperature in output.temperature:
             self._temperature.publish(conversions.temperature_message(temperature))
         for tracer in output.tracer:
-            self._tracer.publish(conversions.tracer_message(tracer, frames.TRACER))
+            self._tracer.publish(conversions.tracer_message(tracer))
 
     def _tell_position(self) -> None:
         """Tell the probe's position unasked, so that a preflight hears the machine."""

@@ -16,13 +16,11 @@ from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.calibration import RunStep
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
-from rotcal_ros.nodes import conversions, frames
-from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.continuing import read_continuation
-from rotcal_ros.nodes.plan_message import calibration_of, run_name
+from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.cell_node import CellNode, until
+from rotcal_ros.nodes.plans import calibration_of, read_continuation, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run
-from rotcal_ros.nodes.waiting import until
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 
@@ -115,7 +113,6 @@ class SolverNode(CellNode):
         try:
             result = await self._final(request)
             self._publish(result, final=True)
-            self._publish_table(result)
             response.result_json = result.to_json()
             response.verdict = result.verdict
             response.success = True
@@ -140,40 +137,24 @@ class SolverNode(CellNode):
                 f"(first: {missing[0][1]}); solve the bag instead, it holds them all"
             )
         self._state = "solving"
-        future = self._begin(calibration)
-        future.add_done_callback(lambda _: self.executor.wake())
-        await until(future.done, SOLVE_TIMEOUT_S)
-        return future.result(timeout=0.0)
+        return await self.answer_of(self._begin(calibration), SOLVE_TIMEOUT_S)
 
     def _publish(self, result: Result, *, final: bool) -> None:
+        """Publish the deviations; with the final ones the table, if there is one."""
         assert self._calibration is not None
+        configuration = self._calibration.configuration
+        plan_id, now_ns = configuration.plan_id, self.now_ns()
         self._deviations.publish(
-            conversions.deviations_message(
-                result,
-                plan_id=self._calibration.configuration.plan_id,
-                final=final,
-                now_ns=self.get_clock().now().nanoseconds,
-                frame=frames.TABLE,
-            )
+            conversions.deviations_message(result, plan_id, now_ns, final=final)
         )
-
-    def _publish_table(self, result: Result) -> None:
-        """Publish the compensation table, where the result can make one."""
-        assert self._calibration is not None
+        if not final:
+            return
         try:
-            cell = self._calibration.configuration.cell
-            table = table_from_result(result, axis=cell.axis)
+            table = table_from_result(result, axis=configuration.cell.axis)
         except RotcalError as error:
             self.get_logger().warning(f"no compensation table: {error}")
             return
-        self._tables.publish(
-            conversions.compensation_message(
-                table,
-                plan_id=self._calibration.configuration.plan_id,
-                now_ns=self.get_clock().now().nanoseconds,
-                frame=frames.TABLE,
-            )
-        )
+        self._tables.publish(conversions.compensation_message(table, plan_id, now_ns))
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         return self._state, {"run": self._run, "observations": len(self._observations)}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from itertools import chain, combinations, islice
 from math import comb
 
@@ -52,17 +52,9 @@ class Layout:
         ``sigma`` is the standard deviation of a ball centre and ``radius`` that of the ball
         circle, both in metres.
         """
-        return predicted_std(self.variances, sigma, radius)
-
-
-def predicted_std(
-    variances: tuple[float, ...] | Floats, sigma: float, radius: float
-) -> dict[str, float]:
-    """Turn the four mean variances of a layout into standard deviations of six components."""
-    scale = {name: 1.0 / radius if name in ROTATIONS else 1.0 for name in COMPONENTS}
-    return {
-        name: sigma * scale[name] * float(np.sqrt(variances[_INDEX[name]])) for name in COMPONENTS
-    }
+        scale = {name: 1.0 / radius if name in ROTATIONS else 1.0 for name in COMPONENTS}
+        std = np.sqrt(self.variances)
+        return {name: sigma * scale[name] * float(std[_INDEX[name]]) for name in COMPONENTS}
 
 
 def rate(grid: int, steps: Ints | list[int], weights: tuple[float, ...] = WEIGHTS) -> Layout:
@@ -116,16 +108,6 @@ def best_layout(
     return found
 
 
-def rank_subsets(
-    grid: int, steps: list[int], n_balls: int, weights: tuple[float, ...] = WEIGHTS
-) -> tuple[Ints, Floats]:
-    """Rank all subsets of a plate: layouts (L, R) and variances (L, 4), the best first."""
-    layouts = np.array(list(combinations(sorted(steps), n_balls)), dtype=np.int64)
-    variances = mean_variances(grid, layouts)
-    order = np.argsort(_scores(variances, np.array(weights)), kind="stable")
-    return layouts[order], variances[order]
-
-
 def count_layouts(grid: int, n_balls: int, min_gap: int = 1) -> int:
     """Return how many layouts the exhaustive search enumerates (reflections counted twice)."""
     return sum(
@@ -136,11 +118,7 @@ def count_layouts(grid: int, n_balls: int, min_gap: int = 1) -> int:
 
 
 def _checked(
-    grid: int,
-    n_balls: int,
-    min_gap: int,
-    subset_of: list[int] | None,
-    weights: tuple[float, ...],
+    grid: int, n_balls: int, min_gap: int, subset_of: list[int] | None, weights: tuple[float, ...]
 ) -> Floats:
     weight = np.array(weights, dtype=np.float64)
     if weight.shape != (4,) or not (weight >= 0.0).all() or not weight.any():
@@ -163,12 +141,7 @@ def _necklaces(grid: int, n_balls: int, min_gap: int) -> Iterator[Ints]:
         free = grid - n_balls * gap  # to be shared out among the other gaps
         if free < 0:
             continue
-        cuts = combinations(range(free + n_balls - 2), n_balls - 2)
-        while True:
-            flat = np.fromiter(chain.from_iterable(islice(cuts, BATCH)), dtype=np.int64)
-            if not len(flat):
-                break
-            chosen = flat.reshape(-1, n_balls - 2)
+        for chosen in _choices(range(free + n_balls - 2), n_balls - 2):
             edge = np.full((len(chosen), 1), -1), np.full((len(chosen), 1), free + n_balls - 2)
             others = np.diff(np.hstack([edge[0], chosen, edge[1]]), axis=1) - 1 + gap
             others = others[others[:, 0] <= others[:, -1]]
@@ -178,38 +151,35 @@ def _necklaces(grid: int, n_balls: int, min_gap: int) -> Iterator[Ints]:
 
 def _subsets(grid: int, places: Ints, n_balls: int, min_gap: int) -> Iterator[Ints]:
     """Yield batches of all subsets of the places that keep the gaps."""
-    chosen = combinations(places.tolist(), n_balls)
-    while True:
-        flat = np.fromiter(chain.from_iterable(islice(chosen, BATCH)), dtype=np.int64)
-        if not len(flat):
-            return
-        layouts = flat.reshape(-1, n_balls)
+    for layouts in _choices(places.tolist(), n_balls):
         gaps = np.diff(np.hstack([layouts, layouts[:, :1] + grid]), axis=1)
         yield layouts[gaps.min(axis=1) >= min_gap]
 
 
+def _choices(values: Iterable[int], count: int) -> Iterator[Ints]:
+    """Yield all combinations of ``count`` values in batches (L, count)."""
+    every = combinations(values, count)
+    while True:
+        flat = np.fromiter(chain.from_iterable(islice(every, BATCH)), dtype=np.int64)
+        if not len(flat):
+            return
+        yield flat.reshape(-1, count)
+
+
 def _exhaustive(
-    grid: int,
-    batches: Iterator[Ints],
-    weights: Floats,
-    count: int,
-    progress: Progress | None,
+    grid: int, batches: Iterator[Ints], weights: Floats, count: int, progress: Progress | None
 ) -> Layout | None:
     """Look at all layouts."""
-    best, score, seen = None, np.inf, 0
-    variances = np.full(4, np.inf)
+    best, seen = None, 0
     for layouts in batches:
         seen += len(layouts)
-        each = mean_variances(grid, layouts)
-        scores = _scores(each, weights)
-        first = int(np.argmin(scores)) if len(scores) else 0
-        if len(scores) and scores[first] < score:
-            best, score, variances = layouts[first], float(scores[first]), each[first]
+        if len(layouts):
+            found = _best_of(grid, layouts, weights)
+            if found[0] < (np.inf if best is None else best[0]):
+                best = found
         if progress is not None:
             progress(min(seen, count), count)
-    if best is None:
-        return None
-    return _layout(grid, best, variances, weights, seen, True)
+    return None if best is None else _layout(grid, *best[1:], weights, seen, True)
 
 
 def _exchange(
@@ -232,19 +202,15 @@ def _exchange(
         while True:
             neighbours = _neighbours(grid, layout, places, min_gap)
             evaluated += len(neighbours)
-            each = mean_variances(grid, neighbours)
-            scores = _scores(each, weights)
-            first = int(np.argmin(scores))
-            if not scores[first] < score:
+            found = _best_of(grid, neighbours, weights)
+            if not found[0] < score:
                 break
-            layout, score, variances = neighbours[first], float(scores[first]), each[first]
+            score, layout, variances = found
         if np.isfinite(score) and (best is None or score < best.score):
             best = _layout(grid, layout, variances, weights, evaluated, False)
         if progress is not None:
             progress(start + 1, starts)
-    if best is None:
-        return None
-    return _layout(grid, np.array(best.steps), np.array(best.variances), weights, evaluated, False)
+    return None if best is None else replace(best, evaluated=evaluated)
 
 
 def _random_layout(
@@ -275,6 +241,14 @@ def _neighbours(grid: int, layout: Ints, places: Ints, min_gap: int) -> Ints:
     return np.vstack(found)
 
 
+def _best_of(grid: int, layouts: Ints, weights: Floats) -> tuple[float, Ints, Floats]:
+    """Return score, layout and variances (4,) of the best of ``layouts`` (L, R)."""
+    variances = mean_variances(grid, layouts)
+    scores = _scores(variances, weights)
+    first = int(np.argmin(scores))
+    return float(scores[first]), layouts[first], variances[first]
+
+
 def _scores(variances: Floats, weights: Floats) -> Floats:
     """Return the weighted sums (L,); layouts that do not separate count as infinite."""
     scores: Floats = np.where(np.isfinite(variances).all(axis=1), 0.0, np.inf)
@@ -286,10 +260,10 @@ def _scores(variances: Floats, weights: Floats) -> Floats:
 def _layout(
     grid: int, steps: Ints, variances: Floats, weights: Floats, evaluated: int, optimal: bool
 ) -> Layout:
-    first, second, third, fourth = (float(v) for v in variances)
+    first, second, third, fourth = variances.tolist()
     return Layout(
         grid=grid,
-        steps=tuple(int(step) for step in np.sort(steps)),
+        steps=tuple(np.sort(steps).tolist()),
         variances=(first, second, third, fourth),
         score=float(variances @ weights),
         bound=float(proven_bound(grid, len(steps)) @ weights),

@@ -181,12 +181,7 @@ def _to_and_fro(grid: int, balls: Ints, cmm: Ints) -> tuple[Ints, Ints]:
 
 
 def _duration(
-    grid: int,
-    turns: Ints,
-    ball: Ints,
-    moves: Floats,
-    radius: float,
-    kinematics: Kinematics,
+    grid: int, turns: Ints, ball: Ints, moves: Floats, radius: float, kinematics: Kinematics
 ) -> float:
     """Add up table moves with settling, probe moves over the clearance, and touches."""
     k = kinematics

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.components import COMPONENTS
+from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR
 from rotcal_ros.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.general import solve_general
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
@@ -22,14 +24,12 @@ class Effort:
     """One way to reach the wanted uncertainty.
 
     ``layout`` are the balls, ``positions`` (S,) the CMM positions to measure them at;
-    ``expanded`` is the worst predicted expanded uncertainty (k = ``coverage``) of the component
+    ``expanded`` is the worst predicted expanded uncertainty (k = 2) of the wanted component
     over the table positions, metres or radians; ``centres`` the number of balls to be probed.
     """
 
     layout: Layout
     positions: tuple[int, ...]
-    component: str
-    coverage: float
     expanded: float
 
     @property
@@ -45,7 +45,6 @@ def required_effort(
     *,
     sigma: float,
     radius: float,
-    coverage: float = 2.0,
     min_gap: int = 1,
     most_balls: int | None = None,
     seed: int = 0,
@@ -53,7 +52,7 @@ def required_effort(
     """Find, for every number of balls, the fewest CMM positions for U(component) <= limit.
 
     ``sigma`` is the standard deviation of a ball centre, ``radius`` that of the ball circle, in
-    metres; ``limit`` in metres or radians; ``coverage`` is k. The ways are returned in the order
+    metres; ``limit`` in metres or radians, with k = 2. The ways are returned in the order
     of the number of centres to be measured, the least work first. Positions are spread over the
     circle. Raises PlanError when the component is unknown or no way reaches the limit.
     """
@@ -68,9 +67,9 @@ def required_effort(
             layout = best_layout(grid, n_balls, min_gap=min_gap, seed=seed, starts=6, exact=False)
         except PlanError:
             continue
-        scale = coverage * sigma
+        scale = COVERAGE_FACTOR * sigma
         if (way := _fewest_positions(layout, component, radius, limit / scale)) is not None:
-            ways.append(Effort(layout, way[0], component, coverage, scale * way[1]))
+            ways.append(Effort(layout, way[0], scale * way[1]))
     if not ways:
         raise PlanError(
             f"no layout of up to {most} balls on {grid} steps reaches "
@@ -105,6 +104,7 @@ def _fewest_positions(
     grid = layout.grid
     spread = spread_out(grid)
 
+    @cache
     def worst(count: int) -> float:
         try:
             std = unit_std(grid, np.array(layout.steps), spread[:count], radius)[component]
@@ -112,15 +112,7 @@ def _fewest_positions(
             return np.inf
         return float(std.max())
 
-    enough, reached = grid, worst(grid)
-    if reached > limit:
+    if worst(grid) > limit:
         return None
-    too_few = 3
-    while enough - too_few > 1:
-        middle = (enough + too_few) // 2
-        value = worst(middle)
-        if value <= limit:
-            enough, reached = middle, value
-        else:
-            too_few = middle
-    return tuple(int(k) for k in np.sort(spread[:enough])), reached
+    enough = bisect_left(range(grid), True, lo=4, key=lambda count: worst(count) <= limit)
+    return tuple(np.sort(spread[:enough]).tolist()), worst(enough)

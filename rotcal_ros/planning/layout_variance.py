@@ -110,12 +110,7 @@ def _power(values: Complexes) -> Floats:
 
 
 def _singular(
-    upper: Floats,
-    lower: Floats,
-    middle: Floats,
-    turn: Floats,
-    determinant: Floats,
-    n_balls: int,
+    upper: Floats, lower: Floats, middle: Floats, turn: Floats, determinant: Floats, n_balls: int
 ) -> Bools:
     """Layouts (L,) with a harmonic whose systems are singular to rounding."""
     small = SINGULAR * n_balls

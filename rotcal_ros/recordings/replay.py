@@ -12,14 +12,8 @@ from rotcal_ros import messages as records
 from rotcal_ros.bags import names
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.reader import (
-    Progress,
-    Scan,
-    bag_files,
-    read_blocks,
-    scan_file,
-    sha256_of,
-)
+from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, scan_file, sha256_of
+from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
 from rotcal_ros.catalogue.configuration import (
     OFFLINE_GROUPS,

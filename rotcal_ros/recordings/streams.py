@@ -18,13 +18,7 @@ from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.orders import Orders
 from rotcal_ros.observations import LengthStatus, Observation, TableSample
-from rotcal_ros.recordings.foreign import (
-    FLOAT,
-    POINT,
-    Position,
-    Speedometer,
-    StepFinder,
-)
+from rotcal_ros.recordings.foreign import FLOAT, POINT, Position, Speedometer, StepFinder
 from rotcal_ros.recordings.topics import Part
 
 _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
@@ -46,11 +40,7 @@ class Capture(Protocol):
         """Take one record."""
 
     def feed_tracer(
-        self,
-        stamp_ns: Ints,
-        sequence: NDArray[Any],
-        length: NDArray[Any],
-        status: NDArray[Any],
+        self, stamp_ns: Ints, sequence: NDArray[Any], length: NDArray[Any], status: NDArray[Any]
     ) -> tuple[Observation, ...]:
         """Take many tracer readings."""
 
@@ -108,7 +98,7 @@ class StreamFeeder:
     def feed(self, block: Block, parts: list[Part]) -> None:
         """Feed one block that ``parts`` splits into the topics of the cell."""
         others: list[Numbered] = []
-        readings = _no_readings()
+        readings = np.zeros(0, _READING)
         for part in parts:
             if part.role == names.TRACER_LENGTH:
                 readings = self._readings(block, part)
@@ -172,24 +162,22 @@ class StreamFeeder:
     def _bare_angles(self, block: Block, part: Part) -> Iterator[Numbered]:
         rows, stamps, values = self._floats(block, part)
         angles = (values * self._units.angle_unit_rad).tolist()
-        yield from zip(
-            rows.tolist(), map(self._speed.sample, stamps.tolist(), angles), strict=True
-        )
+        samples = map(self._speed.sample, stamps.tolist(), angles)
+        yield from zip(rows.tolist(), samples, strict=True)
 
     def _positions(self, block: Block, part: Part) -> Iterator[Numbered]:
         for row, message in part.messages(block):
             point = message.point
-            yield (
-                row,
-                Position(records.stamp_ns(message.header.stamp), (point.x, point.y, point.z)),
-            )
+            stamp_ns = records.stamp_ns(message.header.stamp)
+            yield row, Position(stamp_ns, (point.x, point.y, point.z))
 
     def _readings(self, block: Block, part: Part) -> NDArray[np.void]:
         """Return the tracer readings of a block in file order."""
         if part.decoder.channel.type_name == FLOAT:
             return self._bare_readings(block, part)
         shapes = part.decoder.columns(block.select(part.rows), _TRACER)
-        readings = np.concatenate([_no_readings(), *(_readings_of(c, part) for c in shapes)])
+        found = [np.zeros(0, _READING), *(_readings_of(columns, part) for columns in shapes)]
+        readings = np.concatenate(found)
         return readings[np.argsort(readings["row"], kind="stable")]
 
     def _table_samples(self, block: Block, part: Part) -> Iterator[Numbered]:
@@ -204,16 +192,9 @@ class StreamFeeder:
                 continue
             known = velocity.shape[1] > index
             speeds = velocity[:, index].tolist() if known else [math.nan] * len(columns.rows)
-            yield from zip(
-                part.rows[columns.rows].tolist(),
-                map(
-                    TableSample,
-                    columns.stamp_ns().tolist(),
-                    position[:, index].tolist(),
-                    speeds,
-                ),
-                strict=True,
-            )
+            angles = position[:, index].tolist()
+            samples = map(TableSample, columns.stamp_ns().tolist(), angles, speeds)
+            yield from zip(part.rows[columns.rows].tolist(), samples, strict=True)
 
     def _single(self, block: Block, part: Part) -> Iterator[Numbered]:
         """Yield the records of a slow topic, message by message."""
@@ -235,10 +216,6 @@ _READING: Final = np.dtype(
         ("status", np.int64),
     ]
 )
-
-
-def _no_readings() -> NDArray[np.void]:
-    return np.zeros(0, _READING)
 
 
 def _readings_of(columns: Columns, part: Part) -> NDArray[np.void]:

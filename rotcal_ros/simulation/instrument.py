@@ -2,41 +2,79 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
+from typing import Final
 
-from rotcal_ros.observations import Command, ProbeSample, TracerSample
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Stamps
+from rotcal_ros.observations import Approach, Command, PointKind, ProbeSample, TracerSample
 from rotcal_ros.simulation.external_table import ExternalTable
 from rotcal_ros.simulation.table import SimulatedTable
 
 Table = SimulatedTable | ExternalTable
+_NO_ORDER: Final = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
 
 
-class Instrument(Protocol):
-    """The machine beside the table with what it carries, on the cell's clock (ns)."""
+class Instrument(ABC):
+    """The machine beside the table with what it carries, on the cell's clock (ns).
 
-    rest_ns: int
-    """When the last ordered motion ends."""
+    ``frame`` is that of its points, ``streams_lengths`` says whether it delivers lengths besides.
+    ``rest_ns`` is when the last ordered motion ends, ``pending`` the order that has not been
+    reported yet.
+    """
 
-    @property
-    def frame(self) -> str:
-        """Frame of its points."""
+    frame = "machine"
+    streams_lengths = False
 
-    @property
-    def streams_lengths(self) -> bool:
-        """Whether it delivers lengths besides points."""
+    def __init__(self, start_ns: int) -> None:
+        self.rest_ns = start_ns
+        self.pending: Command | None = None
+        self._sequence = 0
 
-    @property
-    def pending(self) -> Command | None:
-        """The order that has not been reported yet."""
-
+    @abstractmethod
     def order(self, now_ns: int, command: Command) -> None:
         """Carry out ``command``."""
 
+    @abstractmethod
     def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
         """Return the points that fall in ``after_ns`` < t <= ``now_ns``."""
 
+    def positions(self, stamps: Stamps) -> Floats:
+        """Return where it believes to be (n, 3), m: by itself the origin of its frame."""
+        return np.zeros((len(stamps), 3))
+
     def unasked(self, now_ns: int) -> ProbeSample:
         """Return where it believes to be, as a point of kind UNKNOWN."""
+        return self.point(now_ns, _NO_ORDER, self.positions(np.array([now_ns]))[0], 0.0)
 
     def lengths(self, now_ns: int) -> tuple[TracerSample, ...]:
-        """Return the lengths since the call before; empty for an instrument without."""
+        """Return the lengths since the call before; an instrument for points has none."""
+        return ()
+
+    def point(
+        self,
+        stamp_ns: int,
+        order: Command,
+        position: Floats,
+        std: Floats | float,
+        number: int = 0,
+        tip_radius: float = 0.0,
+    ) -> ProbeSample:
+        """Return point ``number`` of an order: ``position`` (3,) with its deviation, m."""
+        x, y, z = position.tolist()
+        sx, sy, sz = np.broadcast_to(std, 3).tolist()
+        self._sequence += 1
+        return ProbeSample(
+            stamp_ns=stamp_ns,
+            sequence=self._sequence - 1,
+            step=order.step,
+            attempt=order.attempt,
+            kind=order.kind,
+            target=order.target,
+            station=order.station,
+            point=number,
+            position=(x, y, z),
+            position_std=(sx, sy, sz),
+            tip_radius=tip_radius,
+        )

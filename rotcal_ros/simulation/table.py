@@ -122,11 +122,7 @@ class SimulatedTable:
         if (
             resting
             and self._motion.place == angle
-            and approach
-            in (
-                self._approach,
-                Approach.UNKNOWN,
-            )
+            and approach in (self._approach, Approach.UNKNOWN)
         ):
             self.rest_ns = max(self.rest_ns, now_ns)
             return

@@ -16,7 +16,7 @@ FUNCTIONS = [
     function
     for module in MODULES
     for name, function in getmembers(module, isfunction)
-    if function.__module__ == module.__name__ and name[0] != "_" and name != "raw_streams"
+    if function.__module__ == module.__name__ and name[0] != "_"
 ]
 
 
@@ -25,7 +25,7 @@ def test_examples_run(module, monkeypatch):
     monkeypatch.chdir(ROOT)  # they name the sample data from here
     outcome = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
     assert outcome.failed == 0
-    assert outcome.attempted or module.__name__.endswith(".streams")
+    assert outcome.attempted
 
 
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda function: function.__name__)

@@ -64,7 +64,7 @@ def record(folder: Path, receipts: Any, how: dict[str, Any]) -> None:
             recording.put(Receipt(number // 10, 0))
         number += 1
         time.sleep(PERIOD_S)
-    recording.close()
+    recording.close({})
     recording.join(10.0)
     receipts.send(("error", recording.error) if recording.error else ("closed", number))
 

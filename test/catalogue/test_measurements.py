@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mirror_points import points_table
 
 from rotcal_ros.catalogue.configuration import (
     Configuration,
@@ -18,7 +19,6 @@ from rotcal_ros.catalogue.configuration import (
 )
 from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
-from rotcal_ros.catalogue.plane_mirror.table import write_points
 from rotcal_ros.catalogue.tracer.table import read_targets
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.observations import PointKind
@@ -205,7 +205,7 @@ def test_plane_mirror_table_is_read_by_its_method(tmp_path: Path) -> None:
     deviations[:, 5] = 3.0 * ARCSEC * np.sin(np.arange(17))
     problem = measure(paper_cell(), deviations)
     named = replace(problem, station_names=tuple("ABCDEF"))
-    head, *rows = write_points(named).splitlines()
+    head, *rows = points_table(named).splitlines()
     path = tmp_path / "mirror.csv"
     path.write_text("\n".join(["# metres", head, *rows]))
     mirror = {"plan": {"table_step_deg": 22.5, "table_positions": 17}}
@@ -216,7 +216,7 @@ def test_plane_mirror_table_is_read_by_its_method(tmp_path: Path) -> None:
     assert [way["way"] for way in result.details["ways"]] == ["stitching", "registration"]
 
     path.write_text("\n".join([head, rows[0].replace("nest", "reflected"), *rows[1:]]))
-    with pytest.raises(DataError, match=r"mirror\.csv, line 2: kind 'reflected'"):
+    with pytest.raises(DataError, match=r"mirror\.csv, row 2: kind 'reflected'"):
         read_measurements(path, setup).solve()
     tracer = parse_configuration(dump_configuration("tracer_multistation", {}))
     with pytest.raises(

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mirror_points import points_table
 
 from rotcal_ros.catalogue import changed, find_method, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.catalogue.measurements import read_measurements
-from rotcal_ros.catalogue.plane_mirror.table import write_points
 from rotcal_ros.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.problem import problem_from_observations
@@ -155,7 +155,7 @@ def test_the_table_of_a_run_gives_the_result_of_the_run(short, tmp_path):
     problem = problem_from_observations(observations, np.array(calibration.plan.table_angles))
     assert isinstance(problem, PlaneMirrorProblem)
     path = tmp_path / "points.csv"
-    path.write_text(write_points(problem))
+    path.write_text(points_table(problem))
     table = read_measurements(path, calibration.configuration).solve()
     np.testing.assert_array_equal(table.deviations["ECC"], live.deviations["ECC"])
     np.testing.assert_array_equal(table.covariance["ECC"], live.covariance["ECC"])

@@ -11,6 +11,7 @@ from compensation_examples import TAU, even, result_of, wavy
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rotcal_ros.compensation import parsing
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
@@ -179,19 +180,20 @@ def test_volumetric_tables_hold_every_bit():
     assert data["sign"].startswith("deviation = actual - commanded")
 
 
-@pytest.mark.parametrize("form", ["_csv_columns", "_json_columns"])
-def test_a_volumetric_file_that_reads_back_differently_is_refused(form, monkeypatch):
-    from rotcal_ros.compensation import volumetric
+@pytest.mark.parametrize(("form", "module", "name"), [
+    ("csv", parsing, "numbers"), ("json", json, "loads"),
+])  # fmt: skip
+def test_a_volumetric_file_that_reads_back_differently_is_refused(form, module, name, monkeypatch):
+    reader = getattr(module, name)
 
-    reader = getattr(volumetric, form)
+    def off_by_one_bit(*arguments):
+        found = reader(*arguments)
+        column = found["deviations"]["EBC"] if form == "json" else found[:, 1]
+        column[3] = np.nextafter(column[3], 1.0)
+        return found
 
-    def off_by_one_bit(text):
-        columns = reader(text)
-        columns["EBC_rad"][3] = np.nextafter(columns["EBC_rad"][3], 1.0)
-        return columns
-
-    monkeypatch.setattr(volumetric, form, off_by_one_bit)
-    with pytest.raises(BagError, match="not what was measured"):
+    monkeypatch.setattr(module, name, off_by_one_bit)
+    with pytest.raises(BagError, match=rf"vol\.{form}: read back, it is not what was measured"):
         volumetric_files(volumetric_result(), "vol")
 
 

@@ -10,7 +10,7 @@ from rotcal_ros.catalogue.setup_file import read_setup
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
 from rotcal_ros.methods.ball_plate.separability import separability
-from rotcal_ros.planning.ball_layout import rank_subsets
+from rotcal_ros.planning.ball_layout import best_layout
 
 PLATES = Path(__file__).parents[2] / "config" / "plates"
 GOOD = {"grid": 72, "ball_steps": PAPER_PLATE, "circle_radius_m": 0.185, "ball_diameter_m": 0.025}
@@ -39,8 +39,7 @@ def test_all_six_plates_are_shipped():
 @pytest.mark.parametrize("count", [6, 8, 10])
 def test_shipped_subsets_are_the_best_ones(count):
     plate = read_plate(PLATES / f"ball_plate_{count}_of_72.yaml")
-    layouts, _ = rank_subsets(72, PAPER_PLATE, count)
-    assert plate.ball_steps == tuple(layouts[0].tolist())
+    assert plate.ball_steps == best_layout(72, count, subset_of=PAPER_PLATE).steps
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from plate_data import simulated
 
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import select
-from rotcal_ros.methods.ball_plate.dense import design_matrix
+from rotcal_ros.methods.ball_plate.model import design_matrix
 from rotcal_ros.methods.ball_plate.separability import (
     require_separable,
     separability,

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dense_ball_plate import solve_dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plate_data import PAPER_PLATE, RADIUS, simulated
@@ -12,7 +13,6 @@ from scipy.optimize import lsq_linear
 
 from rotcal_ros.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate import closed_form, model
-from rotcal_ros.methods.ball_plate.dense import design_matrix, solve_dense
 from rotcal_ros.methods.ball_plate.estimate import least_squares
 from rotcal_ros.methods.ball_plate.gaps import gap_cells, solve_with_gaps
 from rotcal_ros.methods.ball_plate.general import solve_general
@@ -117,7 +117,7 @@ def test_general_agrees_with_dense_on_unequal_weights_and_repeated_centres():
 
 def test_dense_minimises_what_an_independent_solver_minimises():
     problem, _ = simulated(12, [0, 1, 3, 7, 8, 10], seed=9)
-    design, constraints = design_matrix(problem), model.constraint_matrix(problem)
+    design, constraints = model.design_matrix(problem), model.constraint_matrix(problem)
     stacked = np.vstack([design, 1e4 * constraints])
     target = np.concatenate([problem.deviations.ravel(), np.zeros(19)])
     expected = lsq_linear(stacked, target * 1e6, method="bvls").x * 1e-6
@@ -157,7 +157,7 @@ def test_solutions_obey_the_constraints_of_the_paper():
 
 def test_invisible_directions_are_nineteen_and_invisible():
     problem, _ = simulated(24, [0, 3, 4, 9, 14], seed=1)
-    design, space = design_matrix(problem), model.null_space(problem)
+    design, space = model.design_matrix(problem), model.null_space(problem)
     assert np.abs(design @ space).max() < 1e-14
     assert np.linalg.matrix_rank(space) == 19
     assert design.shape[1] - np.linalg.matrix_rank(design) == 19

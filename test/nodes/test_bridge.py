@@ -79,7 +79,7 @@ class Bench:
         from rotcal_ros.nodes.conversions import compensation_message
 
         now_ns = self.node.get_clock().now().nanoseconds
-        message = compensation_message(table, plan_id="p", now_ns=now_ns, frame="table_base")
+        message = compensation_message(table, "p", now_ns)
         message.table_hash = table_hash or message.table_hash
         self.tables.publish(message)
 

@@ -59,12 +59,12 @@ def sent(message):
 
 @given(tracer_samples)
 def test_tracer_sample(sample):
-    assert messages.tracer_sample(sent(conversions.tracer_message(sample, "f"))) == sample
+    assert messages.tracer_sample(sent(conversions.tracer_message(sample))) == sample
 
 
 @given(table_samples)
 def test_table_sample(sample):
-    message = sent(conversions.table_message(sample, "table", "f"))
+    message = sent(conversions.table_message(sample, "table"))
     assert messages.table_sample(message, "table") == sample
     assert messages.table_sample(message, "other") is None
 
@@ -81,14 +81,14 @@ def test_temperature_sample(sample):
 
 @given(commands, stamps)
 def test_command(command, now_ns):
-    table, probe = conversions.command_messages(command, now_ns, "table_base", "machine")
+    table, probe = conversions.command_messages(command, now_ns)
     assert messages.command(sent(table), sent(probe)) == command
     assert (table.header.frame_id, probe.header.frame_id) == ("table_base", "machine")
 
 
 @given(observations)
 def test_observation(observation):
-    message = sent(conversions.observation_message(observation, "f"))
+    message = sent(conversions.observation_message(observation))
     assert messages.observation(message) == observation
 
 
@@ -103,9 +103,7 @@ def test_absent_components_of_a_result_are_absent():
         dof=7,
         n_observations=9,
     )
-    message = sent(
-        conversions.deviations_message(result, plan_id="p", final=True, now_ns=5, frame="f")
-    )
+    message = sent(conversions.deviations_message(result, "p", 5, final=True))
     assert message.ecc.tolist() == [0.0, 1e-6]
     assert message.ecc_std.tolist() == [0.0, 2e-7]
     assert len(message.exc) == len(message.eac_std) == 0
@@ -117,4 +115,4 @@ def test_no_temperature_is_not_a_number_in_the_message():
         0, 0, 0, 0.0, 0, 0, PointKind.REFLECTOR, (), (), (), (0.0, 0.0, 0.0), 0, 0, False, "why",
         0.0, None, 0, 0,
     )  # fmt: skip
-    assert math.isnan(conversions.observation_message(observation, "f").temperature)
+    assert math.isnan(conversions.observation_message(observation).temperature)

@@ -13,7 +13,7 @@ import pytest
 
 from rotcal_ros.catalogue.configuration import GROUPS
 from rotcal_ros.node_names import DRIVERS, EXECUTABLES, FURTHER_NODES, NODES, PREFLIGHT_NODES
-from rotcal_ros.sessions import session
+from rotcal_ros.sessions import commands
 
 ROOT = Path(__file__).parents[2]
 MODULES = {
@@ -61,8 +61,8 @@ def test_the_package_installs_a_command_for_every_node(monkeypatch):
 
 
 def test_sessions_and_preflight_use_the_same_lists():
-    assert session.NODES is NODES
-    assert session.FURTHER_NODES is FURTHER_NODES
+    assert commands.NODES is NODES
+    assert commands.FURTHER_NODES is FURTHER_NODES
 
 
 def test_the_names_are_known_without_numpy():

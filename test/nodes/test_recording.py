@@ -38,7 +38,7 @@ def test_a_receipt_is_given_when_the_message_before_it_is_on_disk(tmp_path):
     recording.put(Receipt(7, 2))
     assert given.wait(TIMEOUT_S)
     recording.put(message(2))
-    recording.close()
+    recording.close({})
     assert recording.join(TIMEOUT_S)
     assert found == [(Receipt(7, 2), str(tmp_path / "bag" / "bag_0.mcap"), 1)]
     assert recording.messages == 2
@@ -58,7 +58,7 @@ def test_what_does_not_fit_the_queue_is_lost_and_counted_in_the_bag(tmp_path):
     for number in range(5):
         recording.put(message(number))
     go_on.set()
-    recording.close()
+    recording.close({})
     assert recording.join(TIMEOUT_S)
     assert recording.messages == 2
     assert recording.losses == {"queue /cell/a": 3}
@@ -76,7 +76,7 @@ def test_after_a_failure_nothing_is_confirmed_and_everything_is_counted(tmp_path
     monkeypatch.setattr("os.write", refuse)
     recording.put(message(1))
     recording.put(Receipt(0, 0))
-    recording.close()
+    recording.close({})
     assert recording.join(TIMEOUT_S)
     assert "the disk is full" in recording.error
     assert confirmed == []
@@ -87,7 +87,7 @@ def test_after_a_failure_nothing_is_confirmed_and_everything_is_counted(tmp_path
 def test_a_closed_recording_ends_its_thread(tmp_path):
     recording = Recording(BagWriter(tmp_path / "bag"), 1000, lambda *_: None)
     assert not recording.finished
-    recording.close()
+    recording.close({})
     assert recording.join(TIMEOUT_S)
 
 

@@ -1,6 +1,10 @@
 """Who beats, who fell silent, who said goodbye."""
 
-from rotcal_ros.nodes.rollcall import RollCall
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rotcal_ros.nodes.health import RollCall
 
 
 def watched(until, silent_from):
@@ -42,11 +46,3 @@ def test_the_callers_own_pause_is_not_blamed_on_others():
     for now in (60.7, 61.2):
         assert roll.silent(now) == {}
     assert set(roll.silent(61.7)) == {"a"}
-
-
-def test_known_are_all_that_have_beaten_and_not_left():
-    roll = RollCall(timeout_s=1.4)
-    for name in ("a", "b"):
-        roll.beat(name, 0.0)
-    roll.leave("a")
-    assert roll.known() == {"b"}

@@ -88,8 +88,8 @@ def test_impossible_plans_are_refused(balls, positions, order):
 def test_the_probe_sweeps_to_and_fro_and_never_crosses_the_largest_gap():
     plan = plan_measurement(12, [0, 2, 11])
     assert plan.ball_step.tolist() == [11, 0, 2, 2, 0, 11] * 6
-    assert plan.table_index.tolist() == np.repeat(np.arange(12), 3).tolist()
+    assert plan.position.tolist() == np.repeat(np.arange(12), 3).tolist()
     few = plan_measurement(12, [0, 2, 11], positions=[3])
     # the probe rests at position 3, the table brings the balls: 11 at 4, 0 at 3, 2 at 1
     assert few.ball_step.tolist() == [2, 0, 11]
-    assert few.table_index.tolist() == [1, 3, 4]
+    assert few.position.tolist() == [1, 3, 4]

@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
-from rotcal_polygon import calibration
+from rotcal_polygon import calibration, table
+from rotcal_polygon.figures import figures
 from rotcal_polygon.plan import NAME, plan
 from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
 from rotcal_polygon.simulation import PolygonSimulationSettings
-from rotcal_polygon.table import PolygonTable
 from rotcal_ros.capture.points import mean_point, points
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.method import Method, See
-from rotcal_ros.figures import Figure
+from rotcal_ros.catalogue.method import Method, See, TableReader
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.results import Result
 
 
 def nominal(_configuration: Configuration, _plan: Plan) -> See:
     """Return that a perfect table with a perfect polygon always reads zero."""
     return lambda step: step.position
-
-
-def figures(result: Result, truth: Mapping[str, Any] | None) -> Sequence[Figure]:
-    """Return the figures of a report."""
-    # Figures take a second to load, which a solution should not wait for.
-    from rotcal_polygon.figures import figures as draw
-
-    return draw(result, truth)
 
 
 METHOD: Final = Method(
@@ -47,6 +36,6 @@ METHOD: Final = Method(
     trials=calibration.trials,
     check=calibration.check,
     nominal=nominal,
-    table=PolygonTable(),
+    table=TableReader(table.HEADERS, table.read),
     figures=figures,
 )

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.observations import Command, PointKind, ProbeSample, TracerSample
+from rotcal_ros.observations import Command, ProbeSample
 from rotcal_ros.settings import group, setting
-from rotcal_ros.simulation.instrument import Table
+from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.noise import IndexedNoise
 from rotcal_ros.simulation.settings import SimulationSettings
 from rotcal_ros.simulation.temperature import SimulatedTemperature
@@ -59,7 +59,7 @@ class PolygonSimulationSettings(SimulationSettings):
         return SimulatedAutocollimator(self, table, start_ns)
 
 
-class SimulatedAutocollimator:
+class SimulatedAutocollimator(Instrument):
     """Reads the direction of the face before it: horizontal and vertical angle, rad.
 
     Everything follows from the true pose of the table, its tilts included. Reading k of a run
@@ -67,9 +67,9 @@ class SimulatedAutocollimator:
     """
 
     frame = "autocollimator"
-    streams_lengths = False
 
     def __init__(self, settings: PolygonSimulationSettings, table: Table, start_ns: int) -> None:
+        super().__init__(start_ns)
         self._polygon, self._own, self._table = settings.polygon, settings.autocollimator, table
         seed, count = settings.seed, settings.polygon.faces
         self.face_errors = self._polygon.face_arcsec * ARCSEC * _normal(seed, FACES, count)
@@ -77,24 +77,17 @@ class SimulatedAutocollimator:
             seed, MOUNTING, len(self._polygon.first_faces)
         )  # fmt: skip
         self._noise = IndexedNoise(seed, READING)
-        self._pending: Command | None = None
-        self._sequence = self._readings = self._read = 0
-        self.rest_ns = start_ns
-
-    @property
-    def pending(self) -> Command | None:
-        """The order whose readings have not all been reported yet."""
-        return self._pending
+        self._readings = self._read = 0
 
     def order(self, now_ns: int, command: Command) -> None:
         """Read at the table position of ``command``."""
-        self._pending, self.rest_ns, self._read = command, now_ns, 0
+        self.pending, self.rest_ns, self._read = command, now_ns, 0
 
     def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
         """Return the readings of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
-        order, samples = self._pending, list[ProbeSample]()
+        order, samples = self.pending, list[ProbeSample]()
         ready_ns = max(self.rest_ns, table_rest_ns)
-        while self._pending is not None:
+        while self.pending is not None:
             wait_s = self._own.settling_time_s + (self._read + 1) * self._own.reading_time_s
             stamp = max(ready_ns + round(wait_s / NANOSECOND), after_ns + 1 + len(samples))
             if order is None or stamp > now_ns:
@@ -102,16 +95,8 @@ class SimulatedAutocollimator:
             samples.append(self._reading(stamp, order))
             self._read += 1
             if self._read == self._own.readings:
-                self._pending = None
+                self.pending = None
         return tuple(samples)
-
-    def unasked(self, now_ns: int) -> ProbeSample:
-        """Return a point of kind UNKNOWN: it listens."""
-        return self._sample(now_ns, None, (0.0, 0.0))
-
-    def lengths(self, _now_ns: int) -> tuple[TracerSample, ...]:
-        """Return nothing: only readings are made."""
-        return ()
 
     def seen(self, stamp_ns: int, mounting: int) -> tuple[float, float]:
         """Return the true reading (rad) of the face nearest to the line of sight."""
@@ -128,27 +113,9 @@ class SimulatedAutocollimator:
     def _reading(self, stamp_ns: int, order: Command) -> ProbeSample:
         noise = self._own.noise_arcsec * ARCSEC * self._noise.normal(2 * self._readings, 2)
         self._readings += 1
-        horizontal, vertical = self.seen(stamp_ns, order.station)
-        return self._sample(stamp_ns, order, (horizontal + noise[0], vertical + noise[1]))
-
-    def _sample(
-        self, stamp_ns: int, order: Command | None, reading: tuple[float, float]
-    ) -> ProbeSample:
-        self._sequence += 1
-        std = self._own.noise_arcsec * ARCSEC
-        return ProbeSample(
-            stamp_ns=stamp_ns,
-            sequence=self._sequence - 1,
-            step=order.step if order else 0,
-            attempt=order.attempt if order else 0,
-            kind=PointKind.READING if order else PointKind.UNKNOWN,
-            target=order.target if order else 0,
-            station=order.station if order else 0,
-            point=self._read,
-            position=(float(reading[0]), float(reading[1]), 0.0),
-            position_std=(std, std, 0.0),
-            tip_radius=0.0,
-        )
+        reading = np.append(self.seen(stamp_ns, order.station) + noise, 0.0)
+        std = self._own.noise_arcsec * ARCSEC * np.array([1.0, 1.0, 0.0])
+        return self.point(stamp_ns, order, reading, std, self._read)
 
 
 def _normal(seed: int, source: int, count: int) -> Floats:

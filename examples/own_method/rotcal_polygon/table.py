@@ -15,27 +15,26 @@ FARTHEST_RAD = 0.02
 """No autocollimator reads more than a degree."""
 
 
-class PolygonTable:
-    """Reads the autocollimator's readings by table position and mounting, from 0."""
+HEADERS: tuple[Header, ...] = (("position", "mounting", "reading_rad"),)
 
-    headers: tuple[Header, ...] = (("position", "mounting", "reading_rad"),)
 
-    def read(
-        self, configuration: Configuration, table: Table, _targets: Path | None
-    ) -> PlannedMeasurements:
-        """Return the observations; DataError names file and row of what cannot be."""
-        calibration, settings = prepare(configuration), configuration.plan
-        find, observations = StepFinder(calibration.plan), []
-        for row in table.rows():
-            position, mounting = row.index("position"), row.index("mounting")
-            if mounting >= len(settings.first_faces):
-                raise DataError(
-                    f"{row.place}: mounting {mounting} is not in the plan, which has mountings "
-                    f"0 to {len(settings.first_faces) - 1}"
-                )
-            step = find(row, position, face_at(settings, mounting, position))
-            observations.append(step.observed((_reading(row), 0.0, 0.0)))
-        return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
+def read(configuration: Configuration, table: Table, _targets: Path | None) -> PlannedMeasurements:
+    """Return the autocollimator's readings by table position and mounting, from 0.
+
+    DataError names file and row of what cannot be.
+    """
+    calibration, settings = prepare(configuration), configuration.plan
+    find, observations = StepFinder(calibration.plan), []
+    for row in table.rows():
+        position, mounting = row.index("position"), row.index("mounting")
+        if mounting >= len(settings.first_faces):
+            raise DataError(
+                f"{row.place}: mounting {mounting} is not in the plan, which has mountings "
+                f"0 to {len(settings.first_faces) - 1}"
+            )
+        step = find(row, position, face_at(settings, mounting, position))
+        observations.append(step.observed((_reading(row), 0.0, 0.0)))
+    return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
 
 
 def _reading(row: Row) -> float:

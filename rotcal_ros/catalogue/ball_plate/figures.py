@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.components import COVERAGE_FACTOR
@@ -144,7 +143,7 @@ def centre_tests(result: Result) -> str:
 
 
 def _draw_map(
-    ax: Axes,
+    ax: style.Axes,
     position: Ints,
     ball: Ints,
     values: Floats,

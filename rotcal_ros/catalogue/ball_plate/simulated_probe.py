@@ -11,8 +11,8 @@ from rotcal_ros.catalogue.ball_plate.simulation_settings import (
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
-from rotcal_ros.observations import Command, PointKind, ProbeSample, TracerSample
-from rotcal_ros.simulation.instrument import Table
+from rotcal_ros.observations import Command, PointKind, ProbeSample
+from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.motion import Limits, Motion
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.table import rotations
@@ -63,15 +63,12 @@ class MachineError:
         return error
 
 
-class SimulatedTouchProbe:
+class SimulatedTouchProbe(Instrument):
     """A probe that travels to the ball at the ordered place and touches its upper half.
 
     It touches whatever ball is nearest to the order, once table and probe are at rest. Touch k
     of the whole run depends on k and on the table, never on how time was cut.
     """
-
-    frame = "machine"
-    streams_lengths = False
 
     def __init__(
         self,
@@ -81,6 +78,7 @@ class SimulatedTouchProbe:
         seed: int,
         start_ns: int,
     ) -> None:
+        super().__init__(start_ns)
         self.settings = settings
         self._table, self._balls = table, plate_balls(plate, seed)
         self._reach = 0.5 * plate.ball_diameter_m + settings.tip_radius_m
@@ -90,15 +88,7 @@ class SimulatedTouchProbe:
         self._dirt = IndexedNoise(seed, Source.DIRT)
         self._from = self._place = settings.initial_position_m
         self._motion = Motion(start_ns, [0.0], self._limits)
-        self._pending: Command | None = None
-        self._touched = self._touches = self._sequence = 0
-        self.target = -1
-        self.rest_ns = start_ns
-
-    @property
-    def pending(self) -> Command | None:
-        """The order whose points have not all been reported yet."""
-        return self._pending
+        self._touched = self._touches = 0
 
     def order(self, now_ns: int, command: Command) -> None:
         """Go to the ball at the position of ``command`` and touch it."""
@@ -107,7 +97,7 @@ class SimulatedTouchProbe:
         self._motion = Motion(now_ns, lifted, self._limits)
         self.rest_ns = max(now_ns, self._motion.end_ns)
         self._from, self._place = self._place, command.position
-        self._pending, self.target, self._touched = command, command.target, 0
+        self.pending, self._touched = command, 0
 
     def positions(self, stamps: Stamps) -> Floats:
         """Return the nominal positions (n, 3) of the tip, m: up, across and down again."""
@@ -123,9 +113,9 @@ class SimulatedTouchProbe:
 
     def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
         """Return the points of the pending order that fall in ``after_ns`` < t <= ``now_ns``."""
-        if self._pending is None:
+        if self.pending is None:
             return ()
-        surface = self._pending.kind == PointKind.SURFACE
+        surface = self.pending.kind == PointKind.SURFACE
         count = self.settings.points_per_ball if surface else 1
         ready_ns = max(self.rest_ns, table_rest_ns) + _nanoseconds(self.settings.settling_time_s)
         samples = []
@@ -134,25 +124,14 @@ class SimulatedTouchProbe:
             stamp = max(stamp, after_ns + 1 + number - self._touched)
             if stamp > now_ns:
                 break
-            samples.append(self._sample(stamp, self._pending, number, count))
+            samples.append(self._sample(stamp, self.pending, number, count))
         self._touched += len(samples)
         if self._touched == count:
-            self._pending = None
+            self.pending = None
         return tuple(samples)
-
-    def lengths(self, _now_ns: int) -> tuple[TracerSample, ...]:
-        """Return nothing: only points are measured."""
-        return ()
-
-    def unasked(self, now_ns: int) -> ProbeSample:
-        """Return where the machine believes the tip to be, as a point of kind UNKNOWN."""
-        self._sequence += 1
-        x, y, z = self.positions(np.array([now_ns]))[0].tolist()
-        return _point(now_ns, self._sequence - 1, PointKind.UNKNOWN, (x, y, z))
 
     def _sample(self, stamp_ns: int, order: Command, number: int, count: int) -> ProbeSample:
         """Return one touch point, or the centre that the machine computes."""
-        self._sequence += 1
         self._touches += 1
         rotation, translation = self._table.poses(np.array([stamp_ns]))
         balls = self._balls @ rotation[0].T + translation[0]
@@ -165,34 +144,9 @@ class SimulatedTouchProbe:
             reach = self._reach + dirty * self.settings.dirt_um * MICROMETRE
             place = place + reach * upper_half(count)[number]
             tip = self.settings.tip_radius_m
-        x, y, z = (place + self._error(place[None])[0] + noise).tolist()
+        place = place + self._error(place[None])[0] + noise
         std = self.settings.noise_um * MICROMETRE
-        return _point(stamp_ns, self._sequence - 1, order.kind, (x, y, z), order, number, std, tip)
-
-
-def _point(
-    stamp_ns: int,
-    sequence: int,
-    kind: PointKind,
-    position: tuple[float, float, float],
-    order: Command | None = None,
-    number: int = 0,
-    std: float = 0.0,
-    tip_radius: float = 0.0,
-) -> ProbeSample:
-    return ProbeSample(
-        stamp_ns=stamp_ns,
-        sequence=sequence,
-        step=order.step if order else 0,
-        attempt=order.attempt if order else 0,
-        kind=kind,
-        target=order.target if order else 0,
-        station=0,
-        point=number,
-        position=position,
-        position_std=(std,) * 3,
-        tip_radius=tip_radius,
-    )
+        return self.point(stamp_ns, order, place, std, number, tip)
 
 
 def _nanoseconds(duration_s: float) -> int:

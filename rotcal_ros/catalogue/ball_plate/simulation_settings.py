@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from rotcal_ros.settings import group, setting
+from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.settings import SimulationSettings
-
-if TYPE_CHECKING:
-    from rotcal_ros.simulation.instrument import Instrument, Table
-    from rotcal_ros.simulation.temperature import SimulatedTemperature
+from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 TOUCH_PROBE: Final = "touch_probe"
 

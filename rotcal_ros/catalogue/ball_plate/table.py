@@ -14,35 +14,26 @@ from rotcal_ros.methods.ball_plate.plate import parse_plate
 from rotcal_ros.observations import PointKind
 from rotcal_ros.tables import Header, Table, hashes
 
-HEADER: Final = ("position", "ball_step", "x_m", "y_m", "z_m")
-OLD_HEADER: Final = ("table_index", "ball_step", "x_m", "y_m", "z_m")
+HEADERS: Final[tuple[Header, ...]] = (
+    ("position", "ball_step", "x_m", "y_m", "z_m"),
+    ("table_index", "ball_step", "x_m", "y_m", "z_m"),
+)
 SIGMA: Final = "sigma_centre_m"
 
 
-class BallPlateTable:
-    """Reads ball centres by table position and ball step."""
+def read(configuration: Configuration, table: Table, _targets: Path | None) -> PlannedMeasurements:
+    """Return ball centres by table position and ball step, numbered in the order of the rows.
 
-    headers: tuple[Header, ...] = (HEADER, OLD_HEADER)
-
-    def read(
-        self, configuration: Configuration, table: Table, _targets: Path | None
-    ) -> PlannedMeasurements:
-        """Return the observations, numbered in the order of the rows.
-
-        A plate that moved is looked for in the order of measurement, which is that of the rows.
-        """
-        calibration, position = prepare(configuration), table.header[0]
-        find = StepFinder(calibration.plan)
-        observations = tuple(
-            replace(
-                find(line, line.index(position), line.index("ball_step")).observed(
-                    line.point(), PointKind.CENTRE
-                ),
-                step=row,
-            )
-            for row, line in enumerate(table.rows())
-        )
-        return PlannedMeasurements(calibration, observations, hashes(table.path))
+    A plate that moved is looked for in the order of measurement, which is that of the rows.
+    """
+    calibration, position = prepare(configuration), table.header[0]
+    find = StepFinder(calibration.plan)
+    observations = []
+    for number, row in enumerate(table.rows()):
+        step = find(row, row.index(position), row.index("ball_step"))
+        observation = step.observed(row.point(), PointKind.CENTRE)
+        observations.append(replace(observation, step=number))
+    return PlannedMeasurements(calibration, tuple(observations), hashes(table.path))
 
 
 def short_setup(document: Mapping[str, Any], where: str) -> Mapping[str, Any]:

@@ -79,11 +79,7 @@ def in_place(reduced: Reduced, step: Step, settings: CaptureSettings) -> Reduced
 
 
 def _doubt(
-    points: Floats,
-    spheres: Spheres,
-    step: Step,
-    tip_radius: float,
-    settings: CaptureSettings,
+    points: Floats, spheres: Spheres, step: Step, tip_radius: float, settings: CaptureSettings
 ) -> str:
     """Say what speaks against a fitted ball; empty: nothing."""
     radius = 0.5 * step.ball_diameter

@@ -105,9 +105,7 @@ def _other_way(problem: PlaneMirrorProblem, way: Way) -> dict[str, Any]:
     }
 
 
-def _paired(
-    observations: Sequence[Observation],
-) -> tuple[list[Observation], list[str]]:
+def _paired(observations: Sequence[Observation]) -> tuple[list[Observation], list[str]]:
     """Return the observations without reflectors that lack one of their points, and the latter.
 
     Without any mirrored point there is no mirror, and every direct point stands for itself.

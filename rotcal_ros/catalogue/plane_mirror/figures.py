@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COVERAGE_FACTOR
@@ -154,7 +153,7 @@ def nest_residuals(details: Mapping[str, Any]) -> str:
 
 
 def _draw_points(
-    ax: Axes, points: Mapping[Any, Floats], marker: str, colour: str, label: str
+    ax: style.Axes, points: Mapping[Any, Floats], marker: str, colour: str, label: str
 ) -> None:
     ax.plot(*np.array(list(points.values())).T, marker, color=colour, markersize=7, label=label)
     for name, point in points.items():

@@ -11,29 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.geometry.rotations import rotation_about_z
 
 SPREAD: Final = 0.3
 """The reflectors of a position spread over this share of the mirror's shorter edge."""
-
-
-def mirror_frame(azimuth: float, lean: float) -> Floats:
-    """Return the columns u (sideways), v (upwards), n (out of the glass) of a mirror.
-
-    ``azimuth`` and ``lean`` are the direction of the normal: about +z, and above the horizontal.
-    """
-    ca, sa, cl, sl = np.cos(azimuth), np.sin(azimuth), np.cos(lean), np.sin(lean)
-    n = np.array([cl * ca, cl * sa, sl])
-    u = np.array([-sa, ca, 0.0])
-    return np.column_stack([u, np.cross(n, u), n])
-
-
-def turned_mirror(
-    angle: float, centre: ArrayLike, azimuth: float, lean: float
-) -> tuple[Floats, Floats]:
-    """Return the middle of the glass and the mirror's frame with the table at ``angle``."""
-    turn = rotation_about_z(angle)
-    return turn @ np.asarray(centre, dtype=np.float64), turn @ mirror_frame(azimuth, lean)
 
 
 def incidence(station: ArrayLike, centre: Floats, frame: Floats) -> float:

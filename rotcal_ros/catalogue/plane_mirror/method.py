@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.capture.points import mean_point, points
-from rotcal_ros.capture.rules import CaptureRules, Check
+from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.method import Method, See
-from rotcal_ros.catalogue.plane_mirror import calibration
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import FlatMirror, TrackerStation, image
+from rotcal_ros.catalogue.method import Method, See, TableReader
+from rotcal_ros.catalogue.plane_mirror import calibration, table
+from rotcal_ros.catalogue.plane_mirror.figures import figures
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import TrackerStation
 from rotcal_ros.catalogue.plane_mirror.plan import (
     MirrorPlanSettings,
     nominal_mirror,
@@ -21,43 +21,27 @@ from rotcal_ros.catalogue.plane_mirror.plan import (
 )
 from rotcal_ros.catalogue.plane_mirror.plausibility import TrackerCheck
 from rotcal_ros.catalogue.plane_mirror.simulation_settings import MirrorSimulationSettings
-from rotcal_ros.catalogue.plane_mirror.table import MirrorTable
-from rotcal_ros.figures import Figure
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
 from rotcal_ros.methods.plane_mirror.solve import METHOD as NAME
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.results import Result
 
 
 def nominal(configuration: Configuration, plan: Plan) -> See:
     """Return what a tracker sees that looks along +x at every station; the mirror is flat."""
     settings: MirrorPlanSettings = configuration.plan
     stations = [TrackerStation(s.place) for s in tracker_stands(settings, plan.table_angles)]
-    width, height = settings.mirror_size_m
-    mirror = FlatMirror(width=width, height=height)
+    mirror = nominal_mirror(settings)
 
     def see(step: Step) -> tuple[float, ...]:
         station, place = stations[step.station], np.array(step.position)
         if step.kind is PointKind.MIRRORED:
-            pose = nominal_mirror(settings, step.table_angle)
-            place = image(mirror, *pose, station, place, f"step {step.index}")
+            pose = mirror.pose(rotation_about_z(step.table_angle))
+            place = mirror.image(pose, station, place, f"step {step.index}")
         return tuple(station.seen(place).tolist())
 
     return see
-
-
-def figures(result: Result, truth: Mapping[str, Any] | None) -> Sequence[Figure]:
-    """Return the figures of a report."""
-    # Figures take a second to load, which a solution should not wait for.
-    from rotcal_ros.catalogue.plane_mirror.figures import figures as draw
-
-    return draw(result, truth)
-
-
-def checks(_plan: Plan) -> Sequence[Check]:
-    """Return what a point is held against."""
-    return (TrackerCheck(),)
 
 
 METHOD: Final = Method(
@@ -70,16 +54,13 @@ METHOD: Final = Method(
     simulation_settings=MirrorSimulationSettings,
     plan=plan,
     capture=CaptureRules(
-        {
-            kind: points(mean_point)
-            for kind in (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
-        },
-        checks,
+        {kind: points(mean_point) for kind in table.KINDS.values()},
+        lambda _plan: (TrackerCheck(),),
     ),
     solve=calibration.solve,
     trials=calibration.trials,
     check=calibration.check,
     nominal=nominal,
-    table=MirrorTable(),
+    table=TableReader((table.HEADER,), table.read),
     figures=figures,
 )

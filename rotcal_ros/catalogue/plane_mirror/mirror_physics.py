@@ -7,18 +7,22 @@ its origin at the head. The mirror has a size, leans, and is not quite flat.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.catalogue.plane_mirror.layout import mirror_frame, reflector_places
+from rotcal_ros.catalogue.plane_mirror.layout import reflector_places
 from rotcal_ros.errors import PlanError
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, TrackerNoise
 from rotcal_ros.observations import PointKind
 from rotcal_ros.units import DEGREE
+
+Pose = tuple[Floats, Floats]
+"""Middle of the glass (3,), and the columns u, v, n of the mirror's frame (3, 3)."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,42 @@ class FlatMirror:
 
     def frame(self) -> Floats:
         """Return the columns u (sideways), v (upwards), n (out of the glass) at angle 0."""
-        return mirror_frame(self.azimuth, self.lean)
+        ca, sa = np.cos(self.azimuth), np.sin(self.azimuth)
+        cl, sl = np.cos(self.lean), np.sin(self.lean)
+        n = np.array([cl * ca, cl * sa, sl])
+        u = np.array([-sa, ca, 0.0])
+        return np.column_stack([u, np.cross(n, u), n])
+
+    def pose(self, rotation: Floats, shift: Floats | float = 0.0) -> Pose:
+        """Return where the table holds the mirror at its own ``rotation`` and ``shift``."""
+        return rotation @ np.array(self.centre) + shift, rotation @ self.frame()
+
+    def image(self, pose: Pose, station: TrackerStation, place: Floats, where: str) -> Floats:
+        """Return the image (3,) of the reflector at ``place``, seen from ``station``; world frame.
+
+        It lies behind the plane that touches the glass, which is at ``pose``, at the spot which
+        the beam strikes. Raises PlanError, with ``where`` in its text, when the beam misses it.
+        """
+        (centre, frame), tracker = pose, np.array(station.place)
+        touch, normal = centre, frame[:, 2]
+        for _ in range(5):  # the spot moves by nanometres once the plane touches the glass
+            image = place - 2.0 * ((place - touch) @ normal) * normal
+            beam = image - tracker
+            spot = tracker + beam * (((touch - tracker) @ normal) / (beam @ normal))
+            u, v = (spot - centre) @ frame[:, :2] * 2.0 / np.array([self.width, self.height])
+            if abs(u) > 1.0 or abs(v) > 1.0 or beam @ normal >= 0.0:
+                raise PlanError(
+                    f"{where}: the beam misses the mirror (at {u:.2f}, {v:.2f} of its half "
+                    "edges); move the tracker or the reflector, or take a larger mirror"
+                )
+            height = self.sag * (u**2 + v**2) + self.twist * u * v
+            slope_u = (2.0 * self.sag * u + self.twist * v) * 2.0 / self.width
+            slope_v = (2.0 * self.sag * v + self.twist * u) * 2.0 / self.height
+            normal = frame @ np.array([-slope_u, -slope_v, 1.0])
+            normal = normal / np.linalg.norm(normal)
+            foot = centre + frame[:, :2] @ ((spot - centre) @ frame[:, :2])
+            touch = foot + height * frame[:, 2]
+        return image
 
 
 @dataclass(frozen=True)
@@ -76,31 +115,30 @@ class MirrorCell:
     reach: float = 1.5
 
 
-def paper_cell(
-    lean: float = 1.4 * DEGREE, reflectors: int = 1, radius: float = 2.0, **mirror: Any
-) -> MirrorCell:
+def paper_cell(reflectors: int = 1, **mirror: Any) -> MirrorCell:
     """Return the experiment of Muralikrishnan et al.: 17 positions, 6 stations, 6 nests.
 
     Stations see the positions 1-4, 4-7, 7-10, 10-13, 13-16 and 16-17 (counted from one).
     """
     visits = (*(tuple(range(s, s + 4)) for s in range(0, 15, 3)), (15, 16))
     angles = np.arange(17) * 2.0 * np.pi / 16
-    return ring_cell(angles, visits, 6, lean, reflectors, radius, **mirror)
+    return ring_cell(angles, visits, 6, reflectors, **mirror)
 
 
 def ring_cell(
     angles: Floats,
     visits: tuple[tuple[int, ...], ...],
     n_nests: int = 6,
-    lean: float = 1.4 * DEGREE,
     reflectors: int = 1,
-    radius: float = 2.0,
     **mirror: Any,
 ) -> MirrorCell:
-    """Return a cell whose stations stand on a circle, each facing the middle of its visits."""
+    """Return a cell whose stations stand 2 m from the axis, each facing the middle of its visits.
+
+    ``mirror`` are fields of :class:`FlatMirror`.
+    """
     middle = [float(np.mean(angles[list(visit)])) for visit in visits]
     stations = tuple(
-        TrackerStation((radius * np.cos(a), radius * np.sin(a), 0.35), heading=2.3 * a + 0.4)
+        TrackerStation((2.0 * np.cos(a), 2.0 * np.sin(a), 0.35), heading=2.3 * a + 0.4)
         for a in middle
     )
     around = np.arange(n_nests) * 2.0 * np.pi / n_nests + 0.3
@@ -108,7 +146,7 @@ def ring_cell(
     reach = 1.6 + 0.17 * (np.arange(n_nests) % 4)
     height = 0.1 + 0.45 * (np.arange(n_nests) % 3)
     nests = np.column_stack([reach * np.cos(around), reach * np.sin(around), height])
-    return MirrorCell(angles, stations, visits, nests, FlatMirror(lean=lean, **mirror), reflectors)
+    return MirrorCell(angles, stations, visits, nests, FlatMirror(**mirror), reflectors)
 
 
 def measure(
@@ -123,45 +161,34 @@ def measure(
     ``deviations`` (N, 6) are EXC, EYC, EZC (m), EAC, EBC, ECC (rad) of the table at each position.
     Without ``rng`` the points are exact. ``settings`` go to the problem.
     """
-    noise = noise if noise is not None else TrackerNoise()
-    rows: list[tuple[int, int, PointKind, int]] = []
-    points: list[Floats] = []
-    for s in range(len(cell.stations)):
-        for k in range(len(cell.nests)):
-            rows.append((-1, s, PointKind.NEST, k + 1))
-            points.append(look(cell, s, PointKind.NEST, k + 1))
-        for i in cell.visits[s]:
-            for k in range(cell.reflectors):
-                for kind in (PointKind.DIRECT, PointKind.MIRRORED):
-                    rows.append((i, s, kind, k + 1))
-                    points.append(look(cell, s, kind, k + 1, cell.angles[i], deviations[i]))
-    return _problem(cell.angles, rows, points, noise, rng, settings)
+
+    def see(s: int, i: int) -> Iterator[Seen]:
+        for k in range(1, cell.reflectors + 1):
+            for kind in (PointKind.DIRECT, PointKind.MIRRORED):
+                yield kind, k, look(cell, s, kind, k, cell.angles[i], deviations[i])
+
+    return _problem(cell, see, cell.nests, noise, rng, settings)
 
 
 def look(
-    cell: MirrorCell,
-    station: int,
-    kind: PointKind,
-    nest: int,
-    angle: float = 0.0,
-    deviation: Floats | None = None,
+    cell: MirrorCell, station: int, kind: PointKind, number: int, angle: float, deviation: Floats
 ) -> Floats:
-    """Return what the tracker sees (3,), in its own frame and without noise.
+    """Return where the tracker sees reflector ``number`` (from 1), in its own frame, no noise.
 
-    ``nest`` counts from 1. A NEST stands still; DIRECT and MIRRORED are the reflector that was put
-    up for the commanded table ``angle`` (rad), the table having its ``deviation`` (6,). Raises
-    PlanError when the beam misses the mirror.
+    The reflector was put up for the commanded table ``angle`` (rad), the table having its
+    ``deviation`` (6,). Raises PlanError when the beam misses the mirror.
     """
     stand = cell.stations[station]
-    if kind is PointKind.NEST:
-        return stand.seen(cell.nests[nest - 1])
-    place = _put_up(cell, stand, *_mirror_pose(cell, angle, np.zeros(6)))[nest - 1]
+    mirror = cell.mirror
+    there = mirror.pose(*table_pose(angle, np.zeros(6)))
+    edge = min(mirror.width, mirror.height)
+    place = reflector_places(stand.place, *there, cell.reflectors, cell.reach, edge)[number - 1]
     if kind is PointKind.DIRECT:
         return stand.seen(place)
-    actual = deviation if deviation is not None else np.zeros(6)
-    centre, frame = _mirror_pose(cell, angle, actual)
     where = f"table at {angle / DEGREE:g} deg, tracker station {station}"
-    return stand.seen(image(cell.mirror, centre, frame, stand, place, where))
+    return stand.seen(
+        mirror.image(mirror.pose(*table_pose(angle, deviation)), stand, place, where)
+    )
 
 
 def measure_direct(
@@ -176,19 +203,14 @@ def measure_direct(
 
     Every station measures its visits; for a full circle one station visits all positions.
     """
-    rows: list[tuple[int, int, PointKind, int]] = []
-    points: list[Floats] = []
-    for s, station in enumerate(cell.stations):
-        for k, nest in enumerate(cell.nests if len(cell.stations) > 1 else []):
-            rows.append((-1, s, PointKind.NEST, k + 1))
-            points.append(station.seen(nest))
-        for i in cell.visits[s]:
-            rotation, shift = table_pose(cell.angles[i], deviations[i])
-            for k, reflector in enumerate(reflectors):
-                rows.append((i, s, PointKind.DIRECT, k + 1))
-                points.append(station.seen(rotation @ reflector + shift))
-    noise = noise if noise is not None else TrackerNoise()
-    return _problem(cell.angles, rows, points, noise, rng, {"way": "direct", **settings})
+
+    def see(s: int, i: int) -> Iterator[Seen]:
+        rotation, shift = table_pose(cell.angles[i], deviations[i])
+        for k, reflector in enumerate(reflectors, start=1):
+            yield PointKind.DIRECT, k, cell.stations[s].seen(rotation @ reflector + shift)
+
+    nests = cell.nests if len(cell.stations) > 1 else cell.nests[:0]
+    return _problem(cell, see, nests, noise, rng, {"way": "direct", **settings})
 
 
 def add_noise(
@@ -207,63 +229,31 @@ def table_pose(angle: float, deviation: Floats) -> tuple[Floats, Floats]:
     return rotation_from_vector([deviation[3], deviation[4], 0.0]) @ turn, deviation[:3]
 
 
+Seen = tuple[PointKind, int, Floats]
+"""Kind and number of a point, and where the tracker sees it (3,)."""
+
+
 def _problem(
-    angles: Floats,
-    rows: list[tuple[int, int, PointKind, int]],
-    points: list[Floats],
-    noise: TrackerNoise,
+    cell: MirrorCell,
+    see: Callable[[int, int], Iterable[Seen]],
+    nests: Floats,
+    noise: TrackerNoise | None,
     rng: np.random.Generator | None,
     settings: dict[str, Any],
 ) -> PlaneMirrorProblem:
+    """Return all points: of each station the ``nests``, then what it sees at each position."""
+    noise = noise if noise is not None else TrackerNoise()
+    rows, points = [], []
+    for s, station in enumerate(cell.stations):
+        for k, nest in enumerate(nests, start=1):
+            rows.append((-1, s, PointKind.NEST, k))
+            points.append(station.seen(nest))
+        for i in cell.visits[s]:
+            for kind, k, point in see(s, i):
+                rows.append((i, s, kind, k))
+                points.append(point)
     xyz = np.array(points)
     if rng is not None:
         xyz = add_noise(xyz, noise, rng, 1)[0]
     position, station, kind, nest = np.array(rows, dtype=np.int64).T
-    return PlaneMirrorProblem(angles, position, station, kind, nest, xyz, noise, **settings)
-
-
-def _mirror_pose(cell: MirrorCell, angle: float, deviation: Floats) -> tuple[Floats, Floats]:
-    rotation, shift = table_pose(angle, deviation)
-    return rotation @ np.array(cell.mirror.centre) + shift, rotation @ cell.mirror.frame()
-
-
-def _put_up(cell: MirrorCell, station: TrackerStation, centre: Floats, frame: Floats) -> Floats:
-    """Places (K, 3) that the tracker sees near the middle of the mirror."""
-    edge = min(cell.mirror.width, cell.mirror.height)
-    return reflector_places(station.place, centre, frame, cell.reflectors, cell.reach, edge)
-
-
-def image(
-    mirror: FlatMirror,
-    centre: Floats,
-    frame: Floats,
-    station: TrackerStation,
-    place: Floats,
-    where: str,
-) -> Floats:
-    """Return the image (3,) of the reflector at ``place`` as seen from ``station``, world frame.
-
-    It lies behind the plane that touches the glass at the spot which the beam strikes. The
-    mirror's middle is at ``centre``, ``frame`` holds its columns u, v, n. Raises PlanError,
-    with ``where`` in its text, when the beam misses the mirror.
-    """
-    tracker = np.array(station.place)
-    touch, normal = centre, frame[:, 2]
-    for _ in range(5):  # the spot moves by nanometres once the plane touches the glass
-        image = place - 2.0 * ((place - touch) @ normal) * normal
-        beam = image - tracker
-        spot = tracker + beam * (((touch - tracker) @ normal) / (beam @ normal))
-        u, v = (spot - centre) @ frame[:, :2] * 2.0 / np.array([mirror.width, mirror.height])
-        if abs(u) > 1.0 or abs(v) > 1.0 or beam @ normal >= 0.0:
-            raise PlanError(
-                f"{where}: the beam misses the mirror (at {u:.2f}, {v:.2f} of its half edges); "
-                "move the tracker or the reflector, or take a larger mirror"
-            )
-        height = mirror.sag * (u**2 + v**2) + mirror.twist * u * v
-        slope_u = (2.0 * mirror.sag * u + mirror.twist * v) * 2.0 / mirror.width
-        slope_v = (2.0 * mirror.sag * v + mirror.twist * u) * 2.0 / mirror.height
-        normal = frame @ np.array([-slope_u, -slope_v, 1.0])
-        normal = normal / np.linalg.norm(normal)
-        foot = centre + frame[:, :2] @ ((spot - centre) @ frame[:, :2])
-        touch = foot + height * frame[:, 2]
-    return image
+    return PlaneMirrorProblem(cell.angles, position, station, kind, nest, xyz, noise, **settings)

@@ -6,16 +6,15 @@ share positions. Before each station a person moves the tracker.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.plane_mirror import layout
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import FlatMirror
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.plane_mirror.settings import DIRECT, INCIDENCE_LIMIT_DEG, STITCHING
@@ -197,13 +196,15 @@ def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
     return tuple((x, y, z) for x, y, z in rows)
 
 
-def nominal_mirror(settings: MirrorPlanSettings, angle: float) -> tuple[Floats, Floats]:
-    """Return the middle of the glass and the mirror's frame with the table at ``angle`` (rad)."""
-    return layout.turned_mirror(
-        angle,
-        settings.mirror_centre_m,
-        settings.mirror_azimuth_deg * DEGREE,
-        settings.mirror_lean_deg * DEGREE,
+def nominal_mirror(settings: MirrorPlanSettings) -> FlatMirror:
+    """Return the mirror as the plan has it."""
+    width, height = settings.mirror_size_m
+    return FlatMirror(
+        centre=settings.mirror_centre_m,
+        azimuth=settings.mirror_azimuth_deg * DEGREE,
+        lean=settings.mirror_lean_deg * DEGREE,
+        width=width,
+        height=height,
     )
 
 
@@ -215,24 +216,18 @@ def _steps_of(
     settings: MirrorPlanSettings, angles: tuple[float, ...], stand: Stand, nests: tuple[Point, ...]
 ) -> list[Row]:
     """Return what is measured from one station: the nests, then position by position."""
-    first = stand.visit[0]
+    mirrored = [PointKind.MIRRORED] if settings.carries == MIRROR else []
     rows: list[Row] = [
-        (stand.number, first, PointKind.NEST, number, place)
+        (stand.number, stand.visit[0], PointKind.NEST, number, place)
         for number, place in enumerate(nests, start=1)
     ]
     for position in stand.visit:
         rows += [
             (stand.number, position, kind, number, place)
             for number, place in enumerate(_reflectors(settings, angles[position], stand), start=1)
-            for kind in _kinds(settings)
+            for kind in (PointKind.DIRECT, *mirrored)
         ]
     return rows
-
-
-def _kinds(settings: MirrorPlanSettings) -> Iterator[PointKind]:
-    yield PointKind.DIRECT
-    if settings.carries == MIRROR:
-        yield PointKind.MIRRORED
 
 
 def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tuple[Point, ...]:
@@ -240,7 +235,7 @@ def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tup
     if settings.carries == MIRROR:
         places = layout.reflector_places(
             stand.place,
-            *nominal_mirror(settings, angle),
+            *nominal_mirror(settings).pose(rotation_about_z(angle)),
             count=settings.reflectors,
             reach=settings.reflector_reach_m,
             edge=min(settings.mirror_size_m),
@@ -260,8 +255,8 @@ def _check_incidence(
 ) -> None:
     limit = settings.incidence_limit_deg
     for position in stand.visit:
-        centre, frame = nominal_mirror(settings, angles[position])
-        found = layout.incidence(stand.place, centre, frame) / DEGREE
+        pose = nominal_mirror(settings).pose(rotation_about_z(angles[position]))
+        found = layout.incidence(stand.place, *pose) / DEGREE
         if found > limit:
             raise PlanError(
                 f"plan: from tracker station {stand.number} the beam would strike the mirror at "

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.plane_mirror.layout import on_circle
-from rotcal_ros.catalogue.plane_mirror.mirror_physics import FlatMirror, TrackerStation, image
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import FlatMirror, TrackerStation
 from rotcal_ros.catalogue.plane_mirror.simulation_settings import (
     SimulatedMirrorSettings,
     TrackerSettings,
@@ -16,13 +16,13 @@ from rotcal_ros.catalogue.plane_mirror.simulation_settings import (
 from rotcal_ros.errors import PlanError
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.plane_mirror.problem import TrackerNoise
-from rotcal_ros.observations import Approach, Command, PointKind, ProbeSample, TracerSample
-from rotcal_ros.simulation.instrument import Table
+from rotcal_ros.observations import Command, PointKind, ProbeSample
+from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.units import DEGREE, MICROMETRE, MILLIMETRE, NANOSECOND
 
 
-class SimulatedTracker:
+class SimulatedTracker(Instrument):
     """A laser tracker and the person who moves it, its nests and its reflectors.
 
     The person puts everything up a little beside the plan: the tracker at each station, each nest
@@ -31,7 +31,6 @@ class SimulatedTracker:
     """
 
     frame = "tracker"
-    streams_lengths = False
 
     def __init__(
         self,
@@ -41,6 +40,7 @@ class SimulatedTracker:
         seed: int,
         start_ns: int,
     ) -> None:
+        super().__init__(start_ns)
         self.settings, self._table = settings, table
         self._mirror = _flat_mirror(mirror)
         self._noise = TrackerNoise(
@@ -53,29 +53,22 @@ class SimulatedTracker:
         self._stand_noise = IndexedNoise(seed, Source.STAND)
         self._nest_noise = IndexedNoise(seed, Source.NEST)
         self._reflector_noise = IndexedNoise(seed, Source.REFLECTOR)
-        self._pending: Command | None = None
         self._put_up: Command | None = None
-        self._arrivals = self._points = self._sequence = 0
-        self.rest_ns = start_ns
-
-    @property
-    def pending(self) -> Command | None:
-        """The order whose point has not been reported yet."""
-        return self._pending
+        self._arrivals = self._points = 0
 
     def order(self, now_ns: int, command: Command) -> None:
         """Put the reflector where ``command`` says and measure it."""
         if command.kind != PointKind.NEST and not _same_place(self._put_up, command):
             self._put_up = command
             self._arrivals += 1
-        self._pending, self.rest_ns = command, now_ns
+        self.pending, self.rest_ns = command, now_ns
 
     def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
         """Return the point of the pending order when it falls in ``after_ns`` < t <= ``now_ns``.
 
         The point is measured ``measure_time_s`` after the table came to rest.
         """
-        command = self._pending
+        command = self.pending
         if command is None:
             return ()
         duration = round(self.settings.measure_time_s / NANOSECOND)
@@ -83,17 +76,8 @@ class SimulatedTracker:
         if stamp > now_ns:
             return ()
         sample = self._sample(stamp, command)
-        self._pending = None
+        self.pending = None
         return (sample,)
-
-    def lengths(self, _now_ns: int) -> tuple[TracerSample, ...]:
-        """Return nothing: only points are measured."""
-        return ()
-
-    def unasked(self, now_ns: int) -> ProbeSample:
-        """Return a point of kind UNKNOWN: the tracker's home position, its own origin."""
-        home = Command(0, 0, 0.0, Approach.UNKNOWN, PointKind.UNKNOWN, 0, (0.0, 0.0, 0.0))
-        return self._as_sample(now_ns, home, np.zeros(3), np.zeros(3))
 
     def station(self, number: int) -> TrackerStation:
         """Return where the person put the tracker for station ``number``, and turned how."""
@@ -113,12 +97,12 @@ class SimulatedTracker:
             place = self._image(stand, place, stamp_ns)
         seen = stand.seen(place)
         if not np.all(np.isfinite(seen)):
-            return self._as_sample(stamp_ns, command, seen, np.zeros(3))
+            return self.point(stamp_ns, command, seen, 0.0)
         covariance = self._noise.covariance(seen)
         normal = self._point_noise.normal(3 * self._points, 3)
         self._points += 1
         measured = seen + np.linalg.cholesky(covariance) @ normal
-        return self._as_sample(stamp_ns, command, measured, np.sqrt(np.diag(covariance)))
+        return self.point(stamp_ns, command, measured, np.sqrt(np.diag(covariance)))
 
     def _place(self, command: Command, stamp_ns: int) -> Floats:
         """Return where the reflector of an order really is, machine frame."""
@@ -148,33 +132,11 @@ class SimulatedTracker:
     def _image(self, stand: TrackerStation, place: Floats, stamp_ns: int) -> Floats:
         """Return the image of a reflector in the mirror as the table holds it at ``stamp_ns``."""
         rotation, shift = self._table.poses(np.array([stamp_ns]))
-        centre = rotation[0] @ np.array(self._mirror.centre) + shift[0]
+        pose = self._mirror.pose(rotation[0], shift[0])
         try:
-            return image(
-                self._mirror, centre, rotation[0] @ self._mirror.frame(), stand, place, ""
-            )
+            return self._mirror.image(pose, stand, place, "")
         except PlanError:
             return np.full(3, np.nan)
-
-    def _as_sample(
-        self, stamp_ns: int, command: Command, position: Floats, std: Floats
-    ) -> ProbeSample:
-        x, y, z = position.tolist()
-        sx, sy, sz = std.tolist()
-        self._sequence += 1
-        return ProbeSample(
-            stamp_ns=stamp_ns,
-            sequence=self._sequence - 1,
-            step=command.step,
-            attempt=command.attempt,
-            kind=command.kind,
-            target=command.target,
-            station=command.station,
-            point=0,
-            position=(x, y, z),
-            position_std=(sx, sy, sz),
-            tip_radius=0.0,
-        )
 
 
 def _flat_mirror(settings: SimulatedMirrorSettings) -> FlatMirror:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -45,7 +45,7 @@ def trials(
     if _interrupted(observations):
         prepared = adjust_joined(_runs(configuration, plan, observations)).trials
     else:
-        prepared = tracer.tracer_trials(_configured_problem(configuration, plan, observations))
+        prepared = tracer.tracer_trials(problem(configuration, plan, observations))
     arrivals = _arrivals(configuration)
     if arrivals is None:
         return prepared
@@ -67,7 +67,7 @@ def _solved(
     if _interrupted(observations):
         joined = adjust_joined(_runs(configuration, plan, observations))
         return joined.result(), joined.solution.positions
-    solution = adjust(_configured_problem(configuration, plan, observations))
+    solution = adjust(problem(configuration, plan, observations))
     return result_of(solution), solution.positions
 
 
@@ -84,13 +84,6 @@ class RepeatedTrials:
         values = self.arrivals(rng, count)
         values = values + self.repeatability_std * rng.standard_normal(values.shape)
         return np.asarray(values @ self.mean.T, dtype=np.float64)
-
-
-def _configured_problem(
-    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> TracerProblem:
-    posed = problem(configuration.solver, plan, observations)
-    return replace(posed, repeated_runs=configuration.plan.repeated)
 
 
 def _arrivals(configuration: Configuration) -> Arrivals | None:
@@ -119,14 +112,14 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
         else:
             row_of[o.step] = len(kept)
             kept.append(o)
-    posed = _configured_problem(configuration, plan, kept)
+    posed = problem(configuration, plan, kept)
     place = posed.targets[posed.target]
     run = np.array([o.run for o in kept], dtype=np.int64)
     pairs = []
     for number in np.unique(run)[1:].tolist():
         again = repeated.get(number, [])
         row = np.array([row_of[o.step] for o in again], dtype=np.int64)
-        twin = _configured_problem(configuration, plan, again) if again else posed
+        twin = problem(configuration, plan, again) if again else posed
         pairs.append(
             Pairs(
                 run=number,
@@ -140,7 +133,7 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
 
 
 def problem(
-    settings: TracerSolverSettings, plan: Plan, observations: Sequence[Observation]
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> TracerProblem:
     """Return the problem that observations of a plan pose.
 
@@ -151,6 +144,7 @@ def problem(
 
     Raises DataError when an observation does not fit the plan.
     """
+    settings: TracerSolverSettings = configuration.solver
     for o in observations:
         if not (o.table_index < len(plan.table_angles) and o.target < len(plan.targets)):
             raise DataError(
@@ -175,6 +169,7 @@ def problem(
         datum=settings.datum,
         error_motion_std=settings.error_motion_std_m,
         settings=settings,
+        repeated_runs=configuration.plan.repeated,
     )
 
 

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from math import dist
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.capture.length import decide_length
-from rotcal_ros.capture.rules import CaptureRules, Check
+from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.method import Method, See
-from rotcal_ros.catalogue.tracer import calibration
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, plan
+from rotcal_ros.catalogue.method import Method, See, TableReader
+from rotcal_ros.catalogue.tracer import calibration, table
+from rotcal_ros.catalogue.tracer.figures import figures
+from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
 from rotcal_ros.catalogue.tracer.plausibility import LengthCheck
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
-from rotcal_ros.catalogue.tracer.table import TracerTable
-from rotcal_ros.figures import Figure
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD as NAME
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Step
-from rotcal_ros.results import Result
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
@@ -37,19 +34,6 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
     return see
 
 
-def figures(result: Result, truth: Mapping[str, Any] | None) -> Sequence[Figure]:
-    """Return the figures of a report."""
-    # Figures take a second to load, which a solution should not wait for.
-    from rotcal_ros.catalogue.tracer.figures import figures as draw
-
-    return draw(result, truth)
-
-
-def checks(plan: Plan) -> Sequence[Check]:
-    """Return what a length is held against."""
-    return (LengthCheck(plan),)
-
-
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracer, multi-station",
@@ -58,12 +42,12 @@ METHOD: Final = Method(
     plan_settings=TracerPlanSettings,
     solver_settings=TracerSolverSettings,
     simulation_settings=TracerSimulationSettings,
-    plan=plan,
-    capture=CaptureRules({PointKind.REFLECTOR: decide_length}, checks),
+    plan=lambda configuration: tracer_plan(configuration.plan),
+    capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=calibration.solve,
     joins_runs=True,
     trials=calibration.trials,
     nominal=nominal,
-    table=TracerTable(),
+    table=TableReader(table.HEADERS, table.read),
     figures=figures,
 )

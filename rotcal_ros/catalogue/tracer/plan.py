@@ -7,15 +7,15 @@ each station.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
-from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer.solve import METHOD
-from rotcal_ros.observations import PointKind
+from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.visits import visits
@@ -59,11 +59,6 @@ class TracerPlanSettings(TableAngleSettings):
         return self.runs > 1 or self.bidirectional
 
 
-def plan(configuration: Configuration) -> Plan:
-    """Return the plan of a laser-tracer configuration."""
-    return tracer_plan(configuration.plan)
-
-
 def tracer_plan(settings: TracerPlanSettings) -> Plan:
     """Return the plan of one laser-tracer calibration.
 
@@ -79,23 +74,33 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     angles = table_angles(settings)
     arrivals = visits(len(angles), settings.runs, settings.bidirectional)
     targets = block_of_targets(settings)
-    pairs = product(range(len(targets)), range(len(arrivals)))
+    every = tuple(angles[visit.target] for visit in arrivals)
+    plan = plan_of(every, targets, [visit.approach for visit in arrivals])
     if settings.order == TARGETS_PER_STATION:
-        pairs = ((t, a) for a, t in product(range(len(arrivals)), range(len(targets))))  # type: ignore[assignment]
+        return plan
+    in_order = sorted(plan.steps, key=lambda step: step.target)
+    steps = tuple(replace(step, index=number) for number, step in enumerate(in_order))
+    return replace(plan, steps=steps)
+
+
+def plan_of(
+    table_angles: tuple[float, ...], targets: tuple[Point, ...], approaches: Sequence[Approach]
+) -> Plan:
+    """Return the plan that measures every target at each table angle, which is an arrival."""
+    pairs = product(range(len(table_angles)), range(len(targets)))
     steps = tuple(
         Step(
             index=number,
             table_index=arrival,
-            table_angle=angles[arrivals[arrival].target],
-            approach=arrivals[arrival].approach,
+            table_angle=table_angles[arrival],
+            approach=approaches[arrival],
             kind=PointKind.REFLECTOR,
             target=target,
             position=targets[target],
         )
-        for number, (target, arrival) in enumerate(pairs)
+        for number, (arrival, target) in enumerate(pairs)
     )
-    every = tuple(angles[visit.target] for visit in arrivals)
-    return Plan(method=METHOD, table_angles=every, targets=targets, steps=steps)
+    return Plan(METHOD, table_angles, targets, steps)
 
 
 def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:

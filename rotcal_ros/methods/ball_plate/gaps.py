@@ -9,7 +9,8 @@ covariances. Works for any grid, where the general solution would not fit into m
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.model import FIELDS, Parameters, Solution
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, on_circle
 from rotcal_ros.methods.ball_plate.spectral import solve_spectral
 
 DETERMINED = 1e-7
@@ -49,9 +50,9 @@ def solve_with_gaps(problem: BallPlateProblem, gaps: Ints) -> Solution:
     return Solution(
         estimate=final.estimate,
         unit_std=_corrected_std(start.unit_std, estimates, inverse),
-        unit_covariance=_GapCovariance(start, estimates, inverse),
+        unit_covariance=partial(_table_covariance, start, estimates, inverse),
         residuals=residuals,
-        cofactor=_GapCofactor(start, measured, _moved(responses, measured), inverse),
+        cofactor=partial(_cofactor, start, measured, _moved(responses, measured), inverse),
         weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
         dof=model.degrees_of_freedom(problem),
         way="spectral with gaps",
@@ -69,8 +70,7 @@ def residual_operator(problem: BallPlateProblem, gaps: Ints) -> Callable[[Floats
         centres = nominal.copy()
         centres[measured] += observed
         start = solve_spectral(replace(complete, centres=centres)).residuals
-        left: Floats = start[measured] - moved @ (inverse @ start[gaps].ravel())
-        return left
+        return start[measured] - moved @ (inverse @ start[gaps].ravel())
 
     return residuals
 
@@ -98,8 +98,7 @@ def _complete(problem: BallPlateProblem, gaps: Ints) -> tuple[BallPlateProblem, 
     grid, n_balls = problem.grid, len(problem.balls)
     measured = np.setdiff1d(np.arange(n_balls * grid), gaps)
     table, ball = np.tile(np.arange(grid), n_balls), np.repeat(problem.balls, grid)
-    angle = problem.angles[(table + ball) % grid]
-    centres = problem.radius * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    centres = problem.radius * on_circle(problem.angles[(table + ball) % grid])
     centres[measured] = problem.centres
     return BallPlateProblem(grid, problem.radius, table, ball, centres), measured
 
@@ -111,47 +110,28 @@ def _response(complete: BallPlateProblem, cell: int, axis: int) -> Solution:
     return solve_spectral(replace(complete, centres=centres))
 
 
-def _added(first: Floats, second: Floats, inverse: Floats) -> Floats:
-    """Variance that the gaps add: columns (..., 3m) of the responses through the inverse."""
-    added: Floats = np.einsum("...i,ij,...j->...", first, inverse, second)
-    return added
-
-
 def _corrected_std(
     std: Parameters, responses: tuple[Parameters, ...], inverse: Floats
 ) -> Parameters:
     fields = {}
     for name in FIELDS:
         columns = np.stack([getattr(response, name) for response in responses], axis=-1)
-        fields[name] = np.sqrt(getattr(std, name) ** 2 + _added(columns, columns, inverse))
+        added = np.einsum("...i,ij,...j->...", columns, inverse, columns)
+        fields[name] = np.sqrt(getattr(std, name) ** 2 + added)
     return Parameters(**fields)
 
 
-@dataclass(frozen=True)
-class _GapCovariance:
-    """Unit covariance of two components: that of complete data and what the gaps add."""
-
-    start: Solution
-    responses: tuple[Parameters, ...]
-    inverse: Floats
-
-    def __call__(self, first: str, second: str) -> Floats:
-        columns = np.stack([response.component(first) for response in self.responses], axis=1)
-        others = np.stack([response.component(second) for response in self.responses], axis=1)
-        added: Floats = columns @ self.inverse @ others.T
-        return self.start.unit_covariance(first, second) + added
+def _table_covariance(
+    start: Solution, responses: tuple[Parameters, ...], inverse: Floats, first: str, second: str
+) -> Floats:
+    """Return the unit covariance of two components, with what the gaps add."""
+    columns = np.stack([response.component(first) for response in responses], axis=1)
+    others = np.stack([response.component(second) for response in responses], axis=1)
+    added: Floats = columns @ inverse @ others.T
+    return start.unit_covariance(first, second) + added
 
 
-@dataclass(frozen=True)
-class _GapCofactor:
-    """Unit covariance of the residuals: that of complete data less what the gaps take."""
-
-    start: Solution
-    measured: Ints
-    moved: Floats
-    inverse: Floats
-
-    def __call__(self) -> Floats:
-        taken = self.moved @ self.inverse @ self.moved.swapaxes(1, 2)
-        cofactor: Floats = self.start.cofactor()[self.measured] - taken
-        return cofactor
+def _cofactor(start: Solution, measured: Ints, moved: Floats, inverse: Floats) -> Floats:
+    """Return the unit covariance of the residuals, less what the gaps take."""
+    taken: Floats = moved @ inverse @ moved.swapaxes(1, 2)
+    return start.cofactor()[measured] - taken

@@ -108,6 +108,7 @@ class _Eliminated:
         self.table = self.local[:, :, 6:12]
         self.rest = np.concatenate([self.local[:, :, :6], self.local[:, :, 12:]], axis=2)
         self.rest_columns, self.rest_index = _rest_columns(self.at, self.columns)
+        self.table_index = _table_columns(self.at)
         self._eliminate()
 
     def _eliminate(self) -> None:
@@ -142,7 +143,7 @@ class _Eliminated:
         own = (self.own_inverse @ table[:, :, None]).ravel() - self.back @ unknown
         vector = np.empty(self.at.total)
         vector[self.rest_index] = unknown
-        vector[_table_columns(self.at)] = own
+        vector[self.table_index] = own
         return vector
 
     def covariance(self) -> Floats:
@@ -155,11 +156,10 @@ class _Eliminated:
         every = np.arange(grid)
         blocks[every, :, every, :] += self.own_inverse
         covariance = np.empty((self.at.total,) * 2)
-        table = _table_columns(self.at)
         covariance[np.ix_(self.rest_index, self.rest_index)] = rest
-        covariance[np.ix_(table, self.rest_index)] = mixed
-        covariance[np.ix_(self.rest_index, table)] = mixed.T
-        covariance[np.ix_(table, table)] = own
+        covariance[np.ix_(self.table_index, self.rest_index)] = mixed
+        covariance[np.ix_(self.rest_index, self.table_index)] = mixed.T
+        covariance[np.ix_(self.table_index, self.table_index)] = own
         covariance *= self.unit
         return covariance
 
@@ -201,8 +201,7 @@ def _to_constraints(problem: BallPlateProblem, invisible: Floats) -> Floats:
     """Return the projector (P, P) along the invisible directions onto the constraints."""
     constraints = model.constraint_matrix(problem)
     step = np.linalg.solve(constraints @ invisible, constraints)
-    projector: Floats = np.eye(len(invisible)) - invisible @ step
-    return projector
+    return np.eye(len(invisible)) - invisible @ step
 
 
 def _check(problem: BallPlateProblem) -> None:

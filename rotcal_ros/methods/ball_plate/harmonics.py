@@ -190,12 +190,6 @@ def _fitted(system: Harmonics, table: Complexes) -> Complexes:
     return fitted
 
 
-def centred_design(system: Harmonics) -> Complexes:
-    """Return the table's design (2, Q, R, 2, 3) at the CMM, its mean over the balls taken off."""
-    centred: Complexes = design(system.phase) - system.mean[:, :, None]
-    return centred
-
-
 def cmm_covariance(system: Harmonics) -> tuple[Complexes, Floats]:
     """Return the unit covariance of the CMM's unknowns at lag 0, (2, 2, 2), and of the pose.
 
@@ -247,16 +241,14 @@ def to_sequences(plus: Complexes, minus: Complexes, axial: Complexes, grid: int)
     full[:n_plane, 1:last], backward[:n_plane] = plus, minus.conj()
     full[:n_plane] *= 1.0 / ROOT_HALF
     full[n_plane:, 1:last], backward[n_plane:] = axial, axial.conj()
-    sequences: Complexes = np.fft.ifft(full, axis=1)
-    return sequences
+    return np.fft.ifft(full, axis=1)
 
 
 def to_time(coefficients: Complexes, grid: int) -> Floats:
     """Return the real sequences (N, ...) of zero mean with the coefficients (Q, ...), q >= 1."""
     padded = np.zeros((len(coefficients) + 1, *coefficients.shape[1:]), dtype=np.complex128)
     padded[1:] = coefficients
-    sequences: Floats = np.fft.irfft(padded, n=grid, axis=0)
-    return sequences
+    return np.fft.irfft(padded, n=grid, axis=0)
 
 
 def zero_lag(spectrum: Complexes, grid: int) -> Complexes:

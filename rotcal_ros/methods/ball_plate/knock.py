@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.estimate import residual_operator
 from rotcal_ros.methods.ball_plate.model import Solution
@@ -88,7 +89,7 @@ def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
 
 def _motion_design(problem: BallPlateProblem) -> Floats:
     """Return (n, 3, 6): displacement of a centre per unit shift, and rotation times radius."""
-    turn = model.rotations(problem.angles)[problem.position]
+    turn = rotation_about_z(problem.angles)[problem.position]
     cross = model.cross_unit(problem.angles[problem.ball_step])
     return np.concatenate([turn, turn @ cross], axis=2)
 
@@ -105,7 +106,8 @@ def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
     starts = np.arange(1, len(later))
     share = information[starts] @ np.linalg.pinv(total)
     spread = information[starts] @ (np.eye(6) - share.swapaxes(1, 2)) + 1e-9 * total
-    bound = np.einsum("nj,nj->n", later[starts], _solve(spread, later[starts]))
+    amount = np.linalg.solve(spread, later[starts][:, :, None])[:, :, 0]
+    bound = np.einsum("nj,nj->n", later[starts], amount)
     chosen: list[int] = []
     for index in np.argsort(-bound, kind="stable"):
         if all(abs(int(starts[index]) - other) > 0.01 * len(later) for other in chosen):
@@ -113,11 +115,6 @@ def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
         if len(chosen) == CANDIDATES:
             break
     return chosen
-
-
-def _solve(matrices: Floats, vectors: Floats) -> Floats:
-    solved = np.linalg.solve(matrices, vectors[:, :, None])[:, :, 0]
-    return np.asarray(solved, dtype=np.float64)
 
 
 def _fit_motion(

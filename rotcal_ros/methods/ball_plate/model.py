@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, on_circle
 
 N_CONSTRAINTS = 19
 FIELDS = ("plate", "cmm", "rotation", "translation", "axis_rotation", "axis_shift")
@@ -83,24 +84,9 @@ def degrees_of_freedom(problem: BallPlateProblem) -> int:
     return 3 * len(problem.centres) - unknowns + N_CONSTRAINTS
 
 
-def rotations(angles: Floats) -> Floats:
-    """Return the rotation matrices about z, (n, 3, 3) (Eq. 4)."""
-    matrices = np.zeros((len(angles), 3, 3))
-    matrices[:, 0, 0] = matrices[:, 1, 1] = np.cos(angles)
-    matrices[:, 1, 0] = np.sin(angles)
-    matrices[:, 0, 1] = -matrices[:, 1, 0]
-    matrices[:, 2, 2] = 1.0
-    return matrices
-
-
 def cross_unit(angles: Floats) -> Floats:
     """Return the matrices C with C w = w x (cos, sin, 0), (n, 3, 3)."""
-    matrices = np.zeros((len(angles), 3, 3))
-    matrices[:, 0, 2] = -np.sin(angles)
-    matrices[:, 1, 2] = np.cos(angles)
-    matrices[:, 2, 0] = np.sin(angles)
-    matrices[:, 2, 1] = -np.cos(angles)
-    return matrices
+    return cross_matrix(-on_circle(angles))
 
 
 @dataclass(frozen=True)
@@ -127,7 +113,7 @@ def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
     """Return the 18 non-zero columns of every row: (n, 3, 18) coefficients, (n, 18) indices."""
     at = offsets(problem)
     n = len(problem.centres)
-    turn = rotations(problem.angles)[problem.position]
+    turn = rotation_about_z(problem.angles)[problem.position]
     cross = cross_unit(problem.angles)[problem.cmm_index]
     identity = np.broadcast_to(np.eye(3), (n, 3, 3))
     coefficients = np.concatenate([turn, identity, cross, identity, cross, identity], axis=2)
@@ -146,23 +132,31 @@ def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
     return coefficients, columns
 
 
+def design_matrix(problem: BallPlateProblem) -> Floats:
+    """Return T (3n, P) of Eq. 14; rows in the order of the centres, x, y, z of each."""
+    coefficients, columns = local_design(problem)
+    n = len(problem.centres)
+    matrix = np.zeros((n, 3, offsets(problem).total))
+    # a centre touches every column at most once, so plain assignment is enough
+    np.put_along_axis(matrix, np.repeat(columns[:, None, :], 3, axis=1), coefficients, axis=2)
+    return matrix.reshape(3 * n, -1)
+
+
 def constraint_matrix(problem: BallPlateProblem) -> Floats:
     """Return G (19, P) of the constraints G xi = 0 (Eq. 15 to 19)."""
     at = offsets(problem)
     angles = problem.angles
     matrix = np.zeros((N_CONSTRAINTS, at.total))
     identity = np.eye(3)
-    cross = cross_unit(angles[problem.cmm_positions])
     across = angles[problem.cmm_positions]
-    radial = np.stack([np.cos(across), np.sin(across), np.zeros_like(across)], axis=1)
-    back = rotations(angles).transpose(0, 2, 1)
-    ball = rotations(angles[problem.balls])
+    back = rotation_about_z(angles).transpose(0, 2, 1)
+    ball = rotation_about_z(angles[problem.balls])
     cmm = slice(at.cmm, at.rotation)
     rotation = slice(at.rotation, at.translation)
     translation = slice(at.translation, at.axis_rotation)
     matrix[0:3, cmm] = np.tile(identity, len(problem.cmm_positions))  # Eq. 15, left
-    matrix[3:6, cmm] = -np.hstack(list(cross))  # Eq. 15, right
-    matrix[6, cmm] = radial.ravel()  # Eq. 16
+    matrix[3:6, cmm] = -np.hstack(list(cross_unit(across)))  # Eq. 15, right
+    matrix[6, cmm] = on_circle(across).ravel()  # Eq. 16
     matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, problem.grid)  # Eq. 17
     matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
     matrix[17, : at.cmm] = ball[:, :, 1].ravel()  # Eq. 19, tangential
@@ -180,7 +174,7 @@ def null_space(problem: BallPlateProblem) -> Floats:
     at = offsets(problem)
     space = np.zeros((at.total, N_CONSTRAINTS))
     identity = np.eye(3)
-    turn = rotations(problem.angles).reshape(-1, 3)
+    turn = rotation_about_z(problem.angles).reshape(-1, 3)
     all_cmm = np.tile(identity, (len(problem.cmm_positions), 1))
     ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.cmm_positions]
     cross_ball = cross_unit(ball_angles).reshape(-1, 3)
@@ -193,8 +187,8 @@ def null_space(problem: BallPlateProblem) -> Floats:
     space[rotation, 9:12], space[cmm, 9:12] = np.tile(identity, (problem.grid, 1)), -cross_cmm
     space[at.axis_shift :, 12:15], space[cmm, 12:15] = identity, -all_cmm
     space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = identity, -cross_cmm
-    space[plate, 18] = -rotations(ball_angles)[:, :, 0].ravel()
-    space[cmm, 18] = rotations(cmm_angles)[:, :, 0].ravel()
+    space[plate, 18] = -rotation_about_z(ball_angles)[:, :, 0].ravel()
+    space[cmm, 18] = rotation_about_z(cmm_angles)[:, :, 0].ravel()
     return space
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.methods.ball_plate.problem import grid_angles
+from rotcal_ros.methods.ball_plate.problem import grid_angles, on_circle
 from rotcal_ros.settings import load, setting
 
 
@@ -36,10 +36,7 @@ class Plate:
     @property
     def places(self) -> Floats:
         """Nominal places (grid, 3) of all steps at table position 0, metres."""
-        angle = grid_angles(self.grid)
-        return self.circle_radius_m * np.column_stack(
-            [np.cos(angle), np.sin(angle), np.zeros_like(angle)]
-        )
+        return self.circle_radius_m * on_circle(grid_angles(self.grid))
 
 
 def parse_plate(entries: Mapping[str, Any], where: str) -> Plate:

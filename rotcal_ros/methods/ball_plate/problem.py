@@ -93,10 +93,14 @@ class BallPlateProblem:
     @cached_property
     def deviations(self) -> Floats:
         """Measured minus nominal centres m - p_k, metres, (n, 3)."""
-        angle = self.angles[self.cmm_index]
-        nominal = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
-        deviations: Floats = self.centres - self.radius * nominal
-        return deviations
+        return self.centres - self.radius * on_circle(self.angles[self.cmm_index])
+
+    def row_name(self, r: int | np.integer) -> str:
+        """Return what a row is, for messages."""
+        return (
+            f"row {self.rows[r]} (ball step {self.ball_step[r]}, table position "
+            f"{self.position[r]})"
+        )
 
     def take(self, keep: Bools | Ints) -> BallPlateProblem:
         """Return the problem with only the rows ``keep`` (mask or indices, canonical order)."""
@@ -149,8 +153,12 @@ def select(
 
 def grid_angles(grid: int) -> Floats:
     """Return the angles 2 pi i / grid in radians, (grid,)."""
-    angles: Floats = 2.0 * np.pi * np.arange(grid) / grid
-    return angles
+    return 2.0 * np.pi * np.arange(grid) / grid
+
+
+def on_circle(angle: Floats) -> Floats:
+    """Return the points (n, 3) of the unit circle at ``angle`` (n,), rad from +x."""
+    return np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
 
 
 def _check_constants(grid: int, radius: float, sigma: float | None) -> None:

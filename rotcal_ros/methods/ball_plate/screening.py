@@ -6,12 +6,11 @@ not, the pattern tells the mistake; where a few do not, those rows are set aside
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
+from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.results import Rejection
 from rotcal_ros.units import DEGREE, MILLIMETRE
@@ -28,25 +27,18 @@ FEW = 0.2
 """Part of the rows that may be misplaced before the whole table is refused."""
 
 
-@dataclass(frozen=True)
-class Screened:
-    """The rows worth fitting, and the others with the reason why not."""
+def screen(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]]:
+    """Return the rows worth fitting, and the others with the reason why not.
 
-    problem: BallPlateProblem
-    rejected: tuple[Rejection, ...]
-
-
-def screen(problem: BallPlateProblem) -> Screened:
-    """Set aside unusable rows; raise DataError when the whole table is not what it says.
-
-    Refused: lengths in millimetres, a circle of another radius or not around the axis, balls
-    numbered the other way round, a plate mounted shifted or upside down, a table that turns
-    clockwise, one ball measured in place of another. Flagged: centres that are not finite,
-    single centres far from their place, doubled centres while others are missing.
+    Raises DataError when the whole table is not what it says: lengths in millimetres, a circle of
+    another radius or not around the axis, balls numbered the other way round, a plate mounted
+    shifted or upside down, a table that turns clockwise, one ball measured in place of another.
+    Flagged: centres that are not finite, single centres far from their place, doubled centres
+    while others are missing.
     """
     finite: Bools = np.all(np.isfinite(problem.centres), axis=1)
     rejected = [
-        Rejection(int(problem.rows[r]), f"{_where(problem, r)}: the centre is not finite")
+        Rejection(int(problem.rows[r]), f"{problem.row_name(r)}: the centre is not finite")
         for r in np.flatnonzero(~finite)
     ]
     if not finite.any():
@@ -56,18 +48,11 @@ def screen(problem: BallPlateProblem) -> Screened:
     for step in (_displaced, _off_height, _doubled):
         bad, reasons = step(problem)
         rejected += [
-            Rejection(int(problem.rows[r]), f"{_where(problem, r)}: {why}")
+            Rejection(int(problem.rows[r]), f"{problem.row_name(r)}: {why}")
             for r, why in zip(bad, reasons, strict=True)
         ]
         problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), bad))
-    return Screened(problem, tuple(sorted(rejected, key=lambda r: r.index)))
-
-
-def _where(problem: BallPlateProblem, r: int | np.integer) -> str:
-    return (
-        f"row {problem.rows[r]} (ball step {problem.ball_step[r]}, "
-        f"table position {problem.position[r]})"
-    )
+    return problem, rejected
 
 
 def _check_circle(problem: BallPlateProblem) -> None:
@@ -102,7 +87,7 @@ def _displaced(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
     angle = np.arctan2(problem.centres[:, 1], problem.centres[:, 0])
     step = 2.0 * np.pi / problem.grid
     on_plate = angle - problem.angles[problem.position]
-    off = _wrap(on_plate - problem.angles[problem.ball_step]) / step
+    off = wrap_angle(on_plate - problem.angles[problem.ball_step]) / step
     bad = np.flatnonzero(np.abs(off) > PLACE_TOLERANCE)
     if len(bad) > FEW * len(off):
         raise DataError(_mistake(problem, angle))
@@ -217,11 +202,6 @@ def _doubled(problem: BallPlateProblem) -> tuple[Ints, list[str]]:
             )
     order = np.argsort(bad)
     return np.array(bad, dtype=np.int64)[order], [reasons[o] for o in order]
-
-
-def _wrap(angle: Floats) -> Floats:
-    wrapped: Floats = (angle + np.pi) % (2.0 * np.pi) - np.pi
-    return wrapped
 
 
 def _mean_angle(angle: Floats) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import gcd
 
 import numpy as np
@@ -10,7 +10,6 @@ import numpy as np
 from rotcal_ros.arrays import Complexes, Floats, Ints
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import harmonics, model
-from rotcal_ros.methods.ball_plate.dense import design_matrix
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 
 TOLERANCE = 1e-9
@@ -73,13 +72,12 @@ def separability(grid: int, balls: Ints) -> Separability:
     balls = np.unique(balls)
     sums = harmonics.phases(grid, balls).sum(axis=1)
     values, vectors = np.linalg.eigh(harmonics.normal_matrices(sums, len(balls)))
-    lost = _by_component(grid, values < TOLERANCE * len(balls), vectors)
-    weak_mask = (values < WEAK * len(balls)) & ~(values < TOLERANCE * len(balls))
+    lost, weak = values < TOLERANCE * len(balls), values < WEAK * len(balls)
     return Separability(
         common_divisor=common_divisor(grid, balls),
-        deficit=_deficit(grid, values < TOLERANCE * len(balls)),
-        lost=lost,
-        weak=_by_component(grid, weak_mask, vectors),
+        deficit=_deficit(grid, lost),
+        lost=_by_component(grid, lost, vectors),
+        weak=_by_component(grid, weak & ~lost, vectors),
     )
 
 
@@ -93,18 +91,17 @@ def separability_of(problem: BallPlateProblem) -> Separability:
     if problem.complete or model.offsets(problem).total > MAX_DENSE:
         return layout
     lost, deficit = _lost_of_dense(problem)
-    return Separability(layout.common_divisor, deficit, lost, {} if deficit else layout.weak)
+    return replace(layout, deficit=deficit, lost=lost, weak={} if deficit else layout.weak)
 
 
-def require_separable(problem: BallPlateProblem) -> Separability:
-    """Return the findings, or raise ObservabilityError that says in words what is lost."""
+def require_separable(problem: BallPlateProblem) -> None:
+    """Raise ObservabilityError that says in words what is lost, if anything is."""
     found = separability_of(problem)
     if not found.separable:
         raise ObservabilityError(
             f"{len(problem.balls)} balls at steps {problem.balls.tolist()} of {problem.grid}, "
             f"{len(problem.cmm_positions)} CMM positions: " + "; ".join(found.sentences())
         )
-    return found
 
 
 def _deficit(grid: int, zero: np.ndarray) -> int:
@@ -127,7 +124,7 @@ def _by_component(grid: int, chosen: np.ndarray, vectors: Complexes) -> dict[str
 
 def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]], int]:
     """Return the harmonics in the null space of model and constraints, and its dimension."""
-    stacked = np.vstack([design_matrix(problem), model.constraint_matrix(problem)])
+    stacked = np.vstack([model.design_matrix(problem), model.constraint_matrix(problem)])
     values, vectors = np.linalg.eigh(stacked.T @ stacked)
     null = vectors[:, values < TOLERANCE * values[-1]]
     found: dict[str, tuple[int, ...]] = {}

@@ -1,28 +1,44 @@
-"""The fits of a plate's groups, the noise of a centre, and the curves that follow from them."""
+"""The fits of a plate's groups, the noise of a centre, and the curves that follow from them.
+
+A plate whose balls share the factor 2 with the grid sees the even and the odd table positions
+separately (second paper, optimised method): half the work of the complete grid, but condition (22)
+fails. Every group is a three rosette measurement of its own; the offset between the groups is not
+measured.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.components import COMPONENTS
+from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
+from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.rejection import Fitted, fit_and_reject
 from rotcal_ros.methods.ball_plate.screening import screen
-from rotcal_ros.methods.ball_plate.two_groups import (
-    Group,
-    split,
-    turned_back,
-    turned_covariance,
-)
+from rotcal_ros.methods.ball_plate.separability import common_divisor
 from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.results import Rejection
 
 SIGNIFICANCE = 0.01
 """Level of the chi-square test of the stated noise."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """One group: the table positions (M,) of the whole grid, and the problem of the group.
+
+    The problem lives on the group's own grid, in a frame turned by ``turn`` radians about z.
+    """
+
+    positions: Ints
+    turn: float
+    problem: BallPlateProblem
 
 
 @dataclass(frozen=True)
@@ -88,12 +104,11 @@ class PlateSolution:
 
 def adjust(problem: BallPlateProblem) -> PlateSolution:
     """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
-    screened = screen(problem)
-    whole = screened.problem
+    whole, unusable = screen(problem)
     alone = Group(np.arange(whole.grid), 0.0, whole)
     groups = split(whole) if problem.separate_groups else (alone,)
     fits = tuple(fit_and_reject(group.problem) for group in groups)
-    rejected = screened.rejected + tuple(r for fit in fits for r in fit.rejected)
+    rejected = unusable + [r for fit in fits for r in fit.rejected]
     in_order = tuple(sorted(rejected, key=lambda r: r.index))
     return PlateSolution(problem, whole, groups, fits, _noise(problem, fits), in_order)
 
@@ -110,3 +125,63 @@ def _noise(problem: BallPlateProblem, fits: tuple[Fitted, ...]) -> Noise:
     p_value = 2.0 * min(tail, 1.0 - tail)
     used = estimated if p_value < SIGNIFICANCE and estimated > stated else stated
     return Noise(used, estimated, estimated / stated, p_value, dof)
+
+
+def split(problem: BallPlateProblem) -> tuple[Group, ...]:
+    """Cut a problem into its groups of table positions.
+
+    The number of groups is the common divisor of the ball steps and the grid (Eq. 22), 2 in the
+    paper, 1 for a plate that connects all positions. Raises ObservabilityError when a group was
+    not measured at all.
+    """
+    count = common_divisor(problem.grid, problem.balls)
+    return tuple(_group(problem, first, count) for first in range(count))
+
+
+def _group(problem: BallPlateProblem, first: int, count: int) -> Group:
+    """Cut out the table positions first, first + count, ... and turn them to start at zero."""
+    rows = np.flatnonzero(problem.position % count == first)
+    if not len(rows):
+        raise ObservabilityError(
+            f"no centre was measured at the table positions {first}, {first + count}, ...: "
+            "one group is missing altogether"
+        )
+    part = problem.take(rows)
+    start = int(problem.balls[0] % count)  # ball steps are start + multiples of count
+    turn = float(problem.angles[(first + start) % problem.grid])
+    back = rotation_about_z(-turn)
+    std = part.std
+    if std is not None:  # x and y are mixed by the turn
+        plane = np.sqrt(np.mean(std[:, :2] ** 2, axis=1))
+        std = np.column_stack([plane, plane, std[:, 2]])
+    group_problem = replace(
+        part,
+        grid=problem.grid // count,
+        position=(part.position - first) // count,
+        ball_step=(part.ball_step - start) // count,
+        centres=part.centres @ back.T,
+        std=std,
+        separate_groups=False,
+    )
+    return Group(np.arange(first, problem.grid, count), turn, group_problem)
+
+
+def turned_back(group: Group, vectors: Floats) -> Floats:
+    """Bring vectors (n, 3) of the group's frame back to the frame of the whole."""
+    back: Floats = vectors @ rotation_about_z(group.turn).T
+    return back
+
+
+def turned_covariance(group: Group, solution: Solution, name: str) -> Floats:
+    """Return the (M, M) unit covariance of one component in the frame of the whole."""
+    field, axis = model.TABLE_COMPONENTS[name]
+    if group.turn == 0.0:
+        return solution.unit_covariance(name, name)
+    weights = rotation_about_z(group.turn)[axis]
+    names = [n for n, (f, _) in model.TABLE_COMPONENTS.items() if f == field]
+    total = np.zeros((len(group.positions),) * 2)
+    for first, weight in zip(names, weights, strict=True):
+        for second, other in zip(names, weights, strict=True):
+            if weight and other:
+                total += weight * other * solution.unit_covariance(first, second)
+    return total

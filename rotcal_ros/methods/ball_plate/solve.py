@@ -8,12 +8,12 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COMPONENTS
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.rejection import Fitted
 from rotcal_ros.methods.ball_plate.separability import separability
-from rotcal_ros.methods.ball_plate.solution import Noise, PlateSolution, adjust
-from rotcal_ros.methods.ball_plate.two_groups import Group, offset_warning, turned_back
+from rotcal_ros.methods.ball_plate.solution import Group, Noise, PlateSolution, adjust, turned_back
 from rotcal_ros.results import Residuals, Result, Verdict
 from rotcal_ros.units import MICROMETRE, MICRORADIAN
 
@@ -63,7 +63,11 @@ def _warnings(solution: PlateSolution) -> tuple[str, ...]:
     n_rejected, n_centres = len(solution.rejected), len(solution.problem.centres)
     warnings = []
     if len(fits) > 1:
-        warnings.append(offset_warning(len(fits)))
+        names = f"{len(fits)} groups of" if len(fits) > 2 else "odd and even"
+        warnings.append(
+            f"The offset between the {names} table positions is not measured: each group has its "
+            "own zero."
+        )
     for fit in fits:
         if fit.knock is not None:
             warnings.append(fit.knock.sentence())
@@ -130,7 +134,7 @@ def _residuals(solution: PlateSolution) -> Residuals:
 def _all_residuals(group: Group, fit: Fitted) -> Floats:
     """Observed - computed (n, 3) of all rows of a group, used or not, in the group's frame."""
     problem, found = group.problem, fit.solution.estimate
-    turn = model.rotations(problem.angles)[problem.position]
+    turn = rotation_about_z(problem.angles)[problem.position]
     cross = problem.radius * model.cross_unit(problem.angles)[problem.cmm_index]
     cmm = np.zeros((problem.grid, 3))
     cmm[fit.problem.cmm_positions] = found.cmm

@@ -6,13 +6,13 @@ N R log N and N R instead of N^3 and N^2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from rotcal_ros.arrays import Complexes, Floats, Ints
 from rotcal_ros.components import ROTATIONS
-from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import harmonics, model
 from rotcal_ros.methods.ball_plate.harmonics import AXIS, PLANE, Harmonics
 from rotcal_ros.methods.ball_plate.model import Parameters, Solution
@@ -22,15 +22,9 @@ from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 def solve_spectral(problem: BallPlateProblem) -> Solution:
     """Solve a complete measurement with equal weights; the same answer as Eq. 20 and 21.
 
-    Raises ObservabilityError when centres are missing, doubled or unequally weighted (the
-    general solution takes those) and when the balls do not separate all harmonics.
+    For ``problem.complete`` without ``std`` only; the general solution takes all others. Raises
+    ObservabilityError when the balls do not separate all harmonics.
     """
-    if not problem.complete or problem.std is not None:
-        raise ObservabilityError(
-            "the spectral solution needs every ball once at every table position, with equal "
-            f"weights; found {len(problem.centres)} centres of {len(problem.balls)} balls on "
-            f"a grid of {problem.grid}"
-        )
     system = harmonics.factor(problem.grid, problem.balls)
     turn = np.exp(1j * problem.angles)
     spectrum, mean = harmonics.to_harmonics(_in_table_frame(problem, turn))
@@ -40,9 +34,9 @@ def solve_spectral(problem: BallPlateProblem) -> Solution:
     return Solution(
         estimate=_estimate(problem, turn, fields, mean, pose),
         unit_std=_unit_std(problem, turn, system),
-        unit_covariance=TableCovariance(problem.radius, system),
+        unit_covariance=partial(_table_covariance, problem.radius, system),
         residuals=residuals,
-        cofactor=ResidualCofactor(problem.cmm_index, system),
+        cofactor=partial(_residual_cofactor, problem.cmm_index, system),
         weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
         dof=model.degrees_of_freedom(problem),
         way="spectral",
@@ -154,67 +148,57 @@ def _turned_std(pairs: Complexes, along: Floats, turn: Complexes) -> Floats:
     variances[..., 0] = mean[:, None] + swing
     variances[..., 1] = mean[:, None] - swing
     variances[..., 2] = along[:, None]
-    deviations: Floats = np.sqrt(variances)
-    return deviations
+    return np.sqrt(variances)
 
 
-@dataclass(frozen=True)
-class ResidualCofactor:
-    """Unit covariance of the residuals; in the turning frame one per ball holds everywhere."""
+def _residual_cofactor(cmm_index: Ints, system: Harmonics) -> Floats:
+    """Return the unit covariance (n, 3, 3) of all residuals.
 
-    cmm_index: Ints
-    system: Harmonics
-
-    def __call__(self) -> Floats:
-        """Return the unit covariance (n, 3, 3) of all residuals."""
-        system, n_balls = self.system, len(self.system.balls)
-        rows = harmonics.centred_design(system)
-        fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
-        kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
-        lag = harmonics.zero_lag(kept, system.grid)
-        turning = np.zeros((n_balls, 3, 3))
-        turning[:, :2, :2] = harmonics.real_basis(lag[PLANE]).real
-        turning[:, 2, 2] = lag[AXIS, :, 0, 0].real
-        turn = model.rotations(grid_angles(system.grid)[self.cmm_index])
-        every = np.repeat(turning, system.grid, axis=0)
-        cofactor: Floats = turn @ every @ turn.swapaxes(1, 2)
-        return cofactor
-
-
-@dataclass(frozen=True)
-class TableCovariance:
-    """Unit covariance of two of the table's components, from the circulant blocks on demand.
-
-    Calling it with two ISO 230-1 names returns (N, N). The blocks are all it holds, so a grid
-    of thousands of positions costs no memory until a matrix is asked for.
+    In the turning frame one per ball holds everywhere.
     """
+    n_balls = len(system.balls)
+    # the design at the CMM, its mean over the balls taken off
+    rows = harmonics.design(system.phase) - system.mean[:, :, None]
+    fitted = rows @ system.inverse[:, :, None] @ rows.conj().swapaxes(3, 4)
+    kept = np.eye(2) * (1.0 - 1.0 / n_balls) - fitted
+    lag = harmonics.zero_lag(kept, system.grid)
+    turning = np.zeros((n_balls, 3, 3))
+    turning[:, :2, :2] = harmonics.real_basis(lag[PLANE]).real
+    turning[:, 2, 2] = lag[AXIS, :, 0, 0].real
+    turn = rotation_about_z(grid_angles(system.grid)[cmm_index])
+    every = np.repeat(turning, system.grid, axis=0)
+    cofactor: Floats = turn @ every @ turn.swapaxes(1, 2)
+    return cofactor
 
-    radius: float
-    system: Harmonics
 
-    def __call__(self, first: str, second: str) -> Floats:
-        """Return the (N, N) unit covariance of components ``first`` and ``second``."""
-        grid = self.system.grid
-        block, first_weights = self._weights(first)
-        other_block, second_weights = self._weights(second)
-        total = np.zeros((grid, grid))
-        if block != other_block:
-            return total  # the plane and the axis are measured by different coordinates
-        covariance = harmonics.to_time(harmonics.real_basis(self.system.inverse[block]), grid)
-        lag = (np.arange(grid)[:, None] - np.arange(grid)) % grid
-        for index, weight in first_weights:
-            for other, other_weight in second_weights:
-                total += weight[:, None] * covariance[lag, index, other] * other_weight
-        return total
+def _table_covariance(radius: float, system: Harmonics, first: str, second: str) -> Floats:
+    """Return the (N, N) unit covariance of two components, from the circulant blocks on demand.
 
-    def _weights(self, name: str) -> tuple[int, list[tuple[int, Floats]]]:
-        """Return the block and the turning-frame unknowns of which a component is made."""
-        scale = 1.0 / self.radius if name in ROTATIONS else 1.0
-        block = PLANE if name in ("EXC", "EYC", "ECC") else AXIS
-        angles = grid_angles(self.system.grid)
-        cos, sin = scale * np.cos(angles), scale * np.sin(angles)
-        if name in ("EXC", "EAC"):
-            return block, [(0, cos), (1, -sin)]
-        if name in ("EYC", "EBC"):
-            return block, [(0, sin), (1, cos)]
-        return block, [(2, np.full_like(angles, scale))]
+    The blocks are all that is held, so a grid of thousands of positions costs no memory until a
+    matrix is asked for.
+    """
+    grid = system.grid
+    block, first_weights = _weights(first, radius, grid)
+    other_block, second_weights = _weights(second, radius, grid)
+    total = np.zeros((grid, grid))
+    if block != other_block:
+        return total  # the plane and the axis are measured by different coordinates
+    covariance = harmonics.to_time(harmonics.real_basis(system.inverse[block]), grid)
+    lag = (np.arange(grid)[:, None] - np.arange(grid)) % grid
+    for index, weight in first_weights:
+        for other, other_weight in second_weights:
+            total += weight[:, None] * covariance[lag, index, other] * other_weight
+    return total
+
+
+def _weights(name: str, radius: float, grid: int) -> tuple[int, list[tuple[int, Floats]]]:
+    """Return the block and the turning-frame unknowns of which a component is made."""
+    scale = 1.0 / radius if name in ROTATIONS else 1.0
+    block = PLANE if name in ("EXC", "EYC", "ECC") else AXIS
+    angles = grid_angles(grid)
+    cos, sin = scale * np.cos(angles), scale * np.sin(angles)
+    if name in ("EXC", "EAC"):
+        return block, [(0, cos), (1, -sin)]
+    if name in ("EYC", "EBC"):
+        return block, [(0, sin), (1, cos)]
+    return block, [(2, np.full_like(angles, scale))]

@@ -27,7 +27,7 @@ class LinearTrials:
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles one after the other."""
         noise = self.std * rng.standard_normal((count, len(self.std)))
-        return np.asarray(self.value + noise @ self.gain, dtype=np.float64)
+        return self.value + noise @ self.gain
 
 
 @dataclass(frozen=True, eq=False)

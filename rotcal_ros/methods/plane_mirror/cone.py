@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.geometry.rotations import wrap_angle
 
 
@@ -61,8 +61,7 @@ def axis_response(azimuth: Floats) -> Floats:
     e1 and e2 are the directions of azimuth 0 and pi/2; least squares over all normals.
     """
     design = np.column_stack([np.cos(azimuth), np.sin(azimuth), -np.ones_like(azimuth)])
-    response: Floats = -np.linalg.pinv(design)
-    return response
+    return -np.linalg.pinv(design)
 
 
 def two_axis_response(azimuth: Floats) -> tuple[Floats, Floats]:
@@ -73,8 +72,23 @@ def two_axis_response(azimuth: Floats) -> tuple[Floats, Floats]:
 
 def azimuth_response(azimuth: Floats, tan_beta: float) -> Floats:
     """Return the change (m, 2) of the azimuths per tilt of the axis along e1 and e2."""
-    response: Floats = tan_beta * np.column_stack([np.sin(azimuth), -np.cos(azimuth)])
-    return response
+    return tan_beta * np.column_stack([np.sin(azimuth), -np.cos(azimuth)])
+
+
+def circle_columns(azimuth: Floats) -> Floats:
+    """Return (m, 3): how centre and radius of a circle move its points radially.
+
+    The same columns say how two tilts and the height of its plane move them axially.
+    """
+    return np.column_stack([np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)])
+
+
+def circle_design(azimuth: Floats, circle: Ints) -> Floats:
+    """Return (m, 3 K): the columns of K circles; point i is on the one with number circle[i]."""
+    design = np.zeros((len(azimuth), 3 * (int(circle.max()) + 1)))
+    rows = np.arange(len(azimuth))[:, None]
+    design[rows, 3 * circle[:, None] + np.arange(3)] = circle_columns(azimuth)
+    return design
 
 
 def deviation(azimuth: Floats, commanded: Floats) -> Floats:
@@ -87,5 +101,4 @@ def sense(normals: Floats, axis: Floats, commanded: Floats) -> Floats:
     cross = np.cross(normals[..., :-1, :], normals[..., 1:, :])
     turned = np.einsum("...mi,...i->...m", cross, axis)
     votes = np.einsum("...m,m->...", turned, np.sin(np.diff(commanded)))
-    sense: Floats = np.where(votes < 0.0, -1.0, 1.0)
-    return sense
+    return np.where(votes < 0.0, -1.0, 1.0)

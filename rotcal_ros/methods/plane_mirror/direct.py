@@ -18,9 +18,7 @@ def direct_readings(placed: Floats, reflectors: Reflectors, angles: Floats) -> F
     fitted to all rows of one reflector.
     """
     readings = np.zeros(placed.shape[:-1])
-    for reflector in range(len(reflectors.name)):
-        at = np.flatnonzero(reflectors.reflector == reflector)
-        commanded = angles[reflectors.position[at]]
+    for at, commanded in reflectors.circles(angles):
         axis, centre, _ = fit_circle(placed[..., at, :], commanded)
         arms = placed[..., at, :] - centre[..., None, :]
         readings[..., at] = cone.deviation(cone.azimuths(arms, axis), commanded)
@@ -49,33 +47,26 @@ def fit_circle(points: Floats, commanded: Floats) -> tuple[Floats, Floats, Float
     return axis, (middle + shift)[..., 0, :], radius * scale[..., 0, 0]
 
 
-def local_axes(placed: Floats, reflectors: Reflectors, angles: Floats) -> tuple[Floats, Floats]:
-    """Return unit vectors (M, 3, 3), rows tangential, radial, axial, and the radii (M,)."""
+def local_axes(
+    placed: Floats, reflectors: Reflectors, angles: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return axes, radii (M,), and distances (M, 2) from the circle, radial and axial, metres.
+
+    The axes (M, 3, 3) are unit vectors; rows tangential, radial, axial.
+    """
     axes = np.zeros((len(placed), 3, 3))
-    radii = np.zeros(len(placed))
-    for reflector in range(len(reflectors.name)):
-        at = np.flatnonzero(reflectors.reflector == reflector)
-        axis, centre, radius = fit_circle(placed[at], angles[reflectors.position[at]])
-        tangent = np.cross(axis, placed[at] - centre)
+    radii, off_circle = np.zeros(len(placed)), np.zeros((len(placed), 2))
+    for at, commanded in reflectors.circles(angles):
+        axis, centre, radii[at] = fit_circle(placed[at], commanded)
+        arms = placed[at] - centre
+        tangent = np.cross(axis, arms)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         axes[at] = np.stack(
             [tangent, np.cross(tangent, axis), np.broadcast_to(axis, tangent.shape)], axis=1
         )
-        radii[at] = radius
-    return axes, radii
-
-
-def circle_design(reflectors: Reflectors, angles: Floats) -> Floats:
-    """Return (M, 3 K): how centre and radius of each reflector's circle move its points radially.
-
-    The same matrix says how its plane's two tilts and height move them axially.
-    """
-    azimuth = angles[reflectors.position]
-    design = np.zeros((len(azimuth), 3 * len(reflectors.name)))
-    columns = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)])
-    rows = np.arange(len(azimuth))[:, None]
-    design[rows, 3 * reflectors.reflector[:, None] + np.arange(3)] = columns
-    return design
+        off_circle[at, 0] = np.einsum("mi,mi->m", arms, axes[at, 1]) - radii[at]
+        off_circle[at, 1] = np.einsum("mi,mi->m", arms, axes[at, 2])
+    return axes, radii, off_circle
 
 
 def direct_response(reflectors: Reflectors, angles: Floats, radii: Floats) -> Floats:
@@ -85,22 +76,21 @@ def direct_response(reflectors: Reflectors, angles: Floats, radii: Floats) -> Fl
     rows = np.arange(len(azimuth))
     centre[rows, 3 * reflectors.reflector] = np.sin(azimuth)
     centre[rows, 3 * reflectors.reflector + 1] = -np.cos(azimuth)
-    radial = centre @ np.linalg.pinv(circle_design(reflectors, angles))
+    radial = centre @ np.linalg.pinv(cone.circle_design(azimuth, reflectors.reflector))
     return np.hstack([np.eye(len(azimuth)), radial]) / radii[:, None]
 
 
 def require_circles(problem: PlaneMirrorProblem, reflectors: Reflectors) -> None:
     """Raise unless every reflector has at least three different places on its circle."""
-    for reflector, name in enumerate(reflectors.name):
-        at = np.flatnonzero(reflectors.reflector == reflector)
-        if len(np.unique(reflectors.position[at])) < 3:
+    circles = reflectors.circles(problem.angles)
+    for name, (at, azimuth) in zip(reflectors.name, circles, strict=True):
+        places = len(np.unique(reflectors.position[at]))
+        if places < 3:
             raise DataError(
-                f"{problem.source}: reflector {name} was measured at "
-                f"{len(np.unique(reflectors.position[at]))} table positions, its circle needs 3"
+                f"{problem.source}: reflector {name} was measured at {places} table positions, "
+                "its circle needs 3"
             )
-        azimuth = problem.angles[reflectors.position[at]]
-        design = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)])
-        if np.linalg.svd(design, compute_uv=False)[-1] < 1e-3:
+        if np.linalg.svd(cone.circle_columns(azimuth), compute_uv=False)[-1] < 1e-3:
             raise GeometryError(
                 f"{problem.source}: the places of reflector {name} span too small an arc to fit "
                 "a circle; measure around the whole circle"

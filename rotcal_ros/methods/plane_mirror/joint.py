@@ -24,11 +24,7 @@ from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.layout import Nests, Pairs
 from rotcal_ros.methods.plane_mirror.normals import Normals
-from rotcal_ros.methods.plane_mirror.registration import (
-    Poses,
-    nest_equations,
-    station_columns,
-)
+from rotcal_ros.methods.plane_mirror.registration import Poses, nest_equations, station_columns
 
 _MAX_STEPS: Final = 30  # the start is near: what has not settled then never will
 _TOLERANCE: Final = 1e-13  # change (rad, m) that is rounding
@@ -118,8 +114,7 @@ def joint_equations(
     start = np.searchsorted(pairs.position[order], np.arange(mirror.psi.shape[-1]))
 
     def per_position(values: Floats, axis: int) -> Floats:
-        total: Floats = np.add.reduceat(np.take(values, order, axis=axis), start, axis=axis)
-        return total
+        return np.add.reduceat(np.take(values, order, axis=axis), start, axis=axis)
 
     local_weight = np.swapaxes(local, -1, -2) @ weight
     pull = weight @ discrepancy[..., None]
@@ -165,8 +160,7 @@ def angle_covariance(equations: Equations) -> Floats:
     flat = (-1, solved.shape[-1])
     matrix = equations.shared - equations.coupling.reshape(flat).T @ solved.reshape(flat)
     lean = solved[:, 0, :]
-    covariance: Floats = np.diag(inverse[:, 0, 0]) + lean @ np.linalg.solve(matrix, lean.T)
-    return covariance
+    return np.diag(inverse[:, 0, 0]) + lean @ np.linalg.solve(matrix, lean.T)
 
 
 def nest_chi_square(residual: Floats, nests: Nests, weight: Floats, poses: Poses) -> Floats:
@@ -224,8 +218,7 @@ def plane_weight(normals: Normals, pairs: Pairs, poses: Poses, t: Floats, b: Flo
     across = np.swapaxes(rotation, -1, -2) @ np.stack([t, b], axis=-1)
     basis = np.zeros((*across.shape[:-2], 4, 3))
     basis[..., :3, :2], basis[..., 3, 2] = across, 1.0
-    weight: Floats = np.swapaxes(basis, -1, -2) @ normals.information @ basis
-    return weight
+    return np.swapaxes(basis, -1, -2) @ normals.information @ basis
 
 
 def _model_normals(frame: Floats, elevation: Floats, psi: Floats) -> tuple[Floats, Floats, Floats]:

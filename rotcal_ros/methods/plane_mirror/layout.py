@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Ints
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.observations import PointKind
@@ -32,6 +33,12 @@ class Pairs:
     def n_groups(self) -> int:
         """Number of groups, that is, of normals."""
         return len(self.position)
+
+    def stations(self, angles: Floats) -> Iterator[tuple[int, Ints, Floats]]:
+        """Yield each station, its groups, and where ``angles`` (N,) send the table for them."""
+        for station in np.unique(self.station):
+            at = np.flatnonzero(self.station == station)
+            yield int(station), at, angles[self.position[at]]
 
     def keep(self, wanted: Bools) -> Pairs:
         """Return the pairs (P,) that are wanted, without the groups that become empty."""
@@ -64,10 +71,6 @@ class Nests:
         """Number of fixed points."""
         return len(self.name)
 
-    def keep(self, wanted: Bools) -> Nests:
-        """Return the rows (Q,) that are wanted, without the points that become empty."""
-        return _nests(self.row[wanted], self.station[wanted], self.point[wanted], self.name)
-
     def split(self, moved: Bools) -> Nests:
         """Return nests in which the rows (Q,) marked as moved belong to a new point."""
         point = np.where(moved, self.n_points, self.point)
@@ -85,15 +88,11 @@ class Reflectors:
     reflector: Ints
     name: Ints
 
-    def keep(self, wanted: Bools) -> Reflectors:
-        """Return the rows (M,) that are wanted."""
-        return replace(
-            self,
-            row=self.row[wanted],
-            position=self.position[wanted],
-            station=self.station[wanted],
-            reflector=self.reflector[wanted],
-        )
+    def circles(self, angles: Floats) -> Iterator[tuple[Ints, Floats]]:
+        """Yield which entries belong to each reflector, and where ``angles`` (N,) send them."""
+        for reflector in range(len(self.name)):
+            at = np.flatnonzero(self.reflector == reflector)
+            yield at, angles[self.position[at]]
 
 
 def find_pairs(problem: PlaneMirrorProblem) -> Pairs:

@@ -145,5 +145,4 @@ def tangent_basis(normal: Floats) -> Floats:
 
 
 def _sum(values: Floats, pairs: Pairs, axis: int) -> Floats:
-    total: Floats = np.add.reduceat(values, pairs.start, axis=axis)
-    return total
+    return np.add.reduceat(values, pairs.start, axis=axis)

@@ -11,14 +11,11 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.plane_mirror import cone, joint, stitching
 from rotcal_ros.methods.plane_mirror import uncertainty as unc
-from rotcal_ros.methods.plane_mirror.direct import (
-    circle_design,
-    direct_readings,
-    direct_response,
-    fit_circle,
-    local_axes,
-)
-from rotcal_ros.methods.plane_mirror.estimate import (
+from rotcal_ros.methods.plane_mirror.direct import direct_readings, direct_response, local_axes
+from rotcal_ros.methods.plane_mirror.layout import Pairs
+from rotcal_ros.methods.plane_mirror.nest_tests import NestFit, nest_fit
+from rotcal_ros.methods.plane_mirror.normals import Normals, condition_jacobian, tangent_basis
+from rotcal_ros.methods.plane_mirror.prepare import (
     Prepared,
     PreparedJoint,
     PreparedNormals,
@@ -26,10 +23,8 @@ from rotcal_ros.methods.plane_mirror.estimate import (
     PreparedWay,
     registered_readings,
 )
-from rotcal_ros.methods.plane_mirror.nest_tests import NestFit, nest_fit
-from rotcal_ros.methods.plane_mirror.normals import Normals
+from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import nest_equations
-from rotcal_ros.methods.plane_mirror.residuals import enter, enter_nests, enter_pairs
 from rotcal_ros.methods.plane_mirror.settings import STITCHING
 from rotcal_ros.results import Residuals
 
@@ -74,6 +69,19 @@ class _Cones:
     height: float
 
 
+def empty_residuals(problem: PlaneMirrorProblem) -> Residuals:
+    """Return residuals in which no row is used yet (all zero)."""
+    n = len(problem.xyz)
+    return Residuals(
+        table_index=problem.position.copy(),
+        target=problem.nest.copy(),
+        residual=np.zeros(n),
+        redundancy=np.zeros(n),
+        test_value=np.zeros(n),
+        used=np.zeros(n, dtype=np.bool_),
+    )
+
+
 def outcome_of(prepared: PreparedWay, residuals: Residuals) -> Outcome:
     """Return the outcome of the way that ``prepared`` belongs to; enters the residuals."""
     if isinstance(prepared, PreparedPoints):
@@ -89,10 +97,10 @@ def _stitched(prepared: PreparedNormals, residuals: Residuals) -> Outcome:
     """Stitching: a plane per station, zeros tied by shared positions."""
     pairs, angles = prepared.pairs, prepared.angles
     normals, groups = _groups(prepared, residuals)
-    covariance, axes = unc.stitched_covariance(normals, pairs, angles, prepared.problem.tilt_std)
-    height = float(stitching.cone_height(normals.normal, pairs, angles))
+    axes, height = stitching.station_cones(normals.normal, pairs, angles)
+    covariance = unc.stitched_covariance(normals, pairs, axes, prepared.problem.tilt_std)
     _, zero = np.unique(pairs.station, return_inverse=True)
-    cones = _Cones(normals.normal, axes, zero, covariance, height)
+    cones = _Cones(normals.normal, axes, zero, covariance, float(height))
     readings = stitching.stitch(normals.normal, pairs, angles)
     response = stitching.stitch_response(normals.normal, pairs, angles)
     details = {"lean_rad": float(np.arcsin(height))}
@@ -148,12 +156,11 @@ def _direct(prepared: PreparedPoints, residuals: Residuals) -> Outcome:
     reflectors, angles, problem = prepared.reflectors, prepared.angles, prepared.problem
     nests = _nests(prepared, residuals)
     placed = prepared.poses.placed(problem.xyz[reflectors.row], reflectors.station)
-    axes, radii = local_axes(placed, reflectors, angles)
+    axes, radii, off_circle = local_axes(placed, reflectors, angles)
     covariance = unc.point_covariance(
         problem, reflectors, prepared.poses, axes, _pose_covariance(prepared)
     )
     m = len(radii)
-    off_circle = _off_circle(prepared, placed, axes, radii)
     circles = _circles(prepared, residuals, off_circle, covariance[m:, m:])
     gain = prepared.joining @ direct_response(reflectors, angles, radii)
     return Outcome(
@@ -213,7 +220,7 @@ def _circles(
     ``covariance`` (2 M, 2 M): of all radial, then all axial movements, m^2.
     """
     m, reflectors = len(off_circle), prepared.reflectors
-    design = circle_design(reflectors, prepared.angles)
+    design = cone.circle_design(prepared.angles[reflectors.position], reflectors.reflector)
     both = np.asarray(np.kron(np.eye(2), design), dtype=np.float64)
     chi_square, dof = unc.misfit(off_circle.T.ravel(), both, covariance)
     leverage: Floats = np.einsum("ij,ji->i", design, np.linalg.pinv(design))
@@ -221,29 +228,15 @@ def _circles(
     test = np.sqrt((off_circle**2 / np.maximum(spread, _CERTAIN)).mean(axis=1))
     length = np.linalg.norm(off_circle, axis=1)
     # Two of a point's three coordinates are checked by its circle; the third is the angle.
-    enter(residuals, reflectors.row, length, 2.0 / 3.0 * (1.0 - leverage), test)
+    _enter(residuals, reflectors.row, length, 2.0 / 3.0 * (1.0 - leverage), test)
     return _Fit(chi_square, dof)
-
-
-def _off_circle(prepared: PreparedPoints, placed: Floats, axes: Floats, radii: Floats) -> Floats:
-    """Radial and axial distance (M, 2) of each point from its reflector's circle, metres."""
-    reflectors = prepared.reflectors
-    off = np.zeros((len(placed), 2))
-    for reflector in range(len(reflectors.name)):
-        at = np.flatnonzero(reflectors.reflector == reflector)
-        commanded = prepared.angles[reflectors.position[at]]
-        _, centre, _ = fit_circle(placed[at], commanded)
-        arms = placed[at] - centre
-        off[at, 0] = np.einsum("mi,mi->m", arms, axes[at, 1]) - radii[at]
-        off[at, 1] = np.einsum("mi,mi->m", arms, axes[at, 2])
-    return off
 
 
 def _groups(prepared: PreparedNormals, residuals: Residuals) -> tuple[Normals, _Fit]:
     """Return the normals, and the fit of the pairs about the plane of their group."""
     pairs, weight = prepared.pairs, prepared.pair_weight
     normals = prepared.normals(prepared.problem.xyz)
-    enter_pairs(residuals, prepared.problem, pairs, normals, weight)
+    _enter_pairs(residuals, prepared.problem, pairs, normals, weight)
     e = normals.misclosure
     chi_square = float(np.einsum("pi,pij,pj->", e, weight, e))
     return normals, _Fit(chi_square, 3 * (len(pairs.direct) - pairs.n_groups))
@@ -255,7 +248,8 @@ def _nests(prepared: Prepared, residuals: Residuals) -> _Fit:
     if not len(nests.row):
         return _Fit()
     fit = nest_fit(problem.xyz, nests, prepared.nest_weight, prepared.poses)
-    enter_nests(residuals, nests, fit)
+    length = np.linalg.norm(fit.residual, axis=1)
+    _enter(residuals, nests.row, length, fit.redundancy, fit.test_value)
     return _Fit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})
 
 
@@ -281,3 +275,44 @@ def _pose_covariance(prepared: Prepared) -> Floats:
         prepared.problem.xyz, prepared.nests, prepared.nest_weight, prepared.poses
     )
     return np.asarray(np.linalg.inv(normal), dtype=np.float64)
+
+
+def _enter(residuals: Residuals, rows: Ints, length: Floats, share: Floats, test: Floats) -> None:
+    """Write the residual lengths (m), redundancies and test values of ``rows`` as used."""
+    residuals.residual[rows] = length
+    residuals.redundancy[rows] = np.clip(share, 0.0, 1.0)
+    residuals.test_value[rows] = test
+    residuals.used[rows] = True
+
+
+def _enter_pairs(
+    residuals: Residuals,
+    problem: PlaneMirrorProblem,
+    pairs: Pairs,
+    normals: Normals,
+    weight: Floats,
+) -> None:
+    """Write direct and mirrored rows: distance of each from where its group's plane wants it.
+
+    A single pair fits its plane exactly; it is checked by the cone and the overlaps alone and has
+    redundancy 0 here.
+    """
+    jacobian = condition_jacobian(problem.xyz[pairs.direct], normals.normal, normals.offset, pairs)
+    basis = tangent_basis(normals.normal)[pairs.group]
+    reduced = jacobian @ basis
+    information = np.swapaxes(basis, 1, 2) @ normals.information[pairs.group] @ basis
+    cofactor = np.linalg.inv(weight) - reduced @ np.linalg.solve(
+        information, np.swapaxes(reduced, 1, 2)
+    )
+    n = normals.normal[pairs.group]
+    reflection = np.eye(3) - 2.0 * n[:, :, None] * n[:, None, :]
+    pull = (weight @ normals.misclosure[..., None])[..., 0]
+    share = np.trace(weight @ cofactor, axis1=1, axis2=2)
+    square = np.einsum("pi,pi->p", normals.misclosure, pull)
+    test = np.sqrt(square / np.where(share > 1e-6, share, np.inf))
+    for rows, factor in ((pairs.direct, reflection), (pairs.mirrored, np.eye(3))):
+        covariance = problem.noise.covariance(problem.xyz[rows])
+        spread = covariance @ factor @ weight
+        length = np.linalg.norm(np.einsum("pij,pj->pi", covariance @ factor, pull), axis=1)
+        own = np.trace(spread @ cofactor @ weight @ factor, axis1=1, axis2=2) / 3.0
+        _enter(residuals, rows, length, own, test)

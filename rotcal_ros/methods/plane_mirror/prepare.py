@@ -1,35 +1,140 @@
-"""Screening a problem and laying it out, once for one solution or for thousands of trials."""
+"""Screening a problem and laying it out, once for one solution or for thousands of trials.
+
+What depends only on the layout and on the noise is prepared once, in the type that belongs to the
+way; the estimates then take points with any leading axes.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.plane_mirror import screening
-from rotcal_ros.methods.plane_mirror.direct import fit_circle, require_circles
-from rotcal_ros.methods.plane_mirror.estimate import (
-    PreparedJoint,
-    PreparedNormals,
-    PreparedPoints,
-    PreparedWay,
-)
-from rotcal_ros.methods.plane_mirror.joint import adjust_joint, start_mirror
+from rotcal_ros.methods.plane_mirror import cone, joint, screening
+from rotcal_ros.methods.plane_mirror.direct import direct_readings, fit_circle, require_circles
 from rotcal_ros.methods.plane_mirror.layout import (
     Nests,
+    Pairs,
+    Reflectors,
     find_nests,
     find_pairs,
     find_reflectors,
 )
 from rotcal_ros.methods.plane_mirror.nest_tests import register
-from rotcal_ros.methods.plane_mirror.normals import fit_normals, pair_weights
-from rotcal_ros.methods.plane_mirror.offsets import joining_map
+from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals, pair_weights
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.registration import Poses
-from rotcal_ros.methods.plane_mirror.stitching import require_cone, require_overlap
+from rotcal_ros.methods.plane_mirror.registration import Poses, adjust_stations
+from rotcal_ros.methods.plane_mirror.settings import STITCHING
+from rotcal_ros.methods.plane_mirror.stitching import (
+    joining_map,
+    require_cone,
+    require_overlap,
+    stitch,
+)
 from rotcal_ros.results import Rejection
+
+_TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared, then rounding
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared(ABC):
+    """A screened problem with all that does not change from trial to trial.
+
+    ``angles`` (N,) are those of the positions that were measured; the positions of pairs and
+    reflectors count in them. ``poses`` are the nominal stations, or all at the origin where the
+    way needs none. ``joining`` (N, readings) makes deviations of readings.
+    """
+
+    problem: PlaneMirrorProblem
+    angles: Floats
+    nests: Nests
+    poses: Poses
+    joining: Floats
+
+    @property
+    def nest_weight(self) -> Floats:
+        """Inverse covariances (Q, 3, 3) of the nests, along the axes of each station."""
+        return self.problem.noise.weight(self.problem.xyz[self.nests.row])
+
+    @abstractmethod
+    def estimate(self, points: Floats) -> Floats:
+        """Return deviations (..., N) in rad, from the first position, of points (..., n, 3)."""
+
+    def stations_of(self, points: Floats) -> Poses:
+        """Return the adjusted stations for points (..., n, 3)."""
+        if self.poses.rotation.shape[-3] == 1:
+            return self.poses
+        return adjust_stations(points, self.nests, self.nest_weight, self.poses, _TRIAL_STEPS)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedPoints(Prepared):
+    """The way "direct": reflectors that the table carries."""
+
+    reflectors: Reflectors
+
+    def estimate(self, points: Floats) -> Floats:
+        """Return the deviations about the circles of the reflectors."""
+        own = points[..., self.reflectors.row, :]
+        placed = self.stations_of(points).placed(own, self.reflectors.station)
+        readings = direct_readings(placed, self.reflectors, self.angles)
+        return np.asarray(readings @ self.joining.T, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedNormals(Prepared):
+    """The ways "stitching" and "registration": a mirror, seen in pairs of points."""
+
+    pairs: Pairs
+    pair_weight: Floats
+
+    def normals(self, points: Floats) -> Normals:
+        """Return the mirror's planes that points (..., n, 3) show."""
+        return fit_normals(points, self.pairs, self.pair_weight)
+
+    def estimate(self, points: Floats) -> Floats:
+        """Return the deviations of the normals, each in its station or all in the first one's."""
+        normal = self.normals(points).normal
+        if self.problem.way == STITCHING:
+            readings = stitch(normal, self.pairs, self.angles)
+        else:
+            placed = self.stations_of(points).turned(normal, self.pairs.station)
+            readings = registered_readings(placed, self.pairs, self.angles)
+        return np.asarray(readings @ self.joining.T, dtype=np.float64)
+
+    @property
+    def adjusted_together(self) -> joint.Together:
+        """What the way "joint" adjusts together."""
+        return joint.Together(self.pairs, self.nests, self.nest_weight, self.problem.tilt_std)
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedJoint(PreparedNormals):
+    """The way "joint", with its nominal solution ``mirror``."""
+
+    mirror: joint.Mirror
+
+    def estimate(self, points: Floats) -> Floats:
+        """Return the deviations by the least squares of everything at once."""
+        mirror = joint.adjust_joint(
+            points, self.normals(points), self.adjusted_together, self.mirror, _TRIAL_STEPS
+        )
+        return cone.deviation(mirror.psi, self.angles)
+
+
+PreparedWay = PreparedPoints | PreparedNormals
+"""A prepared problem of any way; that of "joint" is one of normals."""
+
+
+def registered_readings(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
+    """Return one reading (..., G) per normal (..., G, 3) in the common frame."""
+    commanded = angles[pairs.position]
+    axis, _ = cone.fit_cone(normals, commanded)
+    return cone.deviation(cone.azimuths(normals, axis), commanded)
 
 
 @dataclass(frozen=True)
@@ -59,8 +164,8 @@ def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
     warnings = _absent(problem, used)
     pairs = replace(pairs, position=position.astype(np.int64))
     angles = problem.angles[used]
-    if problem.way == "stitching":
-        poses, nests = _no_stations(), _no_nests()
+    if problem.way == STITCHING:
+        poses, nests = _one_station()
         require_overlap(problem, pairs)
         require_cone(problem, pairs, angles)
         _, zero = np.unique(pairs.station, return_inverse=True)
@@ -74,7 +179,6 @@ def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
         problem=problem,
         angles=angles,
         nests=nests,
-        nest_weight=problem.noise.weight(problem.xyz[nests.row]),
         poses=poses,
         joining=joining,
         pairs=pairs,
@@ -95,15 +199,13 @@ def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
     angles = problem.angles[used]
     placed = poses.placed(problem.xyz[reflectors.row], reflectors.station)
     variance = np.zeros(len(placed))
-    for reflector in range(len(reflectors.name)):
-        at = np.flatnonzero(reflectors.reflector == reflector)
-        variance[at] = 1.0 / fit_circle(placed[at], angles[reflectors.position[at]])[2] ** 2
+    for at, commanded in reflectors.circles(angles):
+        variance[at] = 1.0 / fit_circle(placed[at], commanded)[2] ** 2
     joining = joining_map(reflectors.position, reflectors.reflector, variance, len(angles))
     prepared = PreparedPoints(
         problem=problem,
         angles=angles,
         nests=nests,
-        nest_weight=problem.noise.weight(problem.xyz[nests.row]),
         poses=poses,
         joining=joining,
         reflectors=reflectors,
@@ -113,24 +215,20 @@ def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
 
 def _stations(problem: PlaneMirrorProblem) -> tuple[Poses, Nests, list[str]]:
     if problem.station.max() == 0:
-        return _no_stations(), _no_nests(), []
+        return *_one_station(), []
     return register(problem, find_nests(problem))
 
 
-def _no_stations() -> Poses:
-    return Poses(np.eye(3)[None], np.zeros((1, 3)))
-
-
-def _no_nests() -> Nests:
+def _one_station() -> tuple[Poses, Nests]:
     none = np.zeros(0, dtype=np.int64)
-    return Nests(none, none, none, none, none)
+    return Poses(np.eye(3)[None], np.zeros((1, 3))), Nests(none, none, none, none, none)
 
 
 def _with_mirror(prepared: PreparedNormals) -> PreparedJoint:
     xyz = prepared.problem.xyz
     normals = prepared.normals(xyz)
-    start = start_mirror(normals, prepared.pairs, prepared.poses, prepared.angles)
-    mirror = adjust_joint(xyz, normals, prepared.adjusted_together, start)
+    start = joint.start_mirror(normals, prepared.pairs, prepared.poses, prepared.angles)
+    mirror = joint.adjust_joint(xyz, normals, prepared.adjusted_together, start)
     return PreparedJoint(**{**vars(prepared), "poses": mirror.poses}, mirror=mirror)
 
 

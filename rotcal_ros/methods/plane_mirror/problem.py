@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from rotcal_ros.observations import Observation, PointKind
 from rotcal_ros.units import ARCSEC, DEGREE
 
 _DEFAULTS = MirrorSolverSettings()
+KINDS = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
 
 
 @dataclass(frozen=True)
@@ -38,22 +39,12 @@ class TrackerNoise:
     mirror_slope_std: float = _DEFAULTS.mirror_slope_std_arcsec * ARCSEC
 
     def __post_init__(self) -> None:
-        values = (
-            self.range_std,
-            self.range_std_per_metre,
-            self.transverse_std,
-            self.transverse_std_per_metre,
-            self.mirror_slope_std,
-        )
+        values = astuple(self)
         if not all(np.isfinite(v) and v >= 0.0 for v in values):
             raise DataError(f"tracker noise must be finite and not negative, found {values}")
-        if (
-            min(
-                self.range_std + self.range_std_per_metre,
-                self.transverse_std + self.transverse_std_per_metre,
-            )
-            <= 0.0
-        ):
+        along = self.range_std + self.range_std_per_metre
+        across = self.transverse_std + self.transverse_std_per_metre
+        if min(along, across) <= 0.0:
             raise DataError("tracker noise along and across the beam must be above zero")
 
     def covariance(self, points: Floats) -> Floats:
@@ -147,17 +138,13 @@ class PlaneMirrorProblem:
 
 
 def problem_from_observations(
-    observations: Iterable[Observation],
-    angles: Floats,
-    noise: TrackerNoise | None = None,
-    way: Way = _DEFAULTS.way,
+    observations: Iterable[Observation], angles: Floats
 ) -> PlaneMirrorProblem:
     """Make a problem from captured probe points; observations that were not accepted are left out.
 
     ``angles`` (N,) are the commanded angles in rad by ``table_index``.
     """
-    kinds = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
-    used = [o for o in observations if o.accepted and o.kind in kinds]
+    used = [o for o in observations if o.accepted and o.kind in KINDS]
     stations, station = np.unique([o.station for o in used], return_inverse=True)
     return PlaneMirrorProblem(
         angles=np.asarray(angles, dtype=np.float64),
@@ -166,8 +153,6 @@ def problem_from_observations(
         kind=np.array([int(o.kind) for o in used], dtype=np.int64),
         nest=np.array([o.target for o in used], dtype=np.int64),
         xyz=np.array([o.mean for o in used], dtype=np.float64).reshape(-1, 3),
-        noise=noise if noise is not None else TrackerNoise(),
-        way=way,
         station_names=tuple(str(s) for s in stations),
     )
 
@@ -196,9 +181,8 @@ def _require_values(problem: PlaneMirrorProblem) -> None:
     ):
         found = np.unique(problem.station).tolist()
         raise DataError(f"{problem.source}: tracker stations must count from 0, found {found}")
-    known = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
     for row in range(len(problem.xyz)):
-        if problem.kind[row] not in known:
+        if problem.kind[row] not in KINDS:
             raise DataError(
                 f"{problem.source}: {problem.place(row)} has kind {problem.kind[row]}, expected "
                 "direct, mirrored or nest"

@@ -113,10 +113,8 @@ def drop_inconsistent(
 
 def check_normals(problem: PlaneMirrorProblem, pairs: Pairs, normals: Normals) -> None:
     """Refuse a normal that stands degrees away from where the table was sent."""
-    for station in np.unique(pairs.station):
-        at = np.flatnonzero(pairs.station == station)
+    for station, at, commanded in pairs.stations(problem.angles):
         n = normals.normal[at]
-        commanded = problem.angles[pairs.position[at]]
         seen = np.arccos(np.clip(n @ n.T, -1.0, 1.0))
         turn = commanded[:, None] - commanded[None, :]
         wrong = np.abs(seen - np.abs(wrap_angle(turn))) > MAX_MISFIT
@@ -128,7 +126,7 @@ def check_normals(problem: PlaneMirrorProblem, pairs: Pairs, normals: Normals) -
         names = problem.position_name(int(pairs.position[at[worst]]))
         against = problem.position_name(int(pairs.position[at[other]]))
         raise DataError(
-            f"{problem.source}: from tracker station {problem.station_name(int(station))} the "
+            f"{problem.source}: from tracker station {problem.station_name(station)} the "
             f"mirror at {names} stands {seen[worst, other] / DEGREE:.2f} deg from its normal at "
             f"{against}{'' if clear else ', one of them wrong'}: reflector on the wrong nest, "
             "wrong position number, or wrong commanded angle"

@@ -9,12 +9,10 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror import screening
-from rotcal_ros.methods.plane_mirror.estimate import PreparedNormals, PreparedWay
 from rotcal_ros.methods.plane_mirror.normals import incidence
-from rotcal_ros.methods.plane_mirror.outcomes import Outcome, outcome_of
-from rotcal_ros.methods.plane_mirror.prepare import prepare
+from rotcal_ros.methods.plane_mirror.outcomes import Outcome, empty_residuals, outcome_of
+from rotcal_ros.methods.plane_mirror.prepare import PreparedNormals, PreparedWay, prepare
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.residuals import empty_residuals
 from rotcal_ros.results import Result
 
 METHOD: Final = "plane_mirror"

@@ -1,20 +1,51 @@
-"""Stitching: every tracker station gives angles from its own normals, tied by shared positions."""
+"""Stitching: every tracker station gives angles from its own normals, tied by shared positions.
+
+Every reading is deviation(position) + zero(set) + error. A set is what shares a zero: a tracker
+station in stitching, a reflector in the direct way, everything in registration. Neighbouring sets
+are tied by the positions they share. With one shared position from set to set, the least
+squares of :func:`joining_map` are the paper's running sum (equations 7 to 16); with more, all
+ties are used.
+"""
 
 from __future__ import annotations
 
 from typing import Final
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError, GeometryError
 from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.layout import Pairs
-from rotcal_ros.methods.plane_mirror.offsets import islands
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 
 MIN_ARC: Final = 5e-3
 """Smallest singular value of an arc of directions, about its height: four degrees end to end."""
+
+
+def joining_map(position: Ints, zero: Ints, variance: Floats, n: int) -> Floats:
+    """Return the matrix (n, m) from readings (m,) to deviations from the first position.
+
+    ``position``, ``zero`` (m,) say where each reading belongs, ``variance`` (m,) its weight.
+    All n positions and all sets must be tied together: see :func:`islands`.
+    """
+    m = len(position)
+    design = np.zeros((m, n + zero.max() + 1))
+    design[np.arange(m), position] = 1.0
+    design[np.arange(m), n + zero] = 1.0
+    root = 1.0 / np.sqrt(variance / variance.mean())
+    solution = np.linalg.pinv(design[:, 1:] * root[:, None]) * root
+    return np.vstack([np.zeros(m), solution[: n - 1]])
+
+
+def islands(position: Ints, zero: Ints, n: int) -> tuple[Ints, Ints]:
+    """Return the island number of each position (n,) and of each set; one island is good."""
+    sets = int(zero.max()) + 1
+    links = coo_array((np.ones(len(position)), (position, n + zero)), shape=(n + sets, n + sets))
+    _, label = connected_components(links, directed=False)
+    return label[:n].astype(np.int64), label[n:].astype(np.int64)
 
 
 def require_overlap(problem: PlaneMirrorProblem, pairs: Pairs) -> None:
@@ -34,48 +65,32 @@ def require_overlap(problem: PlaneMirrorProblem, pairs: Pairs) -> None:
 def stitch(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     """Return one reading (..., G) per group: deviation in rad from its station's first group.
 
-    ``normals`` (..., G, 3) each in the frame of its station, ``angles`` (N,) commanded. A station
-    with three or more normals has its own plane. Two normals have none: their axis follows from
-    the cone found by the other stations.
+    ``normals`` (..., G, 3) each in the frame of its station, ``angles`` (N,) commanded.
     """
+    axes, _ = station_cones(normals, pairs, angles)
     readings = np.zeros(normals.shape[:-1])
-    height = np.zeros(normals.shape[:-2])
-    shares = _shares(normals, pairs, angles)
-    pairs_of_two = []
-    for station in np.unique(pairs.station):
-        at = np.flatnonzero(pairs.station == station)
-        if len(at) == 2:
-            pairs_of_two.append(at)
-        if len(at) < 3:
-            continue
-        commanded = angles[pairs.position[at]]
-        axis, s = cone.fit_cone(normals[..., at, :], commanded)
-        height += shares[station] * s
-        readings[..., at] = cone.deviation(cone.azimuths(normals[..., at, :], axis), commanded)
-    for at in pairs_of_two:
-        commanded = angles[pairs.position[at]]
-        axis = cone.axis_of_two(normals[..., at, :], height, commanded)
-        readings[..., at] = cone.deviation(cone.azimuths(normals[..., at, :], axis), commanded)
+    for _, at, commanded in pairs.stations(angles):
+        if len(at) > 1:
+            azimuths = cone.azimuths(normals[..., at, :], axes[..., at[0], :])
+            readings[..., at] = cone.deviation(azimuths, commanded)
     return readings
 
 
 def stitch_response(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     """Return the derivative (G, 2 G) of :func:`stitch` by (tau, eta) of all normals (G, 3).
 
-    tau, eta: movement of a normal along t and b of :func:`station_axes`, in rad.
+    tau, eta: movement of a normal along t and b of :func:`~.normals.tangent_frame`, in rad.
     """
     n = len(normals)
     response = np.zeros((n, 2 * n))
     height_response = np.zeros(n)
-    shares = _shares(normals, pairs, angles)
-    s = float(cone_height(normals, pairs, angles))
+    shares = _shares(pairs, angles)
+    s = float(station_cones(normals, pairs, angles)[1])
     tan_beta, cos_beta = s / np.sqrt(1.0 - s**2), np.sqrt(1.0 - s**2)
     for few in (False, True):  # stations of two lean on the height that the others give
-        for station in np.unique(pairs.station):
-            at = np.flatnonzero(pairs.station == station)
+        for station, at, azimuth in pairs.stations(angles):
             if len(at) < 2 or (len(at) == 2) is not few:
                 continue
-            azimuth = angles[pairs.position[at]]
             turn = cone.azimuth_response(azimuth, tan_beta)
             response[at, at] += 1.0 / cos_beta
             if few:
@@ -88,29 +103,29 @@ def stitch_response(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
     return response
 
 
-def station_axes(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
-    """Return the table axis (G, 3) as the station of each group sees it, for normals (G, 3)."""
-    axes = np.zeros_like(normals)
-    height = cone_height(normals, pairs, angles)
-    for station in np.unique(pairs.station):
-        at = np.flatnonzero(pairs.station == station)
-        commanded = angles[pairs.position[at]]
+def station_cones(normals: Floats, pairs: Pairs, angles: Floats) -> tuple[Floats, Floats]:
+    """Return the table axis (..., G, 3) as each group's station sees it, and the height (...).
+
+    The height s = sin(elevation of the normals) is the mean over the stations that can tell:
+    those with three or more normals, which have their own plane. Two normals have none: their
+    axis follows from the height that the other stations find.
+    """
+    axes, height = np.zeros_like(normals), np.zeros(normals.shape[:-2])
+    shares = _shares(pairs, angles)
+    stations = list(pairs.stations(angles))
+    for station, at, commanded in stations:
         if len(at) >= 3:
-            axes[at] = cone.fit_cone(normals[at], commanded)[0]
-        elif len(at) == 2:
-            axes[at] = cone.axis_of_two(normals[at], height, commanded)
-        else:  # one normal: no angle comes from it, any axis across it will do
-            axes[at] = np.roll(np.eye(3)[np.argmax(np.abs(normals[at[0]]))], 1)
-    return axes
-
-
-def cone_height(normals: Floats, pairs: Pairs, angles: Floats) -> Floats:
-    """Return s = sin(elevation of the normals), the mean over the stations that can tell."""
-    height = np.zeros(normals.shape[:-2])
-    for station, share in _shares(normals, pairs, angles).items():
-        at = np.flatnonzero(pairs.station == station)
-        height += share * cone.fit_cone(normals[..., at, :], angles[pairs.position[at]])[1]
-    return height
+            axis, s = cone.fit_cone(normals[..., at, :], commanded)
+            axes[..., at, :] = axis[..., None, :]
+            height += shares[station] * s
+    for _, at, commanded in stations:
+        if len(at) == 2:
+            axis = cone.axis_of_two(normals[..., at, :], height, commanded)
+            axes[..., at, :] = axis[..., None, :]
+        elif len(at) == 1:  # no angle comes from it, any axis across it will do
+            aside = np.argmax(np.abs(normals[..., at, :]), axis=-1)
+            axes[..., at, :] = np.eye(3)[(aside + 1) % 3]
+    return axes, height
 
 
 def require_cone(problem: PlaneMirrorProblem, pairs: Pairs, angles: Floats) -> None:
@@ -124,8 +139,7 @@ def require_cone(problem: PlaneMirrorProblem, pairs: Pairs, angles: Floats) -> N
         )
     for station in np.flatnonzero(counts > 1):
         azimuth = angles[pairs.position[pairs.station == station]]
-        columns = [np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)]
-        design = np.column_stack(columns[: min(len(azimuth), 3)])
+        design = cone.circle_columns(azimuth)[:, : len(azimuth)]
         if np.linalg.svd(design, compute_uv=False)[-1] < MIN_ARC:
             raise GeometryError(
                 f"{problem.source}: the {len(azimuth)} positions seen from tracker station "
@@ -134,13 +148,12 @@ def require_cone(problem: PlaneMirrorProblem, pairs: Pairs, angles: Floats) -> N
             )
 
 
-def _shares(normals: Floats, pairs: Pairs, angles: Floats) -> dict[int, float]:
+def _shares(pairs: Pairs, angles: Floats) -> dict[int, float]:
     """Weight of each station with three or more normals in the common cone height."""
     weights = {}
-    for station in np.unique(pairs.station):
-        at = np.flatnonzero(pairs.station == station)
+    for station, at, azimuth in pairs.stations(angles):
         if len(at) >= 3:
-            response = cone.axis_response(angles[pairs.position[at]])
-            weights[int(station)] = 1.0 / float(response[2] @ response[2])
+            response = cone.axis_response(azimuth)
+            weights[station] = 1.0 / float(response[2] @ response[2])
     total = sum(weights.values())
     return {station: weight / total for station, weight in weights.items()}

@@ -9,11 +9,15 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.plane_mirror.cone import fit_cone
-from rotcal_ros.methods.plane_mirror.estimate import PreparedNormals, PreparedPoints, PreparedWay
 from rotcal_ros.methods.plane_mirror.normals import image_response, tangent_frame
-from rotcal_ros.methods.plane_mirror.prepare import prepare
+from rotcal_ros.methods.plane_mirror.prepare import (
+    PreparedNormals,
+    PreparedPoints,
+    PreparedWay,
+    prepare,
+)
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
-from rotcal_ros.methods.plane_mirror.stitching import cone_height, station_axes
+from rotcal_ros.methods.plane_mirror.stitching import station_cones
 
 _CHUNK: Final = 250  # trials at a time keep the arrays small enough for the cache
 
@@ -80,8 +84,8 @@ def _axes(prepared: PreparedNormals, normals: Floats) -> tuple[Floats, float]:
     """Table axis (G, 3) as each group's station sees it, and the height of the cone."""
     angles, pairs = prepared.angles, prepared.pairs
     if prepared.problem.way == "stitching":
-        height = float(cone_height(normals, pairs, angles))
-        return station_axes(normals, pairs, angles), height
+        axes, height = station_cones(normals, pairs, angles)
+        return axes, float(height)
     placed = prepared.poses.turned(normals, pairs.station)
     axis, common = fit_cone(placed, angles[pairs.position])
     return axis @ prepared.poses.rotation[pairs.station], float(common)

@@ -7,9 +7,10 @@ in that order 2 G numbers; the direct way feels tangential, radial and axial mov
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.methods.plane_mirror import cone, stitching
+from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.joint import plane_weight
 from rotcal_ros.methods.plane_mirror.layout import Pairs, Reflectors
 from rotcal_ros.methods.plane_mirror.normals import Normals, tangent_frame
@@ -33,11 +34,7 @@ def normal_covariance(
     n = pairs.n_groups
     t, b = tangent_frame(poses.turned(normals.normal, pairs.station), axes)
     own = np.linalg.inv(plane_weight(normals, pairs, poses, t, b))[:, :2, :2]
-    total = np.zeros((2, n, 2, n))
-    index = np.arange(n)
-    for row in range(2):
-        for column in range(2):
-            total[row, index, column, index] = own[:, row, column]
+    total = _independent(own)
     same = pairs.position[:, None] == pairs.position[None, :]
     total[1, :, 1, :] += tilt_std**2 * same
     by_pose = np.zeros((2, n, len(pose_covariance)))
@@ -73,11 +70,7 @@ def point_covariance(
     points = problem.xyz[reflectors.row]
     local = axes @ poses.rotation[reflectors.station]
     own = local @ problem.noise.covariance(points) @ np.swapaxes(local, 1, 2)
-    total = np.zeros((3, n, 3, n))
-    index = np.arange(n)
-    for row in range(3):
-        for column in range(3):
-            total[row, index, column, index] = own[:, row, column]
+    total = _independent(own)
     arm = poses.turned(points, reflectors.station)
     by_pose = np.zeros((3, n, len(pose_covariance)))
     movable, columns = station_columns(reflectors.station)
@@ -88,6 +81,14 @@ def point_covariance(
     flat = by_pose.reshape(3 * n, -1)
     covariance: Floats = total.reshape(3 * n, 3 * n) + flat @ pose_covariance @ flat.T
     return covariance
+
+
+def _independent(own: ArrayLike) -> Floats:
+    """Return the covariance (k, n, k, n) of n independent places with their ``own`` (n, k, k)."""
+    n, k, _ = np.shape(own)
+    total = np.zeros((k, n, k, n))
+    total[:, np.arange(n), :, np.arange(n)] = own
+    return total
 
 
 def tilt_crosstalk(problem: PlaneMirrorProblem, height: float, n: int) -> Floats:
@@ -125,18 +126,12 @@ def cone_misfit(
     """Return chi square and dof of the normals (G, 3) about their cones, one per set ``zero``."""
     values = np.einsum("gi,gi->g", normals, axes)
     values = values / np.sqrt(1.0 - values.mean() ** 2)
-    design = np.zeros((len(values), 3 * (zero.max() + 1)))
-    columns = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.ones_like(azimuth)])
-    design[np.arange(len(values))[:, None], 3 * zero[:, None] + np.arange(3)] = columns
-    return misfit(values, design, covariance)
+    return misfit(values, cone.circle_design(azimuth, zero), covariance)
 
 
-def stitched_covariance(
-    normals: Normals, pairs: Pairs, angles: Floats, tilt_std: float
-) -> tuple[Floats, Floats]:
-    """Return the covariance (2 G, 2 G) of the normals in their stations, and the axes (G, 3)."""
-    axes = stitching.station_axes(normals.normal, pairs, angles)
+def stitched_covariance(normals: Normals, pairs: Pairs, axes: Floats, tilt_std: float) -> Floats:
+    """Return the covariance (2 G, 2 G) of the normals in their stations; ``axes`` (G, 3)."""
     n_stations = int(pairs.station.max()) + 1
     own = Poses(np.tile(np.eye(3), (n_stations, 1, 1)), np.zeros((n_stations, 3)))
     none = np.zeros((6 * (n_stations - 1),) * 2)
-    return normal_covariance(normals, pairs, own, axes, none, tilt_std), axes
+    return normal_covariance(normals, pairs, own, axes, none, tilt_std)

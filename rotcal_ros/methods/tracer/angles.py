@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import GeometryError
-from rotcal_ros.geometry.circle import Circle, circle_centre_jacobian, fit_circle
+from rotcal_ros.geometry.circle import circle_centre_jacobian, fit_circle
 from rotcal_ros.geometry.plane import Plane, fit_plane
 from rotcal_ros.geometry.rotations import wrap_angle
 
@@ -44,7 +44,7 @@ class TableMotion:
         return np.asarray(np.linalg.norm(self.in_plane, axis=1) - self.radius, dtype=np.float64)
 
 
-def table_motion(stations: ArrayLike, table_angles: ArrayLike) -> TableMotion:
+def table_motion(stations: Floats, table_angles: Floats) -> TableMotion:
     """Return the deviations of the table from its ``stations`` (m, 3) at ``table_angles`` (m,).
 
     Plane and projection (Eq. 18-21), circle centre (Eq. 22-31), angles (Eq. 32-33).
@@ -59,9 +59,7 @@ def table_motion(stations: ArrayLike, table_angles: ArrayLike) -> TableMotion:
     Raises GeometryError when the stations do not determine plane or circle, or when the axis
     is nearer to the xy-plane than to z.
     """
-    points = np.asarray(stations, dtype=np.float64)
-    commanded = np.asarray(table_angles, dtype=np.float64)
-    plane = fit_plane(points)
+    plane = fit_plane(stations)
     tilt = axis_tilt(plane.normal)
     if tilt > np.pi / 4:
         raise GeometryError(
@@ -69,10 +67,10 @@ def table_motion(stations: ArrayLike, table_angles: ArrayLike) -> TableMotion:
             "axis has to be near +z: turn the coordinates of the targets accordingly"
         )
     basis = plane.basis()
-    circle: Circle = fit_circle((points - plane.centroid) @ basis.T)
-    in_plane = (points - plane.centroid) @ basis.T - circle.centre
-    bearing = np.arctan2(in_plane[:, 1], in_plane[:, 0])
-    excess = bearing - commanded
+    flat = (stations - plane.centroid) @ basis.T
+    circle = fit_circle(flat)
+    in_plane = flat - circle.centre
+    excess = np.arctan2(in_plane[:, 1], in_plane[:, 0]) - table_angles
     return TableMotion(
         plane=plane,
         centre=plane.centroid + circle.centre @ basis,
@@ -84,17 +82,16 @@ def table_motion(stations: ArrayLike, table_angles: ArrayLike) -> TableMotion:
     )
 
 
-def bearing_jacobian(stations: ArrayLike, motion: TableMotion) -> Floats:
+def bearing_jacobian(stations: Floats, motion: TableMotion) -> Floats:
     """Return d bearing / d stations, shape (m, 3 m), up to one common turn of all bearings.
 
     Differences of rows are exact: those are all that deviations need. The chain runs through
     the plane's normal (first-order perturbation of the singular vector), the projection and the
     circle's centre.
     """
-    points = np.asarray(stations, dtype=np.float64)
-    m = len(points)
+    m = len(stations)
     basis, normal = motion.plane.basis(), motion.plane.normal
-    relative = points - motion.plane.centroid
+    relative = stations - motion.plane.centroid
     flat, height = relative @ basis.T, relative @ normal
     # d normal, in the basis: (moments - lambda_3) dn = -sum(flat dz + height dflat)
     moments = flat.T @ flat - motion.plane.singular_values[2] ** 2 * np.eye(2)
@@ -111,12 +108,12 @@ def bearing_jacobian(stations: ArrayLike, motion: TableMotion) -> Floats:
     return np.asarray(d_bearing[:, 0], dtype=np.float64)
 
 
-def axis_tilt(normal: ArrayLike) -> float:
+def axis_tilt(normal: Floats) -> float:
     """Return the angle alpha (rad) between a plane ``normal`` (3,) and the z axis (Eq. 35).
 
     By atan2 instead of the printed arccos: near zero a cosine keeps only half of the digits.
     """
-    a, b, c = (float(x) for x in np.asarray(normal, dtype=np.float64))
+    a, b, c = normal
     return float(np.arctan2(np.hypot(a, b), abs(c)))
 
 
@@ -132,14 +129,11 @@ def algorithm_error(angle: ArrayLike, tilt: float) -> Floats:
     return wrap_angle(np.arctan2(np.sin(theta) * np.cos(tilt), np.cos(theta)) - theta)
 
 
-def scatter(adjacent: ArrayLike) -> float:
-    """Return the paper's sigma of the ``adjacent`` deviations (q,), in radians (Eq. 34).
+def scatter(adjacent: Floats) -> float:
+    """Return the paper's sigma of the ``adjacent`` deviations (q,), q > 1, in radians (Eq. 34).
 
     Half the root of sum(dtheta^2) / (q (q - 1)). Slip: printed with m, the number of stations,
     the equation gives 0.80 arcsec for the paper's data; its 0.9 needs q, the number of deviations.
     """
-    steps = np.asarray(adjacent, dtype=np.float64)
-    q = len(steps)
-    if q < 2:
-        raise GeometryError(f"the scatter of Eq. 34 needs at least 2 deviations, found {q}")
-    return 0.5 * float(np.sqrt((steps**2).sum() / (q * (q - 1))))
+    q = len(adjacent)
+    return 0.5 * float(np.sqrt((adjacent**2).sum() / (q * (q - 1))))

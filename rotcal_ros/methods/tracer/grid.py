@@ -47,14 +47,10 @@ class Grid:
     target_std: Floats
     free: bool
 
-    def missing_of(self, count: int) -> tuple[int, ...]:
-        """Return which of ``count`` positions have no station."""
-        return tuple(np.setdiff1d(np.arange(count), self.position_ids).tolist())
-
     @property
     def weights(self) -> Floats:
         """Weights (m, n) of the lengths alone, 1/m^2; zero where unused."""
-        return np.asarray(self.used / self.length_std**2, dtype=np.float64)
+        return self.used / self.length_std**2
 
 
 def arrange(problem: TracerProblem) -> tuple[Grid, dict[int, str], dict[int, str]]:

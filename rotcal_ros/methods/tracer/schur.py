@@ -70,7 +70,7 @@ class Reduced:
         ``response`` is the inverse of :meth:`regular` times the constraints (Lagrange).
         """
         multipliers = np.linalg.solve(self.constraints.T @ response, self.constraints.T @ columns)
-        return np.asarray(response @ multipliers, dtype=np.float64)
+        return response @ multipliers
 
     def other_blocks(self, covariance: Floats) -> Floats:
         """Return the covariance blocks (q, t, t) of the eliminated side."""

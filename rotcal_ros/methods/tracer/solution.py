@@ -10,11 +10,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer import joint, station
-from rotcal_ros.methods.tracer.adjustment import (
-    MINIMAL_REDUNDANCY,
-    Adjustment,
-    StationCovariance,
-)
+from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY, Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion, table_motion
 from rotcal_ros.methods.tracer.grid import Grid, arrange
 from rotcal_ros.methods.tracer.observability import check_counts, check_station_spread
@@ -23,10 +19,8 @@ from rotcal_ros.methods.tracer.screening import adjust_and_screen, reject_gross
 from rotcal_ros.methods.tracer.start import find_start
 from rotcal_ros.methods.tracer.uncertainty import (
     AngleUncertainty,
-    GlobalTest,
     angle_uncertainty,
     circle_test,
-    error_motion_covariance,
     length_test,
 )
 from rotcal_ros.methods.tracer.verdict import Evidence, closures
@@ -86,14 +80,16 @@ def adjust(problem: TracerProblem) -> TracerSolution:
     angles = angle_uncertainty(motion, fit, covariance, problem.error_motion_std, scale)
     evidence = Evidence(
         lengths=lengths,
-        circle=_circle_test(motion, covariance, problem.error_motion_std, scale),
+        circle=circle_test(motion, covariance, problem.error_motion_std, scale),
         radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
         closures=()
         if problem.repeated_runs
         else closures(commanded, motion.cumulative, angles.covariance, grid.position_ids),
         n_lengths=len(problem.length) - len(repeated),
         n_rejected=len(unfit) + len(outliers),
-        missing=grid.missing_of(len(problem.table_angles)),
+        missing=tuple(
+            np.setdiff1d(np.arange(len(problem.table_angles)), grid.position_ids).tolist()
+        ),
         unchecked=int((grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
         mirror_ambiguous=ambiguous,
     )
@@ -113,14 +109,6 @@ def _screened(
         grid, gross = reject_gross(station.adjust_stations, grid, start, significance)
     grid, fit, outliers = adjust_and_screen(_ADJUST[problem.variant], grid, start, significance)
     return grid, fit, outliers | gross
-
-
-def _circle_test(
-    motion: TableMotion, covariance: StationCovariance, error_motion_std: float, scale: float
-) -> GlobalTest:
-    total = scale**2 * (covariance.lengths + covariance.targets)
-    total += error_motion_covariance(motion, error_motion_std)
-    return circle_test(motion, total)
 
 
 def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid: Grid) -> None:

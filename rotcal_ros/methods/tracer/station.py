@@ -64,14 +64,11 @@ def locate_stations(
         if not active.any():
             break
         # Eq. 16-17; a predicted change that is all rounding says nothing against the step
-        damping *= _damping_factor(change - slack, predicted)
+        seen = change - slack
+        good, bad = seen < 0.75 * predicted, seen > 0.25 * predicted
+        damping *= np.where(good, 0.1, np.where(bad, 10.0, 1.0))
         np.maximum(damping, misfit.floor, out=damping)
     return _polish(state, h, products, misfit), ~active
-
-
-def _damping_factor(change: Floats, predicted: Floats) -> Floats:
-    """Return by what to multiply the damping (Eq. 17): the quadratic model fits well, or badly."""
-    return np.where(change < 0.75 * predicted, 0.1, np.where(change > 0.25 * predicted, 10.0, 1.0))
 
 
 class Misfit:

@@ -32,17 +32,6 @@ PLACES: Final = 200_000
 
 
 @dataclass(frozen=True, eq=False)
-class StationGain:
-    """The variant "station": ``inverse`` (m, 4, 4) are the inverse normal matrices."""
-
-    inverse: Floats
-
-    def step(self, station: Floats) -> Floats:
-        """Return the Gauss-Newton steps (t, m, 4), to be subtracted, for gradients (t, m, 4)."""
-        return np.asarray((self.inverse @ station[..., None])[..., 0], dtype=np.float64)
-
-
-@dataclass(frozen=True, eq=False)
 class NetworkGain:
     """The variant "joint": the kept covariance, and the way back to the eliminated side."""
 
@@ -67,9 +56,10 @@ class TracerTrials:
     """Draws measurements like the given one and solves them; made by :func:`tracer_trials`.
 
     ``state`` (m, 4) and ``targets`` (n, 3) are the solution, ``weights`` (m, n) those of the
-    solver, ``gain`` belongs to its variant. ``scale`` enlarges the stated noise as the
-    solver does, ``wobble`` (2, 3) are standard error motions in the plane of the stations,
-    ``zeros`` (r, m, n) standard errors that all lengths of a run have in common (m).
+    solver. ``gain`` belongs to its variant; for "station" the inverse normal matrices (m, 4, 4).
+    ``scale`` enlarges the stated noise as the solver does, ``wobble`` (2, 3) are standard error
+    motions in the plane of the stations, ``zeros`` (r, m, n) standard errors that all lengths of a
+    run have in common (m).
     """
 
     grid: Grid
@@ -80,7 +70,7 @@ class TracerTrials:
     scale: float
     wobble: Floats
     zeros: Floats
-    gain: StationGain | NetworkGain
+    gain: Floats | NetworkGain
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return the cumulative deviations (count, m) in rad of simulated measurements."""
@@ -105,11 +95,12 @@ class TracerTrials:
     def solve(self, length: Floats, places: Floats, wobble: Floats) -> Floats:
         """Return the cumulative deviations (t, m) for t sets of what :meth:`draw` returns."""
         state = np.broadcast_to(self.state, (len(length), *self.state.shape)).copy()
-        if isinstance(self.gain, StationGain):
-            for _ in range(STEPS):
-                state -= self.gain.step(self._gradients(state, places, length)[0])
-        else:
+        if isinstance(self.gain, NetworkGain):
             self._settle(self.gain, state, length, places)
+        else:
+            for _ in range(STEPS):
+                by_station, _ = self._gradients(state, places, length)
+                state -= (self.gain @ by_station[..., None])[..., 0]
         return cumulative_deviations(state[:, :, :3] + wobble, self.angles)
 
     def _settle(self, gain: NetworkGain, state: Floats, length: Floats, places: Floats) -> None:
@@ -152,7 +143,7 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
     """Prepare Monte Carlo trials about a solved problem."""
     problem, grid, fit = solution.problem, solution.grid, solution.fit
     weights = grid.used / fit.std**2
-    gain: StationGain | NetworkGain
+    gain: Floats | NetworkGain
     if problem.variant == "joint":
         network = linearise(grid, fit.state, fit.targets)
         gain = NetworkGain(network.reduced.covariance(), network.reduced, network.stations_kept)
@@ -161,7 +152,7 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
         unit = difference / np.linalg.norm(difference, axis=2, keepdims=True)
         design = np.concatenate([unit, -np.ones((*unit.shape[:2], 1))], axis=2)
         normal = design.swapaxes(1, 2) @ (design * weights[..., None])
-        gain = StationGain(np.asarray(np.linalg.inv(normal), dtype=np.float64))
+        gain = np.linalg.inv(normal)
     return TracerTrials(
         grid=grid,
         angles=solution.table_angles,

@@ -85,13 +85,17 @@ def length_test(fit: Adjustment, dof_effective: float) -> GlobalTest:
     return GlobalTest(float(np.sqrt(fit.chi2 / fit.dof)), probability)
 
 
-def circle_test(motion: TableMotion, total: Floats) -> GlobalTest:
+def circle_test(
+    motion: TableMotion, covariance: StationCovariance, error_motion_std: float, scale: float
+) -> GlobalTest:
     """Compare the stations' radial distances from the circle with their covariance.
 
-    ``total`` (3 m, 3 m) holds all sources, the error motion too. What the circle has absorbed
-    (centre and radius) is projected out; m - 3 degrees of freedom remain. The table's error motion
+    What the circle has absorbed (centre and radius) is projected out; m - 3 degrees of freedom
+    remain. The table's error motion
     shows here by its radial part; its tangential part is what the angle cannot be told from.
     """
+    total = scale**2 * (covariance.lengths + covariance.targets)
+    total += error_motion_covariance(motion, error_motion_std)
     direction = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
     m = len(direction)
     absorbed = np.column_stack([direction, np.ones(m)])

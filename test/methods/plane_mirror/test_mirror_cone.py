@@ -5,8 +5,12 @@ from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.plane_mirror import cone
 from rotcal_ros.methods.plane_mirror.layout import Pairs
 from rotcal_ros.methods.plane_mirror.normals import tangent_frame
-from rotcal_ros.methods.plane_mirror.offsets import islands, joining_map
-from rotcal_ros.methods.plane_mirror.stitching import stitch, stitch_response
+from rotcal_ros.methods.plane_mirror.stitching import (
+    islands,
+    joining_map,
+    stitch,
+    stitch_response,
+)
 from rotcal_ros.methods.plane_mirror.uncertainty import registered_response
 
 POSE = rotation_from_vector([0.4, -0.9, 1.7])

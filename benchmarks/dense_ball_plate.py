@@ -1,7 +1,7 @@
 """The constrained least squares as printed (Eq. 10 to 21), one dense matrix.
 
-Slow and large (N = 72, R = 12: 709 unknowns and multipliers), but nothing in it is clever: it
-is the reference that the spectral and the general solution are tested and timed against.
+Opponent of the benchmark and referee of the tests. Slow and large (N = 72, R = 12: 709 unknowns
+and multipliers), but nothing in it is clever.
 """
 
 from __future__ import annotations
@@ -10,21 +10,10 @@ from functools import partial
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-
-
-def design_matrix(problem: BallPlateProblem) -> Floats:
-    """Return T (3n, P) of Eq. 14; rows in the order of the centres, x, y, z of each."""
-    coefficients, columns = model.local_design(problem)
-    n = len(problem.centres)
-    matrix = np.zeros((n, 3, model.offsets(problem).total))
-    # a centre touches every column at most once, so plain assignment is enough
-    np.put_along_axis(matrix, np.repeat(columns[:, None, :], 3, axis=1), coefficients, axis=2)
-    return matrix.reshape(3 * n, -1)
 
 
 def solve_dense(problem: BallPlateProblem) -> Solution:
@@ -32,7 +21,7 @@ def solve_dense(problem: BallPlateProblem) -> Solution:
 
     Raises ObservabilityError when the matrix is singular.
     """
-    design, constraints = design_matrix(problem), model.constraint_matrix(problem)
+    design, constraints = model.design_matrix(problem), model.constraint_matrix(problem)
     observed = problem.deviations.ravel()
     if problem.std is not None:
         weight = 1.0 / problem.std.ravel()

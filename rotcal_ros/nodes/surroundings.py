@@ -1,19 +1,46 @@
-"""All parameters of all nodes of the cell, for the bag."""
+"""What took part in a calibration, for the bag: versions and parameters of everything."""
 
 from __future__ import annotations
 
 import json
+import os
+import platform
 from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final
 
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
+from rclpy.utilities import get_rmw_implementation_identifier
 
-from rotcal_ros.nodes.waiting import until
+from rotcal_ros import __version__
+from rotcal_ros.nodes.cell_node import until
 
 TIMEOUT_S: Final = 3.0
+_PACKAGES = ("numpy", "scipy", "mcap", "rclpy", "ros-rclpy", "rotcal_msgs")
+
+
+def versions_json() -> str:
+    """Return the versions of packages, Python, operating system and middleware as JSON."""
+    installed = {package: _version(package) for package in _PACKAGES}
+    versions = {
+        "rotcal_ros": __version__,
+        "python": platform.python_version(),
+        **{package: found for package, found in installed.items() if found},
+        "system": platform.platform(),
+        "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        "rmw": get_rmw_implementation_identifier(),
+    }
+    return json.dumps(versions, indent=1)
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""
 
 
 async def parameters_json(node: Node, beating: Iterable[str]) -> str:

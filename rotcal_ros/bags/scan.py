@@ -1,0 +1,62 @@
+"""One pass over a storage file of a bag, whatever its format: what every scan has in common."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+from mcap.records import Attachment
+
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.verdict import FileVerdict, TopicCount
+
+
+class Scan(ABC):
+    """One pass over one storage file; ``position`` is how far it has come, in bytes.
+
+    Iterate :meth:`blocks` to the end; ``channels``, ``attachments`` and ``metadata`` fill up on
+    the way, and :meth:`verdict` is final afterwards. A block only holds messages of
+    channels whose definition is known.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.position = 0
+        self.channels: dict[int, ChannelDefinition] = {}
+        self.attachments: dict[str, Attachment] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self._counts: Counter[int] = Counter()
+        self._span: tuple[int, int] | None = None
+
+    @abstractmethod
+    def blocks(self) -> Iterator[Block]:
+        """Yield the readable messages; raises BagError when the file is unreadable at all."""
+
+    @abstractmethod
+    def verdict(self) -> FileVerdict:
+        """Return what is to be said about the file, after the iteration."""
+
+    def _count(self, block: Block) -> None:
+        """Count the messages of ``block`` and widen the span of log times."""
+        self._counts.update(block.counts())
+        times = block.headers["log_time"]
+        start, end = int(times.min()), int(times.max())
+        known = self._span or (start, end)
+        self._span = (min(known[0], start), max(known[1], end))
+
+    def _topics(self, lost: Counter[int]) -> dict[str, TopicCount]:
+        """Return the counts by topic; ``lost`` counts by channel id."""
+        topics: dict[str, TopicCount] = {}
+        for number in sorted(self.channels.keys() | lost.keys()):
+            channel = self.channels.get(number)
+            name = channel.topic if channel else f"(unknown channel {number})"
+            known = topics.get(name, TopicCount(channel.type_name if channel else "", 0))
+            topics[name] = TopicCount(
+                known.type_name,
+                known.messages + self._counts[number],
+                known.lost + lost[number],
+            )
+        return topics

@@ -1,0 +1,110 @@
+"""What a recorder keeps count of, without ROS: losses, silences, receipts that are due."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import Final
+
+from rotcal_ros.bags import names
+from rotcal_ros.nodes.recording import Receipt
+
+NEVER_PAUSE: Final = (names.TRACER_LENGTH, names.JOINT_STATES, names.TEMPERATURE)
+"""Last names of the streams that are watched, once somebody publishes them."""
+
+
+class TopicLosses:
+    """Gaps in the numbers of the publishers, and the reports of the middleware itself.
+
+    The numbers tell nothing of what a publisher sent before the first or behind the last message
+    that arrived; reports come too late or, from some middlewares, never. Both count the same
+    messages: the larger number is the better one.
+    """
+
+    def __init__(self) -> None:
+        self._sequences: dict[bytes, int] = {}
+        self._gaps = 0
+        self._reported = 0
+
+    @property
+    def count(self) -> int:
+        """Number of lost messages since :meth:`forget`."""
+        return max(self._gaps, self._reported)
+
+    def forget(self) -> None:
+        """Count from zero; the numbers of the publishers go on."""
+        self._gaps = self._reported = 0
+
+    def number(self, number: int | None, publisher: bytes) -> None:
+        """Take the number that ``publisher`` gave a message; None or 0 where there are none."""
+        if not number:
+            return
+        last = self._sequences.get(publisher, number - 1)
+        self._gaps += max(0, number - last - 1)
+        self._sequences[publisher] = number
+
+    def report(self, lost: int) -> None:
+        """Take a report of ``lost`` further messages."""
+        self._reported += lost
+
+
+class Silences:
+    """``counts`` has one entry ``silent <topic>`` per stream: how often it was silent too long."""
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._begun_s = 0.0
+        self._silent: set[str] = set()
+        self.counts: Counter[str] = Counter()
+
+    def begin(self, now_s: float) -> None:
+        """Begin to count anew; what was before does not matter."""
+        self._begun_s = now_s
+        self._silent.clear()
+        self.counts.clear()
+
+    def look(self, heard_s: Mapping[str, float], now_s: float) -> None:
+        """Take the times at which topics were last heard, by their absolute names."""
+        for topic, last_s in heard_s.items():
+            if topic.rpartition("/")[2] not in NEVER_PAUSE:
+                continue
+            if now_s - max(last_s, self._begun_s) <= self._limit_s:
+                self._silent.discard(topic)
+            elif topic not in self._silent:
+                self._silent.add(topic)
+                self.counts[f"{names.SILENT} {topic}"] += 1
+
+
+class PendingReceipts:
+    """Receipts of observations whose readings may still be on their way here."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, Receipt]] = []
+        self._lost = 0
+
+    def begin(self) -> None:
+        """Begin anew with a new bag."""
+        self._waiting.clear()
+        self._lost = 0
+
+    def expect(self, step: int, attempt: int, window_end_ns: int) -> None:
+        """Take an observation that wants a receipt."""
+        self._waiting.append((window_end_ns, Receipt(step, attempt)))
+
+    def due(self, reached_ns: int | None, lost: int) -> Iterator[Receipt]:
+        """Yield what can be confirmed now that the readings have come to ``reached_ns``.
+
+        None: there is no such stream. ``lost`` counts the losses since the bag was opened; each
+        receipt tells those since the one before.
+        """
+        waiting, self._waiting = self._waiting, []
+        for window_end_ns, receipt in waiting:
+            if reached_ns is None or reached_ns >= window_end_ns:
+                yield replace(receipt, lost=lost - self._lost)
+                self._lost = lost
+            else:
+                self._waiting.append((window_end_ns, receipt))
+
+    def __bool__(self) -> bool:
+        return bool(self._waiting)

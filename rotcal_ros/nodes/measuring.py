@@ -1,0 +1,129 @@
+"""Measuring what is left of a plan, step by step, with a person where it needs one."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from itertools import count
+from typing import Final
+
+from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
+from rotcal_ros.errors import DataError
+from rotcal_ros.nodes.cell_links import Attempt
+from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
+from rotcal_ros.planning.plan import PAUSED, Pause
+
+REPEAT_PERIOD_S: Final = 2.0
+"""An instruction is repeated after this time, for clients that come late."""
+
+
+class Measuring:
+    """Measures the steps of one goal; no attempt at a step has a number twice.
+
+    ``waiting`` is True while a person does what the plan pauses for; whoever knows that it is
+    done sets it to False.
+    """
+
+    def __init__(
+        self, calibration: Calibration, continuation: Continuation, watch: GoalWatch
+    ) -> None:
+        self._calibration = calibration
+        self._continuation = continuation
+        self._watch = watch
+        self._next_attempt: dict[int, int] = {}
+        self.waiting = False
+
+    async def measure_all(self) -> None:
+        """Measure every step that is left."""
+        progress = self._watch.progress
+        progress.started_s = time.monotonic()
+        left = deque(self._continuation.steps)
+        while left:
+            pause = self._calibration.plan.pause_before(left[0])
+            if pause is not None:
+                await self._have_done(pause)
+                while left and left[0] <= pause.last:
+                    left.popleft()
+            if pause is None or pause.last < pause.first:
+                await self._measure(left.popleft())
+            progress.left = len(left)
+        progress.step = progress.total
+
+    async def _have_done(self, pause: Pause) -> None:
+        """Have the work of a pause done and check it, again and again until it is good.
+
+        What the method can live with is asked for ``max_attempts`` times, what makes a result
+        impossible until the goal is canceled.
+        """
+        text = pause.instruction
+        for asked in count(1):
+            await self._ask(pause, text)
+            for index in range(pause.first, pause.last + 1):
+                await self._measure(index)
+            found, hopeless = self._complaints()
+            if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
+                return
+            text = f"not as it should be: {found}; put it right ({pause.instruction})"
+
+    async def _ask(self, pause: Pause, text: str) -> None:
+        """Show the instruction and wait for the end of the work, as long as it takes."""
+        asked_s = time.monotonic()
+        progress = self._watch.progress
+        progress.step = pause.first
+        self.waiting = True
+        try:
+            while self.waiting:
+                self._watch.tell(PAUSED + text)
+                await self._watch.wait(lambda: not self.waiting, REPEAT_PERIOD_S)
+        finally:
+            self.waiting = False
+        progress.started_s += time.monotonic() - asked_s
+
+    def _complaints(self) -> tuple[str, bool]:
+        """Return what the observations so far say against the work; hopeless or not."""
+        earlier, now = self._continuation.observations, self._watch.links.observations
+        try:
+            return "; ".join(self._calibration.check([*earlier, *now.values()])), False
+        except DataError as error:
+            return str(error), True
+
+    async def _measure(self, index: int) -> None:
+        """Attempt a step until it is captured without a loss, or attempts are used up."""
+        progress, limit = self._watch.progress, self._watch.settings.max_attempts
+        progress.step = index
+        first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
+        self._next_attempt[index] = first + limit
+        captured = False
+        for number in range(limit):
+            key = (index, first + number)
+            if await self._observed(key, number):
+                captured = True
+                if not await self._lost(key):
+                    break
+            progress.rejected += 1
+        progress.note(index, accepted=captured)
+
+    async def _observed(self, key: Attempt, number: int) -> bool:
+        """Order an attempt; return whether an observation came and is accepted."""
+        index, attempt = key
+        step = self._calibration.plan.steps[index]
+        again = f" (attempt {number + 1})" if number else ""
+        links = self._watch.links
+        self._watch.tell(f"table position {step.table_index}, target {step.target}{again}")
+        links.order(step.command(attempt))
+        limit_s = self._watch.settings.step_timeout_s
+        arrived = await self._watch.wait(lambda: key in links.observations, limit_s)
+        return arrived and links.observations[key].accepted
+
+    async def _lost(self, key: Attempt) -> int:
+        """Wait for the receipt of an observation; return how many messages were lost."""
+        receipts = self._watch.links.receipts
+        limit_s = self._watch.settings.receipt_timeout_s
+        if not await self._watch.wait(lambda: key in receipts, limit_s):
+            reason = self._watch.links.health.state("recorder") or "silent"
+            raise GoalError(
+                Codes.RECORDER_FAILED,
+                f"step {key[0]}: no receipt from the recorder within {limit_s:g} s ({reason})",
+            )
+        return receipts[key]
