@@ -65,7 +65,7 @@ def command(output: Path, as_json: bool) -> int:
 
 def checks(output: Path) -> Iterator[Check]:
     """Yield all checks in the order in which they build upon each other."""
-    yield python()
+    yield Check("Python", True, f"{platform.python_version()} at {sys.executable}")
     yield compiler()
     yield packages()
     live = (ros(), messages())
@@ -74,16 +74,6 @@ def checks(output: Path) -> Iterator[Check]:
         yield loopback()
     yield writable(output)
     yield space(output)
-
-
-def python() -> Check:
-    """Look whether rotcal runs on this Python."""
-    return Check(
-        "Python",
-        sys.version_info >= (3, 10),
-        f"{platform.python_version()} at {sys.executable}",
-        "install Python 3.10 or newer",
-    )
 
 
 def compiler() -> Check:

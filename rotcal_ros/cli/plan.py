@@ -104,7 +104,16 @@ def plate(
         for name in get_args(Order)
     }
     if as_json:
-        print_json(_layout_dict(layout, std, orders))
+        facts = ("score", "bound", "gap", "optimal", "evaluated")
+        print_json(
+            {
+                "grid": layout.grid,
+                "ball_steps": list(layout.steps),
+                **{name: getattr(layout, name) for name in facts},
+                "predicted_std": std,
+                "orders": {name: _order_dict(rows) for name, rows in orders.items()},
+            }
+        )
     else:
         _print_layout(layout, std, orders)
     return 0
@@ -246,18 +255,6 @@ def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> N
         )
 
 
-def _layout_dict(
-    layout: Layout, std: dict[str, float], orders: dict[str, BallPlan]
-) -> dict[str, Any]:
-    return {
-        "grid": layout.grid,
-        "ball_steps": list(layout.steps),
-        **{n: getattr(layout, n) for n in ("score", "bound", "gap", "optimal", "evaluated")},
-        "predicted_std": std,
-        "orders": {name: _order_dict(rows) for name, rows in orders.items()},
-    }
-
-
 def _order_dict(rows: BallPlan) -> dict[str, Any]:
     return {
         "centres": len(rows.ball_step),
@@ -285,7 +282,7 @@ def _need(text: str) -> tuple[str, float]:
 
 def _integers(text: str, option: str) -> list[int]:
     numbers = _numbers(text, option)
-    if any(number != int(number) for number in numbers):
+    if not all(map(float.is_integer, numbers)):
         raise PlanError(f"{option} {text}: expected whole numbers")
     return [int(number) for number in numbers]
 

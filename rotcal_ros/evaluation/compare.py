@@ -74,6 +74,19 @@ class Comparison:
             f"chi2/dof {self.chi2 / self.dof:.2f}"
         )
 
+    def rows(self, unit: float) -> list[tuple[str, str, str, str]]:
+        """Return angle (deg), difference, expanded uncertainty (k = 2) and E_n as text."""
+        columns = (self.angles, self.difference, self.std, self.normalised_error)
+        return [
+            (
+                f"{angle / DEGREE:.4f}",
+                f"{difference / unit:+.3f}",
+                f"{COVERAGE_FACTOR * std / unit:.3f}",
+                f"{error:+.2f}",
+            )
+            for angle, difference, std, error in zip(*columns, strict=True)
+        ]
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON."""
         return plain_fields(self)

@@ -64,7 +64,12 @@ def comparison_page(
             "names": f"{a} − {b}",
             "words": comparison.in_words(unit, name),
             "notes": comparison.notes,
-            "rows": _rows(comparison, unit),
+            "rows": [
+                (*cells, "interpolated" * bool(between))
+                for cells, between in zip(
+                    comparison.rows(unit), comparison.interpolated, strict=True
+                )
+            ],
         }
         for (a, b), comparison in comparisons.items()
     ]
@@ -76,17 +81,3 @@ def comparison_page(
         pairs=pairs,
         unit=name,
     )
-
-
-def _rows(comparison: Comparison, unit: float) -> list[tuple[str, ...]]:
-    """Return angle, difference, expanded uncertainty, E_n and a remark of every angle."""
-    return [
-        (
-            f"{angle / DEGREE:.4f}",
-            f"{comparison.difference[i] / unit:+.3f}",
-            f"{COVERAGE_FACTOR * comparison.std[i] / unit:.3f}",
-            f"{comparison.normalised_error[i]:+.2f}",
-            "interpolated" if comparison.interpolated[i] else "",
-        )
-        for i, angle in enumerate(comparison.angles)
-    ]

@@ -22,9 +22,6 @@ from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import SimulatedTable, deviations
 from rotcal_ros.units import ARCSEC, DEGREE
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
-from one_table import by_ball_plate
-
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "own_method"
 DEMO = EXAMPLE / "polygon_demo.yaml"
