@@ -45,4 +45,6 @@ def load(group: str, name: str, what: str) -> Any:
 def nearest(name: str, known: Any) -> str:
     """Return a hint at the name that was probably meant, or at all that are known."""
     near = difflib.get_close_matches(name, list(known), n=1)
-    return f"; did you mean {near[0]!r}?" if near else f"; known: {', '.join(known)}"
+    if near:
+        return f"; did you mean {near[0]!r}?"
+    return f"; known: {', '.join(known) or 'none'}"

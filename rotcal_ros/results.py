@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from importlib import import_module
 from typing import Any, Final, Literal
 
@@ -105,8 +105,8 @@ class Result:
         """The details with the repeated runs among them, as a file has them."""
         if self.runs is None:
             return self.details
-        runs = {name: getattr(self.runs, name) for name in RepeatedRuns.__slots__}
-        return {**self.details, RUNS: {n: value for n, value in runs.items() if value is not None}}
+        runs = {name: value for name, value in asdict(self.runs).items() if value is not None}
+        return {**self.details, RUNS: runs}
 
     def __post_init__(self) -> None:
         """Refuse deviations and uncertainties that are no numbers, or not one per angle.
@@ -142,11 +142,8 @@ class Result:
             "details": self.all_details,
         }
         if self.residuals is not None:
-            data["residuals"] = {
-                name: getattr(self.residuals, name) for name in Residuals.__slots__
-            }
-        plain: dict[str, Any] = _plain(data)
-        return plain
+            data["residuals"] = plain_fields(self.residuals)
+        return {name: _plain(value) for name, value in data.items()}
 
     def to_json(self) -> str:
         """Return :meth:`to_dict` as JSON; every float round-trips to the last bit."""
@@ -213,16 +210,19 @@ def _require_numbers(name: str, angles: Floats, values: Floats) -> None:
         )
 
 
+def plain_fields(record: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass as plain values for JSON."""
+    return {field.name: _plain(getattr(record, field.name)) for field in fields(record)}
+
+
 def _plain(value: Any) -> Any:
-    """Turn arrays, mappings and tuples into lists and dicts of plain Python values."""
+    """Return arrays, mappings and tuples as lists and dicts of plain values, NaN as None."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, float) and value != value:
         return None  # JSON has no NaN; reading null back into an array gives NaN again
-    if isinstance(value, np.generic):
-        return _plain(value.item())
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
@@ -255,11 +255,6 @@ def _runs(details: Any) -> RepeatedRuns | None:
 def _residuals(data: Mapping[str, Any] | None) -> Residuals | None:
     if data is None:
         return None
-    return Residuals(
-        table_index=np.asarray(data["table_index"], dtype=np.int64),
-        target=np.asarray(data["target"], dtype=np.int64),
-        residual=_floats(data["residual"]),
-        redundancy=_floats(data["redundancy"]),
-        test_value=_floats(data["test_value"]),
-        used=np.asarray(data["used"], dtype=np.bool_),
-    )
+    kinds: dict[str, type] = {"table_index": np.int64, "target": np.int64, "used": np.bool_}
+    names = [field.name for field in fields(Residuals)]
+    return Residuals(**{n: np.asarray(data[n], kinds.get(n, np.float64)) for n in names})

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.plugins import nearest
 from rotcal_ros.settings import declarations, group, load, setting, to_mapping
 
 
@@ -79,3 +80,15 @@ def test_declarations_are_flat_and_complete() -> None:
 def test_mapping_round_trip(name: str, count: int, angles: list[float]) -> None:
     settings = Outer(name=name, count=count, angles_deg=tuple(angles))
     assert load(Outer, to_mapping(settings), "here") == settings
+
+
+@pytest.mark.parametrize(
+    ("known", "hint"),
+    [
+        (["balls", "grid"], "; did you mean 'balls'?"),
+        (["one", "two"], "; known: one, two"),
+        ([], "; known: none"),
+    ],
+)
+def test_a_hint_is_never_empty(known, hint):
+    assert nearest("ball", known) == hint

@@ -14,17 +14,16 @@ from rotcal_ros.catalogue.measurements import PlannedMeasurements
 from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
+from rotcal_ros.evaluation.bidirectional import require_runs
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.evaluation.compare import compare as compare_curves
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
 from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
-from rotcal_ros.evaluation.monte_carlo import BLOCK, propagate
-from rotcal_ros.evaluation.propagated import Propagated
+from rotcal_ros.evaluation.propagated import Propagated, propagated
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.ball_layout import WEIGHTS, Layout, best_layout
 from rotcal_ros.recordings.replay import Recording
-from rotcal_ros.recordings.sources import read_curve, read_result, read_text
+from rotcal_ros.recordings.sources import read_curve, read_repeated_runs
 from rotcal_ros.results import Result
 
 Curve = Result | MeasuredCurve | Name
@@ -64,10 +63,7 @@ def iso230(runs: BidirectionalRuns | Result | Name) -> Iso230:
     ((12,), ())
     """
     if isinstance(runs, str | PathLike):
-        path = Path(runs)
-        if path.suffix == ".csv":
-            return evaluate_runs(read_runs(read_text(path), str(path)))
-        return evaluate_runs(require_runs(read_result(path), str(path)))
+        return evaluate_runs(read_repeated_runs(Path(runs)))
     if isinstance(runs, Result):
         return evaluate_runs(require_runs(runs, f"the {runs.method} result"))
     return evaluate_runs(runs)
@@ -95,17 +91,7 @@ def uncertainty(
     >>> spread.components["ECC"].std.shape
     (12,)
     """
-    calibration, observations = _measured(source)
-    model = calibration.trials(observations)
-    spread = propagate(
-        model,
-        seed=seed,
-        max_trials=trials,
-        digits=digits,
-        workers=workers,
-        block=min(BLOCK, trials),
-    )
-    return Propagated(calibration.solve(observations), spread, seed)
+    return propagated(*_measured(source), trials=trials, digits=digits, seed=seed, workers=workers)
 
 
 def plan_plate(
@@ -150,10 +136,9 @@ def write_report(recording: Recording, path: Name, truth: Mapping[str, Any] | No
     'report.html'
     """
     # Figures take a second to load.
-    from rotcal_ros.report.page import write_report as write_page
-    from rotcal_ros.report.recorded import report_of
+    from rotcal_ros.report.recorded import write_recorded
 
-    write_page(report_of(recording, recording.solve(), truth), Path(path))
+    write_recorded(recording, Path(path), truth)
     return Path(path)
 
 

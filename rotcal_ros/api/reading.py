@@ -94,4 +94,4 @@ def read_result(path: Name) -> Result:
     >>> result.deviations["ECC"].shape
     (12,)
     """
-    return sources.read_result(Path(path))
+    return sources.read_source(Path(path)).result

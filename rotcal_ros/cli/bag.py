@@ -11,8 +11,6 @@ import click
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress, say
 
-BAD = 1
-
 
 @click.group()
 def command() -> None:
@@ -31,8 +29,7 @@ def info(bag: Path, as_json: bool) -> int:
     if as_json:
         print_json(summary.to_dict())
     else:
-        _print_files(summary.to_dict())
-        _print_topics(summary.to_dict())
+        _print(summary.to_dict())
     return 0
 
 
@@ -56,7 +53,7 @@ def check(bag: Path, as_json: bool) -> int:
             for name, topic in verdict.topics.items():
                 if topic.lost:
                     click.echo(f"  {name}: {topic.lost} lost, {topic.messages} read")
-    return 0 if all(verdict.state == "complete" for verdict in verdicts) else BAD
+    return 0 if all(verdict.state == "complete" for verdict in verdicts) else 1
 
 
 @command.command()
@@ -91,7 +88,10 @@ def repair(bag: Path, output: Path | None, as_json: bool) -> int:
     return 0
 
 
-def _print_files(summary: dict[str, Any]) -> None:
+def _print(summary: dict[str, Any]) -> None:
+    """Print files, facts, attachments, losses and topics."""
+    from rotcal_ros.bags.verdict import losses_in_words
+
     for file in summary["files"]:
         click.echo(f"{file['path']}")
         click.echo(f"  {file['size'] / 1e6:.3f} MB, {file['messages']} messages, ", nl=False)
@@ -105,13 +105,8 @@ def _print_files(summary: dict[str, Any]) -> None:
             click.echo(f"{name:9} {summary[name]}")
     if summary["attachments"]:
         click.echo(f"attached  {', '.join(summary['attachments'])}")
-    from rotcal_ros.bags.verdict import losses_in_words
-
     for sentence in losses_in_words(summary["losses_recorded"]):
         say(sentence)
-
-
-def _print_topics(summary: dict[str, Any]) -> None:
     width = max((len(name) for name in summary["topics"]), default=0)
     for name, topic in summary["topics"].items():
         lost = f", {topic['lost']} lost" if topic["lost"] else ""

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.console import draw, json_option, path_type, print_json
 from rotcal_ros.components import COMPONENTS
-from rotcal_ros.report.terminal.console import say
 
 if TYPE_CHECKING:
     from rotcal_ros.curves.measured import MeasuredCurve
     from rotcal_ros.evaluation.compare import Comparison
 
 
-@click.command(
-    "compare", short_help="Compare results of one table, and references: do they agree?"
-)
+@click.command()
 @click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...]")
 @click.option(
     "--polygon",
@@ -65,15 +63,17 @@ def command(
     curves = _read(sources, polygon, component)
     comparisons = compare_all(curves, align_order)
     if output is not None:
-        _draw(output, curves, comparisons, component)
+        from rotcal_ros.report.comparison import comparison_page, curves_and_errors
+
+        shown = (curves, comparisons, component)
+        page, figure = partial(comparison_page, *shown), partial(curves_and_errors, *shown)
+        draw(output, {".svg": figure, ".html": page})
     if as_json:
         print_json(_plain(comparisons, component))
     else:
         from rotcal_ros.report.terminal.tables import print_comparisons
 
         print_comparisons(comparisons, component)
-    if output is not None:
-        say(f"drawn: {output.absolute()}")
     return int(not all(c.agree for c in comparisons.values()))
 
 
@@ -87,23 +87,6 @@ def _read(
     if faces is not None and not any(source.suffix == ".csv" for source in sources):
         raise click.UsageError("--polygon belongs to a reference table (.csv), none is given")
     return {str(source): read_curve(source, component, faces) for source in sources}
-
-
-def _draw(
-    output: Path,
-    curves: Mapping[str, MeasuredCurve],
-    comparisons: Mapping[tuple[str, str], Comparison],
-    component: str,
-) -> None:
-    from rotcal_ros.files import write_atomically
-    from rotcal_ros.report.comparison import comparison_page, curves_and_errors
-
-    if output.suffix == ".html":
-        write_atomically(output, comparison_page(curves, comparisons, component))
-    elif output.suffix == ".svg":
-        write_atomically(output, curves_and_errors(curves, comparisons, component))
-    else:
-        raise click.UsageError(f"cannot draw {output.name}: name a .svg or .html file")
 
 
 def _plain(comparisons: Mapping[tuple[str, str], Comparison], component: str) -> Mapping[str, Any]:

@@ -9,6 +9,9 @@ from typing import Any, Final, TypeVar
 
 import click
 
+from rotcal_ros.files import write_atomically
+from rotcal_ros.report.terminal.console import say
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 INTERRUPTED: Final = 130
@@ -32,6 +35,14 @@ def json_option(function: Function) -> Function:
 def print_json(data: str | Mapping[str, Any]) -> None:
     """Print JSON text, or a mapping as JSON, on standard output."""
     click.echo(data if isinstance(data, str) else json.dumps(data, indent=1, allow_nan=False))
+
+
+def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
+    """Write the form of a drawing that the suffix of ``output`` asks for."""
+    if output.suffix not in forms:
+        raise click.UsageError(f"cannot draw {output.name}: name a {' or '.join(forms)} file")
+    write_atomically(output, forms[output.suffix]())
+    say(f"drawn: {output.absolute()}")
 
 
 def print_verdict(verdict: str, text: str) -> None:

@@ -20,17 +20,6 @@ from rotcal_ros.cli.console import json_option, print_json
 from rotcal_ros.middleware import middleware
 from rotcal_ros.sessions.domains import free_domain
 
-CORE: Final = (
-    "click",
-    "jinja2",
-    "matplotlib",
-    "mcap",
-    "numpy",
-    "PyYAML",
-    "rich",
-    "rosbags",
-    "scipy",
-)
 COMPILERS: Final = (("CC", "cc"), ("CXX", "c++"))
 NEEDED_BYTES: Final = 2_000_000_000
 """A calibration of an hour at 1 kHz takes a fraction of this."""
@@ -76,7 +65,7 @@ def command(output: Path, as_json: bool) -> int:
 
 def checks(output: Path) -> Iterator[Check]:
     """Yield all checks in the order in which they build upon each other."""
-    yield python()
+    yield Check("Python", True, f"{platform.python_version()} at {sys.executable}")
     yield compiler()
     yield packages()
     live = (ros(), messages())
@@ -85,16 +74,6 @@ def checks(output: Path) -> Iterator[Check]:
         yield loopback()
     yield writable(output)
     yield space(output)
-
-
-def python() -> Check:
-    """Look whether rotcal runs on this Python."""
-    return Check(
-        "Python",
-        sys.version_info >= (3, 10),
-        f"{platform.python_version()} at {sys.executable}",
-        "install Python 3.10 or newer",
-    )
 
 
 def compiler() -> Check:
@@ -110,7 +89,8 @@ def compiler() -> Check:
 
 def packages() -> Check:
     """Look for the packages of the core."""
-    versions = {name: _version(name) for name in CORE}
+    needed = [need for need in metadata.requires("rotcal_ros") or () if "extra ==" not in need]
+    versions = {name: _version(name) for name in needed}
     missing = [name for name, version in versions.items() if version is None]
     return Check(
         "Python packages",

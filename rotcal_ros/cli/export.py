@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -15,7 +16,6 @@ from rotcal_ros.report.terminal.console import say
 from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
-    from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
     from rotcal_ros.recordings.sources import Source
 
@@ -24,11 +24,7 @@ VOLUMETRIC: Final = "volumetric"
 DEFAULT_AXIS: Final = "C"
 
 
-@click.command(
-    "export",
-    short_help="Write the correction table of a calibration for a controller.",
-    epilog="Controllers and their settings: docs/compensation.md.",
-)
+@click.command(epilog="Controllers and their settings: docs/compensation.md.")
 @click.argument("source", type=path_type, metavar="BAG|RESULT")
 @click.option("--to", "controller", required=True, help="Controller, or 'volumetric'.")
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
@@ -66,6 +62,7 @@ def command(
     """
     from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.options import parse_options, parse_revolutions
+    from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
 
     settings = parse_options(options)
@@ -76,7 +73,9 @@ def command(
     measured = forward.axis or axis or DEFAULT_AXIS
     sources = {**forward.sha256, **(backward.sha256 if backward else {})}
     if controller == VOLUMETRIC:
-        _write_volumetric(forward, axis or measured, name, out, as_json)
+        letter = axis or measured
+        stem = name or f"{letter}_{VOLUMETRIC}".lower()
+        _show(write_files(volumetric_files(forward.result, stem, letter), out), as_json)
         return 0
     table = _table(forward, backward, measured, harmonics, spacing)
     export = prepare_export(
@@ -91,11 +90,12 @@ def command(
         accept_unverified=accept_unverified,
         sources=sources,
     )
-    paths = write_files(export.files, out)
-    if as_json:
-        print_json(_facts(export, paths))
-    else:
-        _print(export, paths)
+    side = next(text for file, text in export.files.items() if file.endswith(".provenance.json"))
+    _show(write_files(export.files, out), as_json, provenance=json.loads(side))
+    if not as_json:
+        say(export.residual.in_words())
+        for warning in export.warnings:
+            say(f"warning: {warning}")
     return 0
 
 
@@ -107,13 +107,6 @@ def _read(path: Path) -> Source:
     for warning in source.warnings:
         say(f"warning: {warning}")
     return source
-
-
-def _facts(export: ExportFiles, paths: tuple[Path, ...]) -> dict[str, Any]:
-    """Return what was written, in the form of ``--json``."""
-    side = next(text for name, text in export.files.items() if name.endswith(".provenance.json"))
-    facts: dict[str, Any] = json.loads(side)
-    return {"files": [str(path.absolute()) for path in paths], "provenance": facts}
 
 
 def _table(
@@ -140,23 +133,10 @@ def _table(
     )
 
 
-def _write_volumetric(
-    forward: Source, axis: str, name: str | None, out: Path, as_json: bool
-) -> None:
-    from rotcal_ros.compensation.volumetric import volumetric_files
-    from rotcal_ros.compensation.writing import write_files
-
-    files = volumetric_files(forward.result, name or f"{axis}_{VOLUMETRIC}".lower(), axis)
-    paths = write_files(files, out)
+def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:
+    """Print the paths of the files that were written, as JSON with further ``facts``."""
+    files = [str(path.absolute()) for path in paths]
     if as_json:
-        print_json({"files": [str(path.absolute()) for path in paths]})
-    for path in () if as_json else paths:
-        click.echo(path.absolute())
-
-
-def _print(export: ExportFiles, paths: tuple[Path, ...]) -> None:
-    for path in paths:
-        click.echo(path.absolute())
-    say(export.residual.in_words())
-    for warning in export.warnings:
-        say(f"warning: {warning}")
+        print_json({"files": files, **facts})
+    else:
+        click.echo("\n".join(files))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -17,30 +18,26 @@ if TYPE_CHECKING:
     from rotcal_ros.planning.ball_layout import Layout
     from rotcal_ros.planning.ball_plan import BallPlan
 
+positive = click.FloatRange(min=0.0, min_open=True)
+shown_option = partial(click.option, show_default=True)
+
 grid_option = click.option(
     "--grid", type=click.IntRange(min=3), required=True, help="Table positions in a turn."
 )
-sigma_option = click.option(
+sigma_option = shown_option(
     "--sigma-um",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=positive,
     default=0.05,
-    show_default=True,
     help="um, standard deviation (k = 1) of a ball centre along each axis.",
 )
-radius_option = click.option(
-    "--radius-m",
-    type=click.FloatRange(min=0.0, min_open=True),
-    default=0.185,
-    show_default=True,
-    help="m, radius of the ball circle.",
+radius_option = shown_option(
+    "--radius-m", type=positive, default=0.185, help="m, radius of the ball circle."
 )
 gap_option = click.option(
     "--min-gap", type=click.IntRange(min=1), default=1, help="Grid steps between neighbours."
 )
 seed_option = click.option("--seed", type=int, default=0, help="Seed of the exchange search.")
-touch_option = click.option(
-    "--touches", type=click.IntRange(min=1), default=15, show_default=True, help="Per ball."
-)
+touch_option = shown_option("--touches", type=click.IntRange(min=1), default=15, help="Per ball.")
 
 
 @click.group()
@@ -53,11 +50,10 @@ def command() -> None:
 @click.option("--balls", type=click.IntRange(min=4), required=True, help="Number of balls.")
 @gap_option
 @click.option("--subset-of", metavar="STEPS", help="Choose among these grid steps, e.g. 0,8,12.")
-@click.option(
+@shown_option(
     "--weights",
     metavar="ECC,XY,TILT,Z",
     default="1,1,1,1",
-    show_default=True,
     help="Weights of the mean variances of ECC, EXC and EYC, EAC and EBC, EZC.",
 )
 @seed_option
@@ -108,7 +104,16 @@ def plate(
         for name in get_args(Order)
     }
     if as_json:
-        print_json(_layout_dict(layout, std, orders))
+        facts = ("score", "bound", "gap", "optimal", "evaluated")
+        print_json(
+            {
+                "grid": layout.grid,
+                "ball_steps": list(layout.steps),
+                **{name: getattr(layout, name) for name in facts},
+                "predicted_std": std,
+                "orders": {name: _order_dict(rows) for name, rows in orders.items()},
+            }
+        )
     else:
         _print_layout(layout, std, orders)
     return 0
@@ -183,9 +188,9 @@ def effort(
 @command.command()
 @click.argument("configuration", type=path_type, metavar="CONFIG")
 @touch_option
-@click.option("--touch-s", type=float, default=2.0, show_default=True, help="s per touch point.")
-@click.option("--settle-s", type=float, default=1.0, show_default=True, help="s after a turn.")
-@click.option("--table-deg-s", type=float, default=11.0, show_default=True, help="deg/s, speed.")
+@shown_option("--touch-s", type=float, default=2.0, help="s per touch point.")
+@shown_option("--settle-s", type=float, default=1.0, help="s after a turn.")
+@shown_option("--table-deg-s", type=float, default=11.0, help="deg/s, speed.")
 @json_option
 def order(
     configuration: Path,
@@ -250,18 +255,6 @@ def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> N
         )
 
 
-def _layout_dict(
-    layout: Layout, std: dict[str, float], orders: dict[str, BallPlan]
-) -> dict[str, Any]:
-    return {
-        "grid": layout.grid,
-        "ball_steps": list(layout.steps),
-        **{n: getattr(layout, n) for n in ("score", "bound", "gap", "optimal", "evaluated")},
-        "predicted_std": std,
-        "orders": {name: _order_dict(rows) for name, rows in orders.items()},
-    }
-
-
 def _order_dict(rows: BallPlan) -> dict[str, Any]:
     return {
         "centres": len(rows.ball_step),
@@ -289,7 +282,7 @@ def _need(text: str) -> tuple[str, float]:
 
 def _integers(text: str, option: str) -> list[int]:
     numbers = _numbers(text, option)
-    if any(number != int(number) for number in numbers):
+    if not all(map(float.is_integer, numbers)):
         raise PlanError(f"{option} {text}: expected whole numbers")
     return [int(number) for number in numbers]
 

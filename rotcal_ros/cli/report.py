@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
@@ -11,7 +12,7 @@ from rotcal_ros.errors import BagError
 from rotcal_ros.report.terminal.console import say
 
 
-@click.command("report", short_help="Write the self-contained HTML report of a calibration.")
+@click.command()
 @click.argument("bag", type=click.Path(exists=True, path_type=Path))
 @click.option(
     "-o",
@@ -33,6 +34,7 @@ def command(bag: Path, output: Path | None, truth: Path | None) -> int:
     output = output or (bag if bag.is_dir() else bag.parent) / "report.html"
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
-    result = write_recorded(read_recording(bag), output, truth)
+    injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
+    result = write_recorded(read_recording(bag), output, injected)
     say(f"report: {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]

@@ -14,10 +14,8 @@ from rotcal_ros.report.terminal.console import progress, say
 if TYPE_CHECKING:
     from rotcal_ros.recordings.many import Job, Outcome
 
-BAD = 1
 
-
-@click.command(short_help="Solve many bags with one configuration, on all cores or a cluster.")
+@click.command()
 @click.argument("sources", nargs=-1, required=True, metavar="BAG|FOLDER|GLOB|LIST...")
 @click.option("--setup", type=path_type, required=True, help="Configuration for all bags.")
 @click.option(
@@ -57,20 +55,22 @@ def command(
     jobs = [Job(bag, configuration, str(cache)) for bag in bags]
     running = on_cluster(jobs, scheduler) if scheduler else on_all_cores(jobs, workers)
     outcomes = in_time(_followed(running, jobs))
-    write_table(outcomes, output / "results.parquet")
-    write_overview(outcomes, configuration.text, output / "overview.html")
+    table, overview = output.absolute() / "results.parquet", output.absolute() / "overview.html"
+    write_table(outcomes, table)
+    write_overview(outcomes, configuration.text, overview)
     bad = [outcome for outcome in outcomes if outcome.error]
     if as_json:
-        print_json(_summary(outcomes, output))
+        bags_done = [_summary(outcome) for outcome in outcomes]
+        print_json({"bags": bags_done, "table": str(table), "overview": str(overview)})
     else:
         repeated = sum(outcome.cached for outcome in outcomes)
         click.echo(
             f"{len(outcomes)} bags: {len(outcomes) - len(bad)} solved ({repeated} of them "
             f"before), {len(bad)} without a result"
         )
-        click.echo(f"table:        {(output / 'results.parquet').absolute()}")
-        click.echo(f"overview:     {(output / 'overview.html').absolute()}")
-    return BAD if bad else 0
+        click.echo(f"table:        {table}")
+        click.echo(f"overview:     {overview}")
+    return int(bool(bad))
 
 
 def _followed(running: Iterator[Outcome], jobs: list[Job]) -> list[Outcome]:
@@ -85,18 +85,11 @@ def _followed(running: Iterator[Outcome], jobs: list[Job]) -> list[Outcome]:
     return outcomes
 
 
-def _summary(outcomes: list[Outcome], output: Path) -> dict[str, object]:
+def _summary(outcome: Outcome) -> dict[str, object]:
     return {
-        "bags": [
-            {
-                "source": outcome.source,
-                "table": outcome.table,
-                "verdict": outcome.result["verdict"] if outcome.result else None,
-                "error": outcome.error,
-                "cached": outcome.cached,
-            }
-            for outcome in outcomes
-        ],
-        "table": str((output / "results.parquet").absolute()),
-        "overview": str((output / "overview.html").absolute()),
+        "source": outcome.source,
+        "table": outcome.table,
+        "verdict": outcome.result["verdict"] if outcome.result else None,
+        "error": outcome.error,
+        "cached": outcome.cached,
     }

@@ -19,7 +19,7 @@ from rotcal_ros.cli.console import (
 )
 
 
-@click.command(short_help="Run the nodes of one cell and calibrate.")
+@click.command()
 @click.argument("configuration", type=path_type, metavar="CONFIG")
 @click.option(
     "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."

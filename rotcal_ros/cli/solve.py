@@ -13,13 +13,12 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue.configuration import Configuration
     from rotcal_ros.catalogue.method import Measurements
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.recordings.replay import Recording
 
 
-@click.command(short_help="Solve a recorded bag or a plain table, without ROS.")
+@click.command()
 @click.argument("source", type=path_type, metavar="BAG|TABLE")
 @click.option("--setup", type=path_type, help="Configuration; default: the one in the bag.")
 @click.option(
@@ -74,9 +73,12 @@ def command(
         from rotcal_ros.evaluation.ways import evaluate, ways
         from rotcal_ros.recordings.replay import Recording
 
-        if not isinstance(data, Recording | PlannedMeasurements):
+        if not (
+            isinstance(data, Recording | PlannedMeasurements)
+            and hasattr(data.calibration.configuration.solver, "balls")
+        ):
             raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
-        evaluations = evaluate(data, ways(balls, coarser))
+        evaluations = evaluate(data.calibration, data.observations, ways(balls, coarser))
         if len(evaluations) > 1:
             return _show_evaluations(evaluations, output, as_json)
         result = evaluations[0].result
@@ -99,6 +101,7 @@ def command(
 
 
 def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str) -> Recording:
+    from rotcal_ros.catalogue.setup_file import read_setup
     from rotcal_ros.recordings.replay import read_recording
     from rotcal_ros.recordings.topics import Topics
 
@@ -106,7 +109,7 @@ def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str)
         recording = read_recording(
             source,
             taken_from,
-            configuration=_configuration(setup),
+            configuration=None if setup is None else read_setup(setup),
             topics=Topics(namespace),
             progress=shown,
         )
@@ -117,17 +120,11 @@ def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str)
 
 def _read_table(source: Path, setup: Path | None, targets: Path | None) -> Measurements:
     from rotcal_ros.catalogue.measurements import read_measurements
-
-    configuration = _configuration(setup)
-    if configuration is None:
-        raise click.UsageError("a table needs its set-up: --setup SETUP.yaml")
-    return read_measurements(source, configuration, targets)
-
-
-def _configuration(setup: Path | None) -> Configuration | None:
     from rotcal_ros.catalogue.setup_file import read_setup
 
-    return None if setup is None else read_setup(setup)
+    if setup is None:
+        raise click.UsageError("a table needs its set-up: --setup SETUP.yaml")
+    return read_measurements(source, read_setup(setup), targets)
 
 
 def _show_evaluations(

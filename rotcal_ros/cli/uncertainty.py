@@ -12,11 +12,10 @@ from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue import Calibration
-    from rotcal_ros.evaluation.monte_carlo import Model, Propagation
     from rotcal_ros.observations import Observation
 
 
-@click.command("uncertainty", short_help="Propagate the noise by Monte Carlo (JCGM 101).")
+@click.command()
 @click.argument("source", type=path_type, metavar="BAG|CONFIG")
 @click.option(
     "--trials",
@@ -44,12 +43,20 @@ def command(
     anything is measured. Seed and number of trials alone decide the figures, not the workers.
     The exit code is 1 when the trials contradict the solver's uncertainty.
     """
-    from rotcal_ros.evaluation.propagated import Propagated
+    from rotcal_ros.evaluation.propagated import propagated
+    from rotcal_ros.recordings.workers import usable_cores
 
     calibration, observations = _read(source)
-    result = calibration.solve(observations)
-    spread = _propagate(calibration.trials(observations), trials, digits, seed, workers)
-    both = Propagated(result, spread, seed)
+    with progress("trials") as shown:
+        both = propagated(
+            calibration,
+            observations,
+            trials=trials,
+            digits=digits,
+            seed=seed,
+            workers=workers or usable_cores(),
+            progress=shown,
+        )
     if as_json:
         print_json(both.to_dict())
     else:
@@ -71,21 +78,3 @@ def _read(source: Path) -> tuple[Calibration, tuple[Observation, ...]]:
 
     recording = read_recording(source)
     return recording.calibration, recording.observations
-
-
-def _propagate(
-    model: Model, trials: int, digits: int, seed: int, workers: int | None
-) -> Propagation:
-    from rotcal_ros.evaluation.monte_carlo import BLOCK, propagate
-    from rotcal_ros.recordings.workers import usable_cores
-
-    with progress("trials") as shown:
-        return propagate(
-            model,
-            seed=seed,
-            max_trials=trials,
-            digits=digits,
-            workers=workers or usable_cores(),
-            block=min(BLOCK, trials),
-            progress=shown,
-        )

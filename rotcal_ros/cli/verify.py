@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from rotcal_ros.evaluation.verification import Verification
 
 
-@click.command(
-    "verify", short_help="Measure the simulated cell, compensate it, and measure again."
-)
+@click.command()
 @click.argument("configuration", type=path_type, metavar="CONFIG")
 @click.option("-o", "--output", "--out", type=path_type, help="New folder; default: out/NAME.")
 @click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change both.")
@@ -71,15 +69,16 @@ def command(
     )
     if verified is None:
         return INTERRUPTED
-    write_report(shown, [verification_section(verified.verification)])
+    verification, written = verified
+    write_report(shown, [verification_section(verification)])
     if as_json:
         click.echo((folder / "verification.json").read_text(encoding="utf-8"), nl=False)
     else:
-        click.echo(f"controllers:   {', '.join(verified.controllers)}")
+        click.echo(f"controllers:   {', '.join(written)}")
         click.echo(f"verification:  {folder / 'verification.json'}")
         click.echo(f"report:        {shown.report}")
-        _print(verified.verification)
-    return VERDICT_EXIT_CODES[verified.verification.verdict]
+        _print(verification)
+    return VERDICT_EXIT_CODES[verification.verdict]
 
 
 def _print(verification: Verification) -> None:

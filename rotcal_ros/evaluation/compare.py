@@ -28,6 +28,7 @@ from rotcal_ros.curves.interpolation import (
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.suspicion import suspicion
+from rotcal_ros.results import plain_fields
 from rotcal_ros.units import ARCSEC, DEGREE
 
 SURE: Final = 0.01
@@ -73,16 +74,22 @@ class Comparison:
             f"chi2/dof {self.chi2 / self.dof:.2f}"
         )
 
+    def rows(self, unit: float) -> list[tuple[str, str, str, str]]:
+        """Return angle (deg), difference, expanded uncertainty (k = 2) and E_n as text."""
+        columns = (self.angles, self.difference, self.std, self.normalised_error)
+        return [
+            (
+                f"{angle / DEGREE:.4f}",
+                f"{difference / unit:+.3f}",
+                f"{COVERAGE_FACTOR * std / unit:.3f}",
+                f"{error:+.2f}",
+            )
+            for angle, difference, std, error in zip(*columns, strict=True)
+        ]
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON."""
-        arrays = ("angles", "difference", "std", "normalised_error", "interpolated")
-        plain = {name: getattr(self, name).tolist() for name in arrays}
-        scalars = ("offset", "rms", "chi2", "dof", "p_value", "agree")
-        return {
-            **plain,
-            **{name: getattr(self, name) for name in scalars},
-            "notes": list(self.notes),
-        }
+        return plain_fields(self)
 
 
 def compare(first: MeasuredCurve, second: MeasuredCurve, align_order: int = 0) -> Comparison:

@@ -8,13 +8,14 @@ one-directional figures.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
+from rotcal_ros.results import plain_fields
 from rotcal_ros.units import DEGREE
 
 
@@ -102,11 +103,7 @@ class Iso230:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON; radians."""
-        plain = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {
-            name: value.tolist() if isinstance(value, np.ndarray) else value
-            for name, value in plain.items()
-        }
+        return plain_fields(self)
 
 
 def iso230(runs: BidirectionalRuns) -> Iso230:

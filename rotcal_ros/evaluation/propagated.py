@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.catalogue import Calibration
 from rotcal_ros.components import unit_of
-from rotcal_ros.evaluation.monte_carlo import Propagation, compare_with_linear
-from rotcal_ros.results import Result
+from rotcal_ros.evaluation.monte_carlo import (
+    BLOCK,
+    Progress,
+    Propagation,
+    compare_with_linear,
+    propagate,
+)
+from rotcal_ros.observations import Observation
+from rotcal_ros.results import Result, plain_fields
 from rotcal_ros.units import DEGREE
 
 
@@ -52,11 +61,11 @@ class Propagated:
     def warnings(self) -> tuple[str, ...]:
         """Where the trials contradict the solver, in units that people read."""
         texts: list[str] = []
-        for k, (name, part) in enumerate(self.components.items()):
+        for name, part in self.components.items():
             unit, label = unit_of(name)
-            at = slice(k * len(part.value), (k + 1) * len(part.value))
+            shown = {n: getattr(part, n) / unit for n in ("mean", "std", "low", "high")}
             texts += compare_with_linear(
-                _cut(self.spread, at, unit),
+                replace(self.spread, **shown),
                 part.value / unit,
                 part.linear_std / unit,
                 [f"{name} at {a / DEGREE:.6g} deg ({label})" for a in self.result.angles],
@@ -74,34 +83,36 @@ class Propagated:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON, SI."""
-        spread = self.spread
+        facts = ("trials", "stable", "digits", "probability")
         return {
             "schema": 1,
             "method": self.result.method,
-            "trials": spread.trials,
-            "stable": spread.stable,
-            "digits": spread.digits,
-            "probability": spread.probability,
+            **{name: getattr(self.spread, name) for name in facts},
             "seed": self.seed,
             "angles_rad": self.result.angles.tolist(),
-            "components": {
-                name: {key: values.tolist() for key, values in vars(part).items()}
-                for name, part in self.components.items()
-            },
+            "components": {name: plain_fields(p) for name, p in self.components.items()},
             "warnings": list(self.warnings),
         }
 
 
-def _cut(spread: Propagation, at: slice, unit: float) -> Propagation:
-    """Return the outputs ``at`` in another unit."""
-    return Propagation(
-        mean=spread.mean[at] / unit,
-        std=spread.std[at] / unit,
-        low=spread.low[at] / unit,
-        high=spread.high[at] / unit,
-        covariance=spread.covariance[at, at] / unit**2,
-        probability=spread.probability,
-        digits=spread.digits,
-        trials=spread.trials,
-        stable=spread.stable,
+def propagated(
+    calibration: Calibration,
+    observations: Sequence[Observation],
+    *,
+    trials: int,
+    digits: int,
+    seed: int,
+    workers: int,
+    progress: Progress | None = None,
+) -> Propagated:
+    """Solve ``observations`` and run at most ``trials`` about them, see :func:`propagate`."""
+    spread = propagate(
+        calibration.trials(observations),
+        seed=seed,
+        max_trials=trials,
+        digits=digits,
+        workers=workers,
+        block=min(BLOCK, trials),
+        progress=progress,
     )
+    return Propagated(calibration.solve(observations), spread, seed)

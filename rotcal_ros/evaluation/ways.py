@@ -5,30 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from rotcal_ros.catalogue import Calibration, changed
+from rotcal_ros.catalogue import Calibration, Method, changed
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 
-if TYPE_CHECKING:
-    from rotcal_ros.catalogue import Method
-
 SAME_ANGLE = 1e-9  # rad
-
-
-class Data(Protocol):
-    """A recording or a table: observations with their calibration."""
-
-    @property
-    def calibration(self) -> Calibration:
-        """What was to be measured and how it is solved."""
-
-    @property
-    def observations(self) -> Sequence[Any]:
-        """What was measured."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +56,16 @@ def ways(balls: Sequence[str], coarser: Sequence[int]) -> tuple[tuple[str, ...],
     return tuple(found)
 
 
-def evaluate(data: Data, wanted: Sequence[tuple[str, ...]]) -> tuple[Evaluation, ...]:
-    """Solve the data in every wanted way and compare with the first one."""
+def evaluate(
+    calibration: Calibration,
+    observations: Sequence[Observation],
+    wanted: Sequence[tuple[str, ...]],
+) -> tuple[Evaluation, ...]:
+    """Solve the observations in every wanted way and compare with the first one."""
     done: list[Evaluation] = []
     for changes in wanted:
-        calibration = data.calibration
         configuration = changed(calibration.configuration, changes)
-        result = replace(calibration, configuration=configuration).solve(data.observations)
+        result = replace(calibration, configuration=configuration).solve(observations)
         differences = (
             largest_differences(calibration.method, done[0].result, result) if done else {}
         )

@@ -8,7 +8,7 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -87,11 +87,18 @@ def solve_bag(job: Job) -> Outcome:
             key = fingerprint(path, job.configuration)
             cached = Path(job.cache) / f"{key}.json"
             if cached.exists():
-                return Outcome(**{**_read(cached), "source": job.source, "cached": True})
+                known = json.loads(cached.read_text(encoding="utf-8"))
+                known |= {"warnings": tuple(known["warnings"]), "source": job.source}
+                return Outcome(**known | {"cached": True})
             outcome = _solve(job, path, key, begin)
-        _write(cached, outcome)
+        # Two workers with the same bag write it under names of their own.
+        own = cached.with_suffix(f".{uuid4().hex}")
+        write_atomically(own, json.dumps(asdict(outcome)))
+        own.replace(cached)
     except Exception as error:  # one bad bag does not stop the rest
-        what = f"{_kind(error)}{error}"
+        # Our own texts explain themselves.
+        kind = "" if isinstance(error, RotcalError) else f"unexpected {type(error).__name__}: "
+        what = f"{kind}{error}"
         return Outcome(job.source, key, error=what, seconds=time.perf_counter() - begin)
     return outcome
 
@@ -121,22 +128,11 @@ def _solve(job: Job, path: Path, key: str, begin: float) -> Outcome:
 def _table(recording: Recording, source: str) -> str:
     """Return what tells tables apart: namespace and axis as recorded, else the folder's name."""
     text = recording.attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
-    try:
+    with suppress(ConfigurationError):
         recorded = parse_configuration(text, groups=("cell",))
-    except ConfigurationError:
-        return _folder_name(source)
-    if "cell" not in recorded.given:
-        return _folder_name(source)
-    return f"{recorded.cell.namespace} {recorded.cell.axis}"
-
-
-def _folder_name(source: str) -> str:
+        if "cell" in recorded.given:
+            return f"{recorded.cell.namespace} {recorded.cell.axis}"
     return source.rstrip("/").rpartition("/")[0].rpartition("/")[2]
-
-
-def _kind(error: Exception) -> str:
-    """Return the kind of an unexpected error; our own texts explain themselves."""
-    return "" if isinstance(error, RotcalError) else f"unexpected {type(error).__name__}: "
 
 
 def _bags_of(source: str) -> Iterator[str]:
@@ -197,15 +193,3 @@ def _local(source: str) -> Iterator[Path]:
         target = Path(folder) / Path(path).name
         filesystem.get_file(path, str(target))
         yield target
-
-
-def _read(path: Path) -> dict[str, Any]:
-    data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return {**data, "warnings": tuple(data["warnings"])}
-
-
-def _write(path: Path, outcome: Outcome) -> None:
-    """Keep an outcome; two workers with the same bag write it under names of their own."""
-    own = path.with_suffix(f".{uuid4().hex}")
-    write_atomically(own, json.dumps(asdict(outcome)))
-    own.replace(path)

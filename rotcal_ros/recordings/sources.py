@@ -10,6 +10,8 @@ from pathlib import Path
 
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
+from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
@@ -50,9 +52,11 @@ def read_source(path: Path) -> Source:
     return Source(result, {path.name: sha256(data).hexdigest()})
 
 
-def read_result(path: Path) -> Result:
-    """Return the result of :func:`read_source`."""
-    return read_source(path).result
+def read_repeated_runs(path: Path) -> BidirectionalRuns:
+    """Return the repeated runs in a table (.csv), a result or a bag; DataError without any."""
+    if path.suffix == ".csv":
+        return read_runs(read_text(path), str(path))
+    return require_runs(read_source(path).result, str(path))
 
 
 def read_text(path: Path) -> str:
@@ -69,7 +73,7 @@ def read_curve(path: Path, component: str, polygon: MeasuredCurve | None) -> Mea
     ``polygon`` holds the face errors that are taken off reference tables.
     """
     if path.suffix != ".csv":
-        return measured_curve(read_result(path), component)
+        return measured_curve(read_source(path).result, component)
     if component != "ECC":
         raise DataError(f"{path}: a reference table holds ECC only, {component} was asked for")
     reading = read_reference(read_text(path), str(path))

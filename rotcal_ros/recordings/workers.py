@@ -6,6 +6,7 @@ import multiprocessing
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import Any
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.recordings.many import Job, Outcome, solve_bag
@@ -24,11 +25,9 @@ def on_all_cores(jobs: Sequence[Job], workers: int | None = None) -> Iterator[Ou
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["rotcal_ros.recordings.many"])
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = {pool.submit(solve_bag, job): job for job in jobs}
+        futures = {pool.submit(solve_bag, job): job.source for job in jobs}
         for future in as_completed(futures):
-            error = future.exception()
-            job = futures[future]
-            yield Outcome(job.source, "", error=repr(error)) if error else future.result()
+            yield _outcome(future, futures[future])
 
 
 def usable_cores() -> int:
@@ -54,10 +53,12 @@ def on_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
         raise ConfigurationError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     with client:
         futures = client.map(solve_bag, jobs, pure=False)
-        source_of = dict(zip((f.key for f in futures), (j.source for j in jobs), strict=True))
+        source_of = {future.key: job.source for future, job in zip(futures, jobs, strict=True)}
         for future in completed(futures):
-            failure = future.exception()
-            if failure:
-                yield Outcome(source_of[future.key], "", error=repr(failure))
-            else:
-                yield future.result()
+            yield _outcome(future, source_of[future.key])
+
+
+def _outcome(future: Any, source: str) -> Outcome:
+    """Return what a finished future holds; the process or the worker may have died."""
+    error = future.exception()
+    return Outcome(source, "", error=repr(error)) if error else future.result()

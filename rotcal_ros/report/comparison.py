@@ -8,12 +8,11 @@ from itertools import cycle
 import numpy as np
 from matplotlib.axes import Axes
 
-from rotcal_ros import __version__
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.figures import style
-from rotcal_ros.report.template import environment
+from rotcal_ros.report.template import render
 from rotcal_ros.units import DEGREE
 
 Pairs = Mapping[tuple[str, str], Comparison]
@@ -65,34 +64,20 @@ def comparison_page(
             "names": f"{a} − {b}",
             "words": comparison.in_words(unit, name),
             "notes": comparison.notes,
-            "rows": _rows(comparison, unit),
+            "rows": [
+                (*cells, "interpolated" * bool(between))
+                for cells, between in zip(
+                    comparison.rows(unit), comparison.interpolated, strict=True
+                )
+            ],
         }
         for (a, b), comparison in comparisons.items()
     ]
-    agree = all(comparison.agree for comparison in comparisons.values())
-    return (
-        environment()
-        .get_template("comparison.html.j2")
-        .render(
-            title=f"Comparison of {component}",
-            version=__version__,
-            agree=agree,
-            figure=curves_and_errors(curves, comparisons, component),
-            pairs=pairs,
-            unit=name,
-        )
+    return render(
+        "comparison",
+        title=f"Comparison of {component}",
+        agree=all(comparison.agree for comparison in comparisons.values()),
+        figure=curves_and_errors(curves, comparisons, component),
+        pairs=pairs,
+        unit=name,
     )
-
-
-def _rows(comparison: Comparison, unit: float) -> list[tuple[str, ...]]:
-    """Return angle, difference, expanded uncertainty, E_n and a remark of every angle."""
-    return [
-        (
-            f"{angle / DEGREE:.4f}",
-            f"{comparison.difference[i] / unit:+.3f}",
-            f"{COVERAGE_FACTOR * comparison.std[i] / unit:.3f}",
-            f"{comparison.normalised_error[i]:+.2f}",
-            "interpolated" if comparison.interpolated[i] else "",
-        )
-        for i, angle in enumerate(comparison.angles)
-    ]

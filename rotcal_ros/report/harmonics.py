@@ -13,19 +13,9 @@ from rotcal_ros.curves.measured import measured_curve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
 from rotcal_ros.figures import style
-from rotcal_ros.report.template import environment
+from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
 from rotcal_ros.units import DEGREE
-
-
-def contents(result: Result) -> dict[str, HarmonicContent]:
-    """Return the harmonic content of every component that goes round and closes."""
-    found = {}
-    for name in result.components:
-        # An arc, or a curve that does not close: the report shows that elsewhere.
-        with suppress(DataError):
-            found[name] = harmonic_content(measured_curve(result, name))
-    return found
 
 
 @style.styled
@@ -52,12 +42,15 @@ def bars(found: Mapping[str, HarmonicContent]) -> str:
 
 def section(result: Result) -> str:
     """Return the HTML of the report's section; empty when no curve goes round."""
-    found = contents(result)
+    found = {}
+    for name in result.components:
+        # An arc, or a curve that does not close: the report shows that elsewhere.
+        with suppress(DataError):
+            found[name] = harmonic_content(measured_curve(result, name))
     if not found:
         return ""
     tables = [_table(name, content) for name, content in found.items()]
-    template = environment().get_template("harmonics.html.j2")
-    return template.render(figure=bars(found), tables=tables)
+    return render("harmonics", figure=bars(found), tables=tables)
 
 
 def _table(name: str, content: HarmonicContent) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
 from rotcal_ros.figures import style
-from rotcal_ros.report.template import environment
+from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -81,5 +81,5 @@ def section(result: Result) -> str:
         (name, ["–" if v is None else f"{v / ARCSEC:.3f}" for v in values])
         for name, values in figures.summary()
     ]
-    template = environment().get_template("iso230.html.j2")
-    return template.render(figure=diagrams(runs, figures), rows=rows, warnings=figures.warnings)
+    drawn = diagrams(runs, figures)
+    return render("iso230", figure=drawn, rows=rows, warnings=figures.warnings)

@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from rotcal_ros import __version__
 from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.figures import style
 from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.many import Outcome
-from rotcal_ros.report.template import environment
+from rotcal_ros.report.template import render
 
 
 def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
@@ -55,16 +54,13 @@ def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
 
 def write_overview(outcomes: Sequence[Outcome], configuration_text: str, path: Path) -> None:
     """Write the page: the trend of every component over time, and one row per bag."""
-    text = (
-        environment()
-        .get_template("overview.html.j2")
-        .render(
-            version=__version__,
-            rows=[_summary(outcome) for outcome in outcomes],
-            figures=[(name, _trend(outcomes, name)) for name in _components(outcomes)],
-            bad=sum(bool(outcome.error) for outcome in outcomes),
-            configuration_text=configuration_text,
-        )
+    known = {name for o in outcomes if o.result for name in o.result["deviations"]}
+    text = render(
+        "overview",
+        rows=[_summary(outcome) for outcome in outcomes],
+        figures=[(name, _trend(outcomes, name)) for name in COMPONENTS if name in known],
+        bad=sum(bool(outcome.error) for outcome in outcomes),
+        configuration_text=configuration_text,
     )
     write_atomically(path, text)
 
@@ -94,46 +90,31 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
     return [
         {**common, "component": name, "angle_rad": angle, "deviation": deviation, "std": std}
         for name in result.components
-        for angle, deviation, std in zip(
-            result.angles.tolist(),
-            result.deviations[name].tolist(),
-            result.std[name].tolist(),
-            strict=True,
-        )
+        for angle, deviation, std in np.column_stack(
+            [result.angles, result.deviations[name], result.std[name]]
+        ).tolist()
     ]
-
-
-def _components(outcomes: Sequence[Outcome]) -> list[str]:
-    known = {name for o in outcomes if o.result for name in o.result["deviations"]}
-    return [name for name in COMPONENTS if name in known]
 
 
 def _summary(outcome: Outcome) -> dict[str, Any]:
     result = outcome.deviations()
-    ranges = []
+    ranges, warnings, begin = [], outcome.warnings, ""
     if result is not None:
+        warnings += result.warnings
         for name in result.components:
             factor, unit = unit_of(name)
             ranges.append(f"{name} {np.ptp(result.deviations[name]) / factor:.3g} {unit}")
+    if outcome.start_ns is not None:
+        start = datetime.fromtimestamp(outcome.start_ns / 1e9, timezone.utc)
+        begin = f"{start:%Y-%m-%d %H:%M:%S}"
     return {
         "source": outcome.source,
         "table": outcome.table,
-        "start": _time(outcome.start_ns),
+        "start": begin,
         "verdict": result.verdict if result is not None else "no result",
         "span": ", ".join(ranges),
-        "notes": [outcome.error] if outcome.error else [*_warnings(outcome)],
+        "notes": [outcome.error] if outcome.error else warnings,
     }
-
-
-def _warnings(outcome: Outcome) -> tuple[str, ...]:
-    result = outcome.deviations()
-    return (*outcome.warnings, *(result.warnings if result is not None else ()))
-
-
-def _time(start_ns: int | None) -> str:
-    if start_ns is None:
-        return ""
-    return f"{datetime.fromtimestamp(start_ns / 1e9, timezone.utc):%Y-%m-%d %H:%M:%S}"
 
 
 @style.styled

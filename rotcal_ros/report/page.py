@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-from rotcal_ros import __version__
 from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
-from rotcal_ros.files import write_atomically
 from rotcal_ros.observations import Observation
 from rotcal_ros.report import harmonics
 from rotcal_ros.report.iso230 import section as iso230_section
-from rotcal_ros.report.template import environment
+from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
 from rotcal_ros.units import DEGREE
 
@@ -45,27 +42,23 @@ class ReportInput:
 def render_report(report: ReportInput) -> str:
     """Return the report as one HTML page without any reference to other files."""
     result = report.result
-    return (
-        environment()
-        .get_template("report.html.j2")
-        .render(
-            report=report,
-            result=result,
-            version=__version__,
-            figures=_figures(report),
-            columns=_columns(result),
-            rows=_deviation_rows(result),
-            summary=_summary(result),
-            extra=[*_evaluation_sections(result), *report.extra],
-            sections=_detail_sections(result.all_details),
-            attempts=[o for o in report.observations if not o.accepted],
-        )
+    evaluated = [
+        ("Harmonic content", harmonics.section(result)),
+        ("ISO 230-2: positioning of the axis", iso230_section(result)),
+    ]
+    details = [(name, _short(value)) for name, value in result.all_details.items()]
+    return render(
+        "report",
+        report=report,
+        result=result,
+        figures=_figures(report),
+        columns=[f"{name} / {unit_of(name)[1]}" for name in result.components],
+        rows=_deviation_rows(result),
+        summary=_summary(result),
+        extra=[*(section for section in evaluated if section[1]), *report.extra],
+        sections=[(name.replace("_", " "), text) for name, text in details if text],
+        attempts=[o for o in report.observations if not o.accepted],
     )
-
-
-def write_report(report: ReportInput, path: Path) -> None:
-    """Write the page to ``path``; the text is complete or the file is not there."""
-    write_atomically(path, render_report(report))
 
 
 def _figures(report: ReportInput) -> list[Figure]:
@@ -101,19 +94,6 @@ def _own_figures(report: ReportInput) -> Sequence[Figure]:
     return find_method(report.result.method).figures(report.result, report.truth)
 
 
-def _evaluation_sections(result: Result) -> list[tuple[str, str]]:
-    """Return (title, HTML) of what the curves say about the axis."""
-    candidates = [
-        ("Harmonic content", harmonics.section(result)),
-        ("ISO 230-2: positioning of the axis", iso230_section(result)),
-    ]
-    return [candidate for candidate in candidates if candidate[1]]
-
-
-def _columns(result: Result) -> list[str]:
-    return [f"{name} / {unit_of(name)[1]}" for name in result.components]
-
-
 def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
     """Return one row per angle: the angle and 'value ± expanded uncertainty' per component."""
     rows = []
@@ -144,17 +124,8 @@ def _summary(result: Result) -> list[tuple[str, str]]:
     return summary
 
 
-def _detail_sections(details: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the short entries of the method's details as (name, text), without long arrays."""
-    sections = []
-    for name, value in details.items():
-        text = _short(value)
-        if text:
-            sections.append((name.replace("_", " "), text))
-    return sections
-
-
 def _short(value: Any) -> str:
+    """Return a detail as text; empty for long arrays."""
     if isinstance(value, Mapping):
         parts = [(key, _short(item)) for key, item in value.items()]
         return "; ".join(f"{key.replace('_', ' ')} {text}" for key, text in parts if text)

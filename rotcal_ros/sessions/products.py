@@ -80,7 +80,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     if folder.report.exists():
         raise BagError(f"{folder.report} exists already and nothing is overwritten")
     recording = read_recording(folder.bag)
-    truth = folder.truth if folder.truth.exists() else None
+    truth = json.loads(folder.truth.read_text("utf-8")) if folder.truth.exists() else None
     result = write_recorded(recording, folder.report, truth, extra)
     if result.to_dict() != json.loads(folder.result.read_text(encoding="utf-8")):
         say(f"warning: {folder.bag} solved again gives another result than live: rotcal solve")

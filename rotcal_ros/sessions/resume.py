@@ -13,7 +13,8 @@ from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation, continued
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.files import FolderLock, write_atomically
-from rotcal_ros.recordings.replay import Recording, read_recording
+from rotcal_ros.observations import Observation
+from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions.session import Session, checked_calibration
@@ -36,19 +37,23 @@ def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
     _check_folder(folder, calibration)
     _wait_for_lock(folder.path)
     if not folder.bag.is_dir():
-        return _opened(Session(calibration, folder))
-    files = _files(folder.bag)
-    recording = _recording(folder.bag, calibration) if files else None
+        session = Session(calibration, folder)
+        session.log_folder.mkdir(exist_ok=True)
+        return session
+    files: tuple[Path, ...] = ()
+    with suppress(BagError):
+        files = bag_files(folder.bag)
     settings = calibration.configuration.planner
     continuation = continued(
         calibration.plan,
         calibration.configuration.plan_id,
         max(1, len(files)),  # no earlier run can have this number: each wrote a file at least
-        recording.observations if recording is not None else (),
+        _observed(folder.bag, calibration) if files else (),
         max_attempts=settings.max_attempts,
         join_steps=settings.join_steps if calibration.method.joins_runs else 0,
     )
-    session = _opened(Session(calibration, folder, continuation))
+    session = Session(calibration, folder, continuation)
+    session.log_folder.mkdir(exist_ok=True)
     write_atomically(folder.continuation(continuation.run), continuation.to_json())
     _say_what_is_left(calibration, continuation)
     return session
@@ -80,14 +85,8 @@ def _wait_for_lock(folder: Path) -> None:
     return None
 
 
-def _files(bag: Path) -> tuple[Path, ...]:
-    with suppress(BagError):
-        return bag_files(bag)
-    return ()
-
-
-def _recording(bag: Path, calibration: Calibration) -> Recording | None:
-    """Read what was recorded; None when the recorder died before the first message."""
+def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
+    """Return what was recorded; nothing when the recorder died before the first message."""
     try:
         with progress("reading what is there") as shown:
             recording = read_recording(
@@ -95,15 +94,10 @@ def _recording(bag: Path, calibration: Calibration) -> Recording | None:
             )
     except BagError as error:
         say(f"nothing to go on from: {error}")
-        return None
+        return ()
     for warning in recording.warnings():
         say(f"warning: {warning}")
-    return recording
-
-
-def _opened(session: Session) -> Session:
-    session.log_folder.mkdir(exist_ok=True)
-    return session
+    return recording.observations
 
 
 def _say_what_is_left(calibration: Calibration, continuation: Continuation) -> None:

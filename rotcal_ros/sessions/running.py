@@ -27,9 +27,7 @@ class RunningSession:
 
     def ended(self) -> dict[str, int]:
         """Return the exit codes of nodes that have ended."""
-        ended = self._processes.ended()
-        ended.pop(CLIENT, None)
-        return ended
+        return {n: code for n, code in self._processes.ended().items() if n != CLIENT}
 
     def cancel(self) -> None:
         """Ask the client to cancel its goal."""

@@ -41,14 +41,6 @@ class Measured:
     source: Source
 
 
-@dataclass(frozen=True)
-class Verified:
-    """The outcome, and the controllers that got files."""
-
-    verification: Verification
-    controllers: tuple[str, ...]
-
-
 def verify(
     configuration: Path,
     folder: Path,
@@ -58,8 +50,8 @@ def verify(
     spacing: float,
     controllers: Sequence[str] = (),
     files: Path | None = None,
-) -> Verified | None:
-    """Measure, compensate, measure again; None when the user ended a measurement.
+) -> tuple[Verification, tuple[str, ...]] | None:
+    """Return the outcome and the controllers that got files; None when the user ended it.
 
     ``folder`` gets ``before``, ``after`` and verification.json. ``changes`` hold for both
     measurements, ``check`` for the second one. Files with rows every ``spacing`` rad are written
@@ -84,7 +76,7 @@ def verify(
     )
     data = verification.to_dict() | {"controllers": list(exports)}
     write_atomically(folder / "verification.json", json.dumps(data, indent=1) + "\n")
-    return Verified(verification, tuple(exports))
+    return verification, tuple(exports)
 
 
 def _check(

@@ -11,6 +11,7 @@ import pytest
 import rotcal_ros as rc
 from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+from rotcal_ros.results import RepeatedRuns
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "examples" / "data"
@@ -89,8 +90,7 @@ def test_iso230_takes_runs_a_result_and_a_file(plate, tmp_path):
     runs = BidirectionalRuns(angles, forward, forward + 5e-6)
     figures = rc.iso230(runs)
     assert figures.reversal == pytest.approx(5e-6)
-    kept = {name: getattr(runs, name) for name in ("targets", "forward", "reverse")}
-    result = replace(plate, details={"runs": kept})
+    result = replace(plate, runs=RepeatedRuns(runs.targets, runs.forward, runs.reverse))
     assert rc.iso230(result).to_dict() == figures.to_dict()
     (tmp_path / "result.json").write_text(result.to_json())
     assert rc.iso230(tmp_path / "result.json").to_dict() == figures.to_dict()

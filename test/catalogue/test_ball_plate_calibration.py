@@ -120,7 +120,7 @@ def test_nothing_and_too_little_are_refused(measured):
 def test_several_evaluations_of_the_same_data(measured):
     calibration, observations = measured
     data = Data(calibration, observations)
-    whole, five = evaluate(data, ways(["all", "0,1,3,5,8"], []))
+    whole, five = evaluate(data.calibration, data.observations, ways(["all", "0,1,3,5,8"], []))
     assert (whole.name, five.name) == ("all data", "balls=[0,1,3,5,8]")
     assert (whole.result.n_observations, five.result.n_observations) == (72, 60)
     for name in COMPONENTS:
@@ -131,9 +131,9 @@ def test_several_evaluations_of_the_same_data(measured):
     assert lines[0].startswith("all data: 72 observations")
     assert len(lines) == 2 * 7
     with pytest.raises(PlanError, match=r"ball steps \[2\] were not measured"):
-        evaluate(data, ways(["0,1,2,3,5"], []))
+        evaluate(data.calibration, data.observations, ways(["0,1,2,3,5"], []))
     with pytest.raises(PlanError, match="5 times coarser"):
-        evaluate(data, ways([], [5]))
+        evaluate(data.calibration, data.observations, ways([], [5]))
 
 
 def test_a_coarser_evaluation_is_compared_at_its_own_angles():

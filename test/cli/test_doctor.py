@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections import namedtuple
-from importlib import util
+from importlib import metadata, util
 
 import pytest
 from click.testing import CliRunner
@@ -53,7 +53,8 @@ def test_a_missing_compiler(monkeypatch):
 
 
 def test_a_missing_package(monkeypatch):
-    monkeypatch.setattr(doctor, "CORE", ("numpy", "no-such-package"))
+    needed = ["numpy", "no-such-package", 'no-other-package; extra == "many"']
+    monkeypatch.setattr(metadata, "requires", lambda _: needed)
     check = doctor.packages()
     assert not check.ok
     assert check.found == "missing no-such-package"

@@ -149,3 +149,15 @@ def test_bad_tables_are_explained(tmp_path, change, text):
     result = run("solve", table, "--setup", str(CONFIG / "plates" / "ball_plate_12.yaml"))
     assert result.exit_code == 3
     assert text in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("table", "setup"), [("lengths.csv", "tracer.yaml"), ("tracker.csv", "plane_mirror.yaml")]
+)
+def test_other_methods_have_no_balls_to_choose(table, setup):
+    data = CONFIG.parent / "examples" / "data"
+    further = ["--targets", str(data / "targets.csv")] if table == "lengths.csv" else []
+    setup = str(data / setup)
+    result = run("solve", str(data / table), "--setup", setup, *further, "--coarser", "2")
+    assert result.exit_code == 3
+    assert "--balls and --coarser are for the data of a ball plate" in result.stderr

@@ -1,6 +1,7 @@
-"""The example package is importable by the tests of its parts, without being installed."""
+"""The example package and the helpers of other rooms' tests are importable, not installed."""
 
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "examples" / "own_method"))
+ROOT = Path(__file__).parents[2]
+sys.path[:0] = [str(ROOT / "examples" / "own_method"), str(ROOT / "test" / "evaluation")]

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from one_table import by_ball_plate
 
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
 from rotcal_ros.methods import ball_plate
@@ -20,9 +21,6 @@ from rotcal_ros.settings import load
 from rotcal_ros.simulation.settings import TableSettings
 from rotcal_ros.simulation.table import SimulatedTable, deviations
 from rotcal_ros.units import ARCSEC, DEGREE
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
-from one_table import by_ball_plate
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "own_method"

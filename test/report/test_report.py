@@ -1,11 +1,9 @@
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
-import pytest
 
-from rotcal_ros.report.page import ReportInput, render_report, write_report
+from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.results import Rejection, Residuals, Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -95,10 +93,3 @@ def test_figures_that_have_nothing_to_show_are_left_out() -> None:
     page = render_report(ReportInput(result=bare, title="t", method_title="m"))
     assert re.findall(r"<h2>(.*?)</h2>", page)[:2] == ["Summary", "Deviations"]
     assert page.count("<svg") == 1
-
-
-def test_a_page_is_whole_or_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    target = tmp_path / "report.html"
-    write_report(REPORT, target)
-    assert target.read_text().endswith("</html>\n") or target.read_text().endswith("</html>")
-    assert [p.name for p in tmp_path.iterdir()] == ["report.html"]

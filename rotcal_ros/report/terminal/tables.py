@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from rich.console import Console
 from rich.table import Table
 
-from rotcal_ros.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.components import unit_of
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.evaluation.propagated import Propagated
@@ -42,14 +42,10 @@ def print_comparisons(comparisons: Mapping[tuple[str, str], Comparison], compone
     headings = ["angle/deg", f"difference/{label}", f"U (k = 2)/{label}", "E_n", ""]
     for (first, second), comparison in comparisons.items():
         rows = []
-        for i, angle in enumerate(comparison.angles):
-            error = comparison.normalised_error[i]
-            difference = f"{comparison.difference[i] / unit:+.3f}"
-            expanded = f"{COVERAGE_FACTOR * comparison.std[i] / unit:.3f}"
-            remarks = ["above 1"] * bool(abs(error) > 1.0)
+        for i, cells in enumerate(comparison.rows(unit)):
+            remarks = ["above 1"] * bool(abs(comparison.normalised_error[i]) > 1.0)
             remarks += ["interpolated"] * bool(comparison.interpolated[i])
-            row = (_degrees(angle), difference, expanded, f"{error:+.2f}", ", ".join(remarks))
-            rows.append(row)
+            rows.append((*cells, ", ".join(remarks)))
         _table(f"{component}: {first} - {second}, aligned", headings, rows)
         _lines(
             *(f"note: {note}" for note in comparison.notes),
