@@ -100,7 +100,10 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
             what = "a group of settings" if dataclasses.is_dataclass(hints[name]) else ""
             what = what or field.metadata["setting"].description
             raise ConfigurationError(f"{where}: setting {name!r} is missing ({what})")
-    return cls(**loaded)
+    try:
+        return cls(**loaded)
+    except ConfigurationError as error:  # settings that do not go together
+        raise ConfigurationError(f"{where}: {error}") from error
 
 
 def to_mapping(settings: Any) -> dict[str, Any]:

@@ -96,6 +96,6 @@ class CaptureSettings:
         """Refuse settings that leave no time to measure."""
         if self.settle_time_s >= self.step_timeout_s:
             raise ConfigurationError(
-                f"capture: settle_time_s = {self.settle_time_s:g} leaves no time for a window;"
+                f"settle_time_s = {self.settle_time_s:g} leaves no time for a window;"
                 f" expected less than step_timeout_s = {self.step_timeout_s:g}"
             )

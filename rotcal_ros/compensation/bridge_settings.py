@@ -46,7 +46,7 @@ class BridgeSettings:
 
     def __post_init__(self) -> None:
         # Long before a table arrives, which may be hours after the start.
-        make_controller(self.controller, self.controller_settings, "bridge.options")
+        make_controller(self.controller, self.controller_settings, "options")
 
     @property
     def controller_settings(self) -> dict[str, Any]:

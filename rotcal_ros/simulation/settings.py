@@ -51,7 +51,7 @@ class CompensationSettings:
         counts = {len(self.angles_deg), len(self.forward_arcsec), len(self.reverse_arcsec)}
         if len(counts) > 1 or any(b <= a for a, b in pairwise(self.angles_deg)):
             raise ConfigurationError(
-                f"simulation.table.compensation: {len(self.angles_deg)} angles with "
+                f"{len(self.angles_deg)} angles with "
                 f"{len(self.forward_arcsec)} forward and {len(self.reverse_arcsec)} reverse "
                 "corrections: expected ascending angles and one of both for each"
             )
@@ -142,7 +142,7 @@ class SimulationSettings(ABC):
     def __post_init__(self) -> None:
         if self.table.external and self.time_scale != 1.0:
             raise ConfigurationError(
-                f"simulation: an external table moves at life speed, time_scale is "
+                f"an external table moves at life speed, time_scale is "
                 f"{self.time_scale:g}: set it to 1"
             )
 

@@ -227,9 +227,9 @@ def test_options_that_the_controller_does_not_have_are_refused_at_the_start():
     good = ["bridge.controller=linuxcnc", "bridge.options=['turns=3']"]
     assert changed(configuration, good).bridge.controller_settings == {"turns": 3}
     for option, error in [
-        ("turn=3", "bridge.options: unknown setting 'turn'; did you mean 'turns'"),
-        ("turns=0", r"bridge.options.turns: 0 is out of range 1 to inf"),
-        ("turns=many", r"bridge.options.turns: expected int"),
+        ("turn=3", "options: unknown setting 'turn'; did you mean 'turns'"),
+        ("turns=0", r"options.turns: 0 is out of range 1 to inf"),
+        ("turns=many", r"options.turns: expected int"),
         ("turns", "expected NAME=VALUE"),
     ]:
         with pytest.raises(ConfigurationError, match=error):

@@ -94,4 +94,4 @@ def test_a_bridge_can_be_configured_for_it(environment):
     good = python(environment, "-c", BRIDGE, "max_rows=100")
     assert good.stdout == "('max_rows=100',)\n", good.stderr
     bad = python(environment, "-c", BRIDGE, "rows=100")
-    assert "bridge.options: unknown setting 'rows'; did you mean 'max_rows'?" in bad.stderr
+    assert "options: unknown setting 'rows'; did you mean 'max_rows'?" in bad.stderr
