@@ -106,7 +106,7 @@ def observation(message: Any) -> Observation:
     return Observation(
         step=message.step,
         attempt=message.attempt,
-        table_index=message.table_index,
+        table_position=message.table_index,
         table_angle=message.table_angle,
         target=message.target,
         station=message.station,

@@ -121,7 +121,7 @@ class Observation:
 
     step: int
     attempt: int
-    table_index: int
+    table_position: int
     table_angle: float
     target: int
     station: int

@@ -21,6 +21,8 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
+FILE_NAMES: Final = {"table_position": "table_index"}
+"""Names that files use for something, where they differ from ours."""
 RUNS: Final = "runs"
 """Where a file has the repeated runs: among the details."""
 
@@ -45,7 +47,7 @@ class Residuals:
     their residual against the final solution and have ``used`` False.
     """
 
-    table_index: Ints
+    table_position: Ints
     target: Ints
     residual: Floats
     redundancy: Floats
@@ -142,7 +144,8 @@ class Result:
             "details": self.all_details,
         }
         if self.residuals is not None:
-            data["residuals"] = plain_fields(self.residuals)
+            columns = plain_fields(self.residuals)
+            data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
         return {name: _plain(value) for name, value in data.items()}
 
     def to_json(self) -> str:
@@ -255,6 +258,12 @@ def _runs(details: Any) -> RepeatedRuns | None:
 def _residuals(data: Mapping[str, Any] | None) -> Residuals | None:
     if data is None:
         return None
-    kinds: dict[str, type] = {"table_index": np.int64, "target": np.int64, "used": np.bool_}
-    names = [field.name for field in fields(Residuals)]
-    return Residuals(**{n: np.asarray(data[n], kinds.get(n, np.float64)) for n in names})
+    kinds: dict[str, type] = {"table_position": np.int64, "target": np.int64, "used": np.bool_}
+    return Residuals(
+        **{
+            field.name: np.asarray(
+                data[FILE_NAMES.get(field.name, field.name)], kinds.get(field.name, np.float64)
+            )
+            for field in fields(Residuals)
+        }
+    )

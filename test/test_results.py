@@ -29,7 +29,7 @@ def result(values: np.ndarray) -> Result:
         warnings=("careful",),
         adjacent_deviations=np.diff(values),
         residuals=Residuals(
-            table_index=np.arange(n),
+            table_position=np.arange(n),
             target=np.zeros(n, dtype=np.int64),
             residual=values,
             redundancy=np.ones(n),

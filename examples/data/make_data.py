@@ -70,7 +70,7 @@ def measured(method, folder):
 def tracer(folder):
     """Lengths by table position and target, and where the targets are."""
     configuration, observations = measured("tracer", folder)
-    rows = [(o.table_index, o.target, *o.mean) for o in observations if o.accepted]
+    rows = [(o.table_position, o.target, *o.mean) for o in observations if o.accepted]
     write_table(folder / "lengths.csv", "position,target,length_m", rows)
     targets = sorted({(o.target, *o.probe_position) for o in observations})
     nominal = {number: place for number, *place in targets}
@@ -82,7 +82,7 @@ def tracer(folder):
 def ball_plate(folder):
     """Ball centres by table position and ball step, and the bag with the raw streams."""
     configuration, observations = measured("ball_plate", folder)
-    rows = [(o.table_index, o.target, *o.mean) for o in observations if o.accepted]
+    rows = [(o.table_position, o.target, *o.mean) for o in observations if o.accepted]
     write_table(folder / "balls.csv", "position,ball_step,x_m,y_m,z_m", rows)
     (folder / "result_ball_plate.json").write_text(rc.solve(observations, configuration).to_json())
     write_bag(folder / "ball_plate_bag", configuration)
@@ -92,7 +92,7 @@ def plane_mirror(folder):
     """Tracker points, in the frame of each tracker station."""
     _configuration, observations = measured("plane_mirror", folder)
     rows = [
-        ("" if o.kind == rc.PointKind.NEST else o.table_index, o.station, o.kind.name.lower(),
+        ("" if o.kind == rc.PointKind.NEST else o.table_position, o.station, o.kind.name.lower(),
          o.target, *o.mean)
         for o in observations
     ]  # fmt: skip

@@ -72,8 +72,8 @@ def continued(
     rejected = Counter((o.step, o.run) for o in observations if not o.accepted)
     given_up = {step for (step, _), count in rejected.items() if count >= max_attempts}
     missing = [s.index for s in plan.steps if s.index not in accepted | given_up]
-    open_angles = {plan.steps[index].table_index for index in missing}
-    candidates = [s for s in sorted(accepted) if plan.steps[s].table_index in open_angles]
+    open_angles = {plan.steps[index].table_position for index in missing}
+    candidates = [s for s in sorted(accepted) if plan.steps[s].table_position in open_angles]
     again = _spread(candidates or sorted(accepted), join_steps) if missing else ()
     return Continuation(
         plan_id=plan_id,

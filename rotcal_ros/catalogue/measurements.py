@@ -61,7 +61,7 @@ class StepFinder:
         self._plan = plan
         self._steps: dict[tuple[int, int], Step] = {}
         for step in plan.steps:
-            self._steps.setdefault((step.table_index, step.target), step)
+            self._steps.setdefault((step.table_position, step.target), step)
         self._seen: dict[int, str] = {}
 
     def __call__(self, row: Row, position: int, target: int) -> Step:

@@ -35,7 +35,7 @@ def residuals(result: Result, unit: float = MICROMETRE, label: str = "µm") -> s
         return ""
     left, right = style.grid(1, 2, sharey=True)
     for ax, index, name in (
-        (left, rows.table_index, "table position (index)"),
+        (left, rows.table_position, "table position (index)"),
         (right, rows.target, "target (index)"),
     ):
         _scatter_residuals(ax, index, rows.residual / unit, rows.used)
@@ -65,11 +65,11 @@ def residual_map(result: Result) -> str:
     rows = result.residuals
     if rows is None or rows.test_value.size == 0:
         return ""
-    cells = np.column_stack([rows.table_index, rows.target])
+    cells = np.column_stack([rows.table_position, rows.target])
     if len(np.unique(cells, axis=0)) < len(cells):
         return ""
-    grid = np.full((rows.table_index.max() + 1, rows.target.max() + 1), np.nan)
-    grid[rows.table_index, rows.target] = rows.test_value
+    grid = np.full((rows.table_position.max() + 1, rows.target.max() + 1), np.nan)
+    grid[rows.table_position, rows.target] = rows.test_value
     (ax,) = style.grid(height=2.6)
     ax.grid(visible=False)
     ax.set_facecolor(style.MISSING)

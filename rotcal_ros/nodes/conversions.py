@@ -85,6 +85,7 @@ def observation_message(captured: Observation) -> ObservationMsg:
         captured,
         captured.window_end_ns,
         TRACER,
+        table_index=captured.table_position,
         temperature=math.nan if captured.temperature_c is None else captured.temperature_c,
         window_start=time_message(captured.window_start_ns),
         window_end=time_message(captured.window_end_ns),

@@ -110,7 +110,7 @@ class Measuring:
         step = self._calibration.plan.steps[index]
         again = f" (attempt {number + 1})" if number else ""
         links = self._watch.links
-        self._watch.tell(f"table position {step.table_index}, target {step.target}{again}")
+        self._watch.tell(f"table position {step.table_position}, target {step.target}{again}")
         links.order(step.command(attempt))
         limit_s = self._watch.settings.step_timeout_s
         arrived = await self._watch.wait(lambda: key in links.observations, limit_s)

@@ -25,7 +25,7 @@ class Step:
     """
 
     index: int
-    table_index: int
+    table_position: int
     table_angle: float
     approach: Approach
     kind: PointKind
@@ -54,7 +54,7 @@ class Step:
         return Observation(
             step=self.index,
             attempt=0,
-            table_index=self.table_index,
+            table_position=self.table_position,
             table_angle=self.table_angle,
             target=self.target,
             station=self.station,
@@ -107,9 +107,9 @@ class Plan:
         for number, step in enumerate(self.steps):
             if step.index != number:
                 raise PlanError(f"step {number} of the plan carries the index {step.index}")
-            if not 0 <= step.table_index < len(self.table_angles):
+            if not 0 <= step.table_position < len(self.table_angles):
                 raise PlanError(
-                    f"step {number}: table index {step.table_index} outside 0.."
+                    f"step {number}: table position {step.table_position} outside 0.."
                     f"{len(self.table_angles) - 1}"
                 )
 

@@ -143,7 +143,7 @@ def _command(r: Command) -> list[tuple[str, bytes]]:
 def _observation(r: Observation) -> list[tuple[str, bytes]]:
     data = serialised(
         TYPES[names.OBSERVATION], stamp_ns=r.window_end_ns, step=r.step, attempt=r.attempt,
-        table_index=r.table_index, target=r.target, station=r.station, kind=int(r.kind),
+        table_index=r.table_position, target=r.target, station=r.station, kind=int(r.kind),
         table_angle=r.table_angle, table_angle_measured=r.table_angle_measured,
         mean=floats(r.mean), std=floats(r.std), scatter=floats(r.scatter),
         probe_position=floats(r.probe_position),

@@ -49,7 +49,7 @@ probe_samples = st.builds(
 commands = st.builds(Command, u32, u32, any_float, st.sampled_from(Approach), kinds, u32, points)
 observations = st.builds(
     Observation,
-    step=u32, attempt=u32, table_index=u32, table_angle=any_float, target=u32, station=u32,
+    step=u32, attempt=u32, table_position=u32, table_angle=any_float, target=u32, station=u32,
     kind=kinds, mean=lists, std=lists, scatter=lists, probe_position=points, n_samples=u32,
     n_used=u32, accepted=st.booleans(), reason=text, table_angle_measured=any_float,
     temperature_c=st.none() | st.floats(allow_nan=False), window_start_ns=stamps,

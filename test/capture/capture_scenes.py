@@ -46,7 +46,7 @@ def make_plan(kind: PointKind = PointKind.REFLECTOR, n_points: int = 1) -> Plan:
     steps = tuple(
         Step(
             index=3 * t + a,
-            table_index=a,
+            table_position=a,
             table_angle=angle,
             approach=Approach.POSITIVE,
             kind=kind,

@@ -282,6 +282,10 @@ def test_station_and_indices_come_from_the_plan():
     observations = replay(PLAN, make_scene(PLAN, 5).by_stamp())
     for o in observations:
         step = PLAN.steps[o.step]
-        assert (o.table_index, o.target, o.kind) == (step.table_index, step.target, step.kind)
+        assert (o.table_position, o.target, o.kind) == (
+            step.table_position,
+            step.target,
+            step.kind,
+        )
         assert o.kind is PointKind.REFLECTOR
         assert o.mean[0] == pytest.approx(length_of(step), abs=1.5e-7)

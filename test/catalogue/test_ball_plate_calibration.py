@@ -144,7 +144,7 @@ def test_a_coarser_evaluation_is_compared_at_its_own_angles():
     observations = measure(small(), steps=1) * len(rows)
     rng = np.random.default_rng(1)
     observations = [
-        replace(o, step=n, table_index=i, target=j,
+        replace(o, step=n, table_position=i, target=j,
                 mean=tuple(plan.targets[(i + j) % 12] + 1e-7 * rng.normal(size=3)))
         for n, (o, (i, j)) in enumerate(zip(observations, rows, strict=True))
     ]  # fmt: skip

@@ -17,9 +17,10 @@ def plan(order):
     )  # 12 steps
 
 
-def observed(step, attempt=0, accepted=True, table_index=0, run=0):
+def observed(step, attempt=0, accepted=True, table_position=0, run=0):
     return Observation(
-        step=step, attempt=attempt, table_index=table_index, table_angle=0.1, target=0, station=0,
+        step=step, attempt=attempt, table_position=table_position, table_angle=0.1, target=0,
+        station=0,
         kind=PointKind.REFLECTOR, mean=(1 / 3,), std=(1e-7,), scatter=(math.pi,),
         probe_position=(0.1, 0.2, 0.3), n_samples=5, n_used=5, accepted=accepted, reason="",
         table_angle_measured=0.1, temperature_c=None, window_start_ns=1, window_end_ns=2, run=run,

@@ -61,7 +61,7 @@ def test_tracer_table_becomes_observations(configuration: Configuration, tmp_pat
     assert data.calibration.plan.table_angles == (0.0, 90 * DEGREE, 180 * DEGREE)
     assert len(data.observations) == 24
     observation = data.observations[9]
-    assert (observation.table_index, observation.target) == (1, 1)
+    assert (observation.table_position, observation.target) == (1, 1)
     assert observation.mean == (dist(STATIONS[1], TARGETS[1]) - 0.25,)
     assert observation.probe_position == TARGETS[1]
     assert observation.accepted
@@ -77,7 +77,7 @@ def test_rows_may_be_missing_and_in_any_order(
     rows = tracer_rows()
     path = write_tracer(tmp_path, [rows[i] for i in (23, 4, 17)])
     data = read_measurements(path, configuration)
-    assert [(o.table_index, o.target) for o in data.observations] == [(2, 7), (0, 4), (2, 1)]
+    assert [(o.table_position, o.target) for o in data.observations] == [(2, 7), (0, 4), (2, 1)]
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_ball_plate_table(position: str, tmp_path: Path) -> None:
     path = tmp_path / "plate.csv"
     path.write_text(f"{position},ball_step,x_m,y_m,z_m\n1,0,0.1,0.2,0.3\n0,5,1,2,3\n")
     data = read_measurements(path, setup)
-    assert [(o.step, o.table_index, o.target, o.mean, o.kind) for o in data.observations] == [
+    assert [(o.step, o.table_position, o.target, o.mean, o.kind) for o in data.observations] == [
         (0, 1, 0, (0.1, 0.2, 0.3), PointKind.CENTRE),  # rows in the order of measurement
         (1, 0, 5, (1.0, 2.0, 3.0), PointKind.CENTRE),
     ]
@@ -192,7 +192,7 @@ def test_both_headers_of_a_tracer_table_mean_the_same(
     path = write_tracer(tmp_path, tracer_rows())
     path.write_text("\n".join([header, *tracer_rows()]))
     data = read_measurements(path, configuration)
-    assert [o.table_index for o in data.observations] == [p for p in range(3) for _ in range(8)]
+    assert [o.table_position for o in data.observations] == [p for p in range(3) for _ in range(8)]
     path.write_text("\n".join([header, "99,0,0.1"]))
     with pytest.raises(DataError, match=r"row 2: position 99, target 0 is not in the plan") as no:
         read_measurements(path, configuration)

@@ -102,7 +102,7 @@ def test_the_order_of_the_observations_does_not_matter(short):
 
 def test_a_reflector_without_its_image_is_left_out_and_named(short):
     calibration, observations, truth = short
-    lost = next(o for o in observations if o.kind == PointKind.MIRRORED and o.table_index == 1)
+    lost = next(o for o in observations if o.kind == PointKind.MIRRORED and o.table_position == 1)
     rest = [o for o in observations if o is not lost]
     result = calibration.solve(rest)
     assert result.details["left_out"] == [
@@ -132,7 +132,7 @@ def test_exchanged_direct_and_mirrored_is_refused(short):
     calibration, observations, _ = short
     swap = {PointKind.DIRECT: PointKind.MIRRORED, PointKind.MIRRORED: PointKind.DIRECT}
     wrong = [
-        replace(o, kind=swap[o.kind]) if o.table_index == 2 and o.kind in swap else o
+        replace(o, kind=swap[o.kind]) if o.table_position == 2 and o.kind in swap else o
         for o in observations
     ]
     with pytest.raises(DataError, match="exchange direct and mirrored"):

@@ -51,7 +51,7 @@ def measured(task, seed, backlash=BACKLASH):
     arrival = rng.normal(0.0, REPEATABILITY, len(task.plan.table_angles))
     moved = []
     for step, seen in zip(task.plan.steps, task.nominal_observations(), strict=True):
-        turn = step.table_angle + truth(step.table_angle) + arrival[step.table_index]
+        turn = step.table_angle + truth(step.table_angle) + arrival[step.table_position]
         turn += backlash * (step.approach is Approach.NEGATIVE)
         c, s = np.cos(turn), np.sin(turn)
         station = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ MOUNT
@@ -72,9 +72,9 @@ def test_plan_measures_all_targets_at_each_arrival():
     plan = calibration().plan
     assert len(plan.table_angles) == TARGETS * RUNS * 2
     assert len(plan.steps) == TARGETS * RUNS * 2 * 48
-    assert all(a.table_index <= b.table_index for a, b in zip(plan.steps, plan.steps[1:]))  # noqa: B905
+    assert all(a.table_position <= b.table_position for a, b in zip(plan.steps, plan.steps[1:]))  # noqa: B905
     for step in plan.steps:
-        assert step.table_angle == plan.table_angles[step.table_index]
+        assert step.table_angle == plan.table_angles[step.table_position]
 
 
 def test_runs_that_leave_the_angle_for_every_target_are_refused():
@@ -124,7 +124,9 @@ def test_runs_from_one_side_only_give_a_mean_and_no_reversal():
 
 def test_a_missing_arrival_is_named():
     task = calibration(runs=2)
-    kept = [o for o in measured(task, 2) if o.table_index != 11]  # target 4 of the first way down
+    kept = [
+        o for o in measured(task, 2) if o.table_position != 11
+    ]  # target 4 of the first way down
     result = task.solve(kept)
     assert len(result.angles) == TARGETS
     with pytest.raises(DataError, match=r"reverse run 1 has no deviation at target 5 \(180 deg\)"):

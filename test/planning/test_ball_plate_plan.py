@@ -35,12 +35,12 @@ def test_the_table_brings_each_ball_to_its_place(changes):
         angle = np.radians(30.0 * step.target) + turn
         place = np.array(AXIS) + 0.2 * np.array([np.cos(angle), np.sin(angle), 0.0])
         assert step.position == pytest.approx(place, abs=1e-12)
-        assert step.table_index == round(np.degrees(turn) / 30.0) % 12
+        assert step.table_position == round(np.degrees(turn) / 30.0) % 12
         assert (step.kind, step.n_points, step.ball_diameter) == (PointKind.SURFACE, 15, 0.025)
         assert step.approach == (
             Approach.POSITIVE if changes.get("backlash", True) else Approach.UNKNOWN
         )
-    met = {(step.table_index, step.target) for step in made.steps}
+    met = {(step.table_position, step.target) for step in made.steps}
     assert met == {(k, ball) for k in range(12) for ball in PLATE.ball_steps}
 
 

@@ -31,7 +31,7 @@ def test_each_station_measures_nests_first_then_reflector_and_image() -> None:
     block = plan.steps[21:42]
     assert {s.station for s in block} == {1}
     assert [(s.kind, s.target) for s in block[:5]] == [(PointKind.NEST, n) for n in range(1, 6)]
-    assert [(s.table_index, s.kind, s.target) for s in block[5:10]] == [
+    assert [(s.table_position, s.kind, s.target) for s in block[5:10]] == [
         (3, PointKind.DIRECT, 1),
         (3, PointKind.MIRRORED, 1),
         (3, PointKind.DIRECT, 2),
@@ -112,7 +112,7 @@ def test_reflectors_on_the_table_turn_with_it() -> None:
         )
     )
     assert {s.kind for s in plan.steps} == {PointKind.DIRECT}
-    quarter = [s for s in plan.steps if s.table_index == 4]
+    quarter = [s for s in plan.steps if s.table_position == 4]
     assert [s.target for s in quarter] == [1, 2]
     np.testing.assert_allclose(quarter[0].position, (0.0, 0.3, 0.1), atol=1e-12)
     np.testing.assert_allclose(quarter[1].position, (-0.1, -0.2, 0.1), atol=1e-12)

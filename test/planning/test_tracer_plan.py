@@ -22,10 +22,10 @@ def test_the_experiment_of_the_paper_has_704_lengths() -> None:
 def test_both_orders_hold_the_same_pairs() -> None:
     paper_order = tracer_plan(PAPER)
     other = tracer_plan(TracerPlanSettings(**{**vars(PAPER), "order": "targets_per_station"}))
-    pairs = [{(s.table_index, s.target) for s in p.steps} for p in (paper_order, other)]
+    pairs = [{(s.table_position, s.target) for s in p.steps} for p in (paper_order, other)]
     assert pairs[0] == pairs[1]
     assert [s.target for s in paper_order.steps[:11]] == [0] * 11
-    assert [s.table_index for s in other.steps[:64]] == [0] * 64
+    assert [s.table_position for s in other.steps[:64]] == [0] * 64
 
 
 def test_neighbouring_targets_are_one_grid_step_apart() -> None:

@@ -26,7 +26,7 @@ def tracer_result() -> Result:
         adjacent_deviations=np.diff(ecc),
         adjacent_std=np.full(3, 0.5) * ARCSEC,
         residuals=Residuals(
-            table_index=np.tile(np.arange(4), 2),
+            table_position=np.tile(np.arange(4), 2),
             target=np.repeat(np.arange(2), 4),
             residual=np.linspace(-1e-6, 1e-6, 8),
             redundancy=np.full(8, 0.8),

@@ -80,7 +80,7 @@ def test_all_steps_but_the_blocked_ones_are_accepted(demo):
     plan, _, _, seen = demo
     accepted = [o for o, _, _ in seen if o.accepted]
     given_up = {s.index for s in plan.steps} - {o.step for o in accepted}
-    blocked = {s.index for s in plan.steps if s.target in (18, 19) and s.table_index == 8}
+    blocked = {s.index for s in plan.steps if s.target in (18, 19) and s.table_position == 8}
     assert given_up == blocked
     retried = {o.step for o, _, _ in seen if not o.accepted} - blocked
     assert 0 < len(retried) < 30

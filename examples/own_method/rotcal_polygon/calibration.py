@@ -86,7 +86,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
         verdict="suspect" if warnings else "ok",
         warnings=warnings,
         residuals=Residuals(
-            table_index=np.array([o.table_index for o in observations], dtype=np.int64),
+            table_position=np.array([o.table_position for o in observations], dtype=np.int64),
             target=problem.face,
             residual=found.residual[rows],
             redundancy=found.redundancy[rows],
@@ -120,7 +120,7 @@ def check(
     return tuple(
         f"mounting {newest} reads {o.mean[0] / ARCSEC:.4g} arcsec at position 0, allowed {limit:g}"
         for o in observations
-        if (o.station, o.table_index) == (newest, 0) and abs(o.mean[0]) > limit * ARCSEC
+        if (o.station, o.table_position) == (newest, 0) and abs(o.mean[0]) > limit * ARCSEC
     )
 
 
@@ -134,7 +134,9 @@ def problem_of(
     known = solver.face_errors_arcsec
     return PolygonProblem(
         faces=settings.faces,
-        position=np.array([o.table_index % settings.faces for o in observations], dtype=np.int64),
+        position=np.array(
+            [o.table_position % settings.faces for o in observations], dtype=np.int64
+        ),
         face=np.array([o.target for o in observations], dtype=np.int64),
         mounting=np.array([o.station for o in observations], dtype=np.int64),
         reading=np.array([o.mean[0] for o in observations]),

@@ -29,7 +29,7 @@ def plan(configuration: Configuration) -> Plan:
     steps = tuple(
         Step(
             index=mounting * stops + position,
-            table_index=position,
+            table_position=position,
             table_angle=table_angles[position],
             approach=Approach.POSITIVE,
             kind=PointKind.READING,

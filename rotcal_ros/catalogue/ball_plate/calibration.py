@@ -70,7 +70,7 @@ def problem(
     return BallPlateProblem(
         grid=plate.grid,
         radius=plate.circle_radius_m,
-        position=np.array([o.table_index for o in observations], dtype=np.int64),
+        position=np.array([o.table_position for o in observations], dtype=np.int64),
         ball_step=np.array([o.target for o in observations], dtype=np.int64),
         centres=np.array([o.mean for o in observations]) - np.array(settings.centre_m),
         sigma=sigma or None,

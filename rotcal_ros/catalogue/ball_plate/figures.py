@@ -108,7 +108,7 @@ def residual_maps(result: Result) -> str:
     balls, ball = np.unique(rows.target, return_inverse=True)
     panels = style.grid(3, 2, height=0.9 + 0.14 * len(balls), sharex="col", sharey=True)
     for i, name in enumerate(_DIRECTIONS):
-        for ax, position in zip(panels[2 * i :], (rows.table_index, cmm), strict=False):
+        for ax, position in zip(panels[2 * i :], (rows.table_position, cmm), strict=False):
             _draw_map(ax, position, ball, vectors[:, i], (grid, len(balls)), largest)
             ax.plot(
                 position[~rows.used], ball[~rows.used], "x", color=style.INK, markersize=6,

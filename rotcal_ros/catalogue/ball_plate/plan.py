@@ -96,7 +96,7 @@ def ball_plate_plan(settings: BallPlatePlanSettings) -> Plan:
     steps = tuple(
         Step(
             index=number,
-            table_index=turn % plate.grid,
+            table_position=turn % plate.grid,
             table_angle=_angle(settings, turn),
             approach=Approach.POSITIVE if settings.backlash else Approach.UNKNOWN,
             kind=PointKind.SURFACE if touched else PointKind.CENTRE,

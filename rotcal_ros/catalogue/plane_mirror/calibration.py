@@ -113,14 +113,14 @@ def _paired(observations: Sequence[Observation]) -> tuple[list[Observation], lis
     kinds: dict[tuple[int, int, int], set[PointKind]] = {}
     for o in observations:
         if o.kind != PointKind.NEST:
-            kinds.setdefault((o.table_index, o.station, o.target), set()).add(o.kind)
+            kinds.setdefault((o.table_position, o.station, o.target), set()).add(o.kind)
     if not any(PointKind.MIRRORED in found for found in kinds.values()):
         return list(observations), []
     single = {key: found for key, found in kinds.items() if len(found) == 1}
     used = [
         o
         for o in observations
-        if o.kind == PointKind.NEST or (o.table_index, o.station, o.target) not in single
+        if o.kind == PointKind.NEST or (o.table_position, o.station, o.target) not in single
     ]
     names = [
         f"position {position}, tracker station {station}, reflector {number}: only "

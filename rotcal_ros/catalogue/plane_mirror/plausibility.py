@@ -27,7 +27,7 @@ class TrackerCheck:
         if not observation.accepted:
             return observation
         reason = ""
-        key = (observation.station, observation.table_index, observation.target)
+        key = (observation.station, observation.table_position, observation.target)
         if observation.kind == PointKind.DIRECT:
             self._direct[key] = observation.mean
         elif observation.kind == PointKind.MIRRORED and key in self._direct:

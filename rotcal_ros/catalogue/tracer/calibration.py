@@ -146,9 +146,9 @@ def problem(
     """
     settings: TracerSolverSettings = configuration.solver
     for o in observations:
-        if not (o.table_index < len(plan.table_angles) and o.target < len(plan.targets)):
+        if not (o.table_position < len(plan.table_angles) and o.target < len(plan.targets)):
             raise DataError(
-                f"step {o.step}: table index {o.table_index}, target {o.target} are not in the "
+                f"step {o.step}: position {o.table_position}, target {o.target} are not in the "
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
     target = np.array([o.target for o in observations], dtype=np.int64)
@@ -158,7 +158,7 @@ def problem(
     window_std = np.array([o.std[0] for o in observations])
     relative_std = settings.length_std_relative * distance
     return TracerProblem(
-        position=np.array([o.table_index for o in observations], dtype=np.int64),
+        position=np.array([o.table_position for o in observations], dtype=np.int64),
         target=target,
         length=np.array([o.mean[0] for o in observations]),
         length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),

@@ -91,7 +91,7 @@ def plan_of(
     steps = tuple(
         Step(
             index=number,
-            table_index=arrival,
+            table_position=arrival,
             table_angle=table_angles[arrival],
             approach=approaches[arrival],
             kind=PointKind.REFLECTOR,

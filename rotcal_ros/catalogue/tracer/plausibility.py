@@ -30,7 +30,7 @@ class LengthCheck:
         if not observation.accepted or observation.kind != PointKind.REFLECTOR:
             return observation
         length, target = observation.mean[0], observation.target
-        known = self._last.get(observation.table_index)
+        known = self._last.get(observation.table_position)
         if known is not None:
             other, before = known
             apart = dist(self._targets[target], self._targets[other])
@@ -41,5 +41,5 @@ class LengthCheck:
                     f"{target}, which are {apart:.6g} m apart (millimetres instead of metres?)"
                 )
                 return replace(observation, accepted=False, reason=reason)
-        self._last[observation.table_index] = (target, length)
+        self._last[observation.table_position] = (target, length)
         return observation

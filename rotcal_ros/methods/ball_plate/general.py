@@ -108,7 +108,7 @@ class _Eliminated:
         self.table = self.local[:, :, 6:12]
         self.rest = np.concatenate([self.local[:, :, :6], self.local[:, :, 12:]], axis=2)
         self.rest_columns, self.rest_index = _rest_columns(self.at, self.columns)
-        self.table_index = _table_columns(self.at)
+        self.table_position = _table_columns(self.at)
         self._eliminate()
 
     def _eliminate(self) -> None:
@@ -143,7 +143,7 @@ class _Eliminated:
         own = (self.own_inverse @ table[:, :, None]).ravel() - self.back @ unknown
         vector = np.empty(self.at.total)
         vector[self.rest_index] = unknown
-        vector[self.table_index] = own
+        vector[self.table_position] = own
         return vector
 
     def covariance(self) -> Floats:
@@ -157,9 +157,9 @@ class _Eliminated:
         blocks[every, :, every, :] += self.own_inverse
         covariance = np.empty((self.at.total,) * 2)
         covariance[np.ix_(self.rest_index, self.rest_index)] = rest
-        covariance[np.ix_(self.table_index, self.rest_index)] = mixed
-        covariance[np.ix_(self.rest_index, self.table_index)] = mixed.T
-        covariance[np.ix_(self.table_index, self.table_index)] = own
+        covariance[np.ix_(self.table_position, self.rest_index)] = mixed
+        covariance[np.ix_(self.rest_index, self.table_position)] = mixed.T
+        covariance[np.ix_(self.table_position, self.table_position)] = own
         covariance *= self.unit
         return covariance
 

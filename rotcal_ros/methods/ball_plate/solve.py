@@ -127,7 +127,7 @@ def _residuals(solution: PlateSolution) -> Residuals:
         used[at] = True
     order = np.argsort(whole.rows)
     return Residuals(
-        table_index=whole.position[order], target=whole.ball_step[order], used=used, **columns
+        table_position=whole.position[order], target=whole.ball_step[order], used=used, **columns
     )
 
 

@@ -73,7 +73,7 @@ def empty_residuals(problem: PlaneMirrorProblem) -> Residuals:
     """Return residuals in which no row is used yet (all zero)."""
     n = len(problem.xyz)
     return Residuals(
-        table_index=problem.position.copy(),
+        table_position=problem.position.copy(),
         target=problem.nest.copy(),
         residual=np.zeros(n),
         redundancy=np.zeros(n),

@@ -142,13 +142,13 @@ def problem_from_observations(
 ) -> PlaneMirrorProblem:
     """Make a problem from captured probe points; observations that were not accepted are left out.
 
-    ``angles`` (N,) are the commanded angles in rad by ``table_index``.
+    ``angles`` (N,) are the commanded angles in rad by ``table_position``.
     """
     used = [o for o in observations if o.accepted and o.kind in KINDS]
     stations, station = np.unique([o.station for o in used], return_inverse=True)
     return PlaneMirrorProblem(
         angles=np.asarray(angles, dtype=np.float64),
-        position=np.array([o.table_index for o in used], dtype=np.int64),
+        position=np.array([o.table_position for o in used], dtype=np.int64),
         station=station.astype(np.int64),
         kind=np.array([int(o.kind) for o in used], dtype=np.int64),
         nest=np.array([o.target for o in used], dtype=np.int64),

@@ -72,7 +72,7 @@ def _residuals(solution: TracerSolution) -> Residuals:
     distance = np.linalg.norm(fit.stations[j] - fit.targets[i], axis=1) - fit.distances[j]
     placed = known & (grid.row[j, i] == np.arange(len(j)))
     return Residuals(
-        table_index=problem.position,
+        table_position=problem.position,
         target=problem.target,
         residual=np.where(known, problem.length - distance, np.nan),
         redundancy=np.where(placed, fit.redundancy[j, i], 0.0),
