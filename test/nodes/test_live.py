@@ -149,10 +149,11 @@ def test_a_wrong_configuration_is_refused_with_the_reason(cell):
 
 @pytest.mark.parametrize("victim", ["capture", "solver", "recorder", "simulated_cell"])
 def test_a_killed_node_ends_the_calibration_and_is_named_by_all_others(cell, victim):
-    live = cell()
+    live = cell("simulation.time_scale=4.0")
     live.start(*SUITE, "simulated_cell")
     client = live.client()
-    client.wait_for_step(3)
+    # By then every node has met every other: discovery repairs a lost packet after 3 s only.
+    client.wait_for_step(40)
     live.kill(victim)
     outcome = client.result()
     assert outcome["error_code"] == NODE_LOST

@@ -105,7 +105,8 @@ def test_a_stream_that_falls_silent_is_counted(cell):
 
 
 def test_a_step_that_a_loss_touches_is_measured_again(cell):
-    live = cell("simulation.time_scale=4.0")
+    # Slow enough that the recorder meets the late publisher while there are steps left.
+    live = cell("simulation.time_scale=2.0")
     live.start(*SUITE, "simulated_cell")
     client = live.client()
     client.wait_for_step(3)
