@@ -8,7 +8,7 @@ SAMPLE ?= 400
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test bench mutants lint setup clean help
+.PHONY: demo resume test bench power mutants lint setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, verify; in out/demo
 	@$(BIN)/rotcal run config/tracer_demo.yaml --output out/demo --keep-previous \
@@ -24,6 +24,9 @@ test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 
 bench: setup  ## compare speed with well-known alternatives, side by side
 	@$(BIN)/python benchmarks/run.py --json out/benchmarks.json
+
+power: setup  ## what could be wrong, and would the verdict say so? docs/what_could_be_wrong.md
+	@$(BIN)/python scripts/power_table.py $(POWER_ARGS)
 
 mutants: setup  ## try small faults in the code: do the tests notice? SEED=1 SAMPLE=400
 	@$(BIN)/python -c 'import coverage, libcst, mutmut' 2>/dev/null || $(BIN)/pip install -q \

@@ -43,7 +43,8 @@ QUICK_MACHINE = (
 class Row:
     """Latencies in ms at percentiles.
 
-    ``lost`` readings, of those that the tracer numbered; ``told``: all that the recorder counted.
+    ``lost`` readings, of those that the tracer numbered; ``noticed`` are all that the recorder
+    counted.
     """
 
     name: str
@@ -51,7 +52,7 @@ class Row:
     observations: int
     readings: int
     lost: int
-    told: int
+    noticed: int
     median_ms: float
     p99_ms: float
     largest_ms: float
@@ -104,11 +105,11 @@ def rows() -> Iterator[Row]:
         bag = measured(Path(folder) / "out")
         (verdict,) = check_files(bag_files(bag))
         readings = fields(bag, TRACER, ("header.stamp.sec", "header.stamp.nanosec", "sequence"))
-        told = fields(bag, OBSERVATION, ("window_end.sec", "window_end.nanosec"))
-        stamps, ends = stamps_ns(readings, "header.stamp"), stamps_ns(told, "window_end")
+        observed = fields(bag, OBSERVATION, ("window_end.sec", "window_end.nanosec"))
+        stamps, ends = stamps_ns(readings, "header.stamp"), stamps_ns(observed, "window_end")
         last = np.searchsorted(stamps, ends)
         assert np.array_equal(stamps[last], ends), "a window ends with a reading that is not there"
-        latency_ms = (told["published"] - readings["published"][last]) * NANOSECOND * 1e3
+        latency_ms = (observed["published"] - readings["published"][last]) * NANOSECOND * 1e3
         gaps = int((np.diff(readings["sequence"]) - 1).sum())
         yield Row(
             "1 kHz tracer at life speed",

@@ -64,7 +64,7 @@ SOLVABLE, LONGER = solvable(5, [3, 2, 2]), solvable(8, [4, 3, 2])
 class Row:
     """One measurement: ``rate`` in ``unit``, ``ratio`` against the way named first.
 
-    ``lost`` messages are those sent but not recorded, ``told`` those that the recorder counted.
+    ``lost`` messages are those sent but not recorded, ``noticed`` those that the recorder counted.
     ``growth_mb`` is how much memory grew once the process was warm.
     """
 
@@ -73,7 +73,7 @@ class Row:
     unit: str
     ratio: float | None = None
     lost: int | None = None
-    told: int | None = None
+    noticed: int | None = None
     cpu_percent: float | None = None
     memory_mb: float | None = None
     growth_mb: float | None = None

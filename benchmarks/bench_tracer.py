@@ -42,7 +42,7 @@ def problem(m: int, n: int, step_deg: float, **options: object) -> TracerProblem
 
 def station_by_station(same_start: bool, m: int = 11, n: int = 64) -> Row:
     """All stations; scipy starts at the paper's start values, ours there too or without any."""
-    grid, _, _ = arrange(problem(m, n, 30.0))
+    grid, _ = arrange(problem(m, n, 30.0))
     start = np.array([-0.0649938, -0.0066256, 0.1225133, 0.0])
     start[3] = np.linalg.norm(start[:3] - grid.targets[0])
     everywhere = np.tile(start, (m, 1))
@@ -61,7 +61,7 @@ def station_by_station(same_start: bool, m: int = 11, n: int = 64) -> Row:
 
 def joint(datum: str, m: int = 6, n: int = 108) -> Row:
     """Stations, distances and targets together, both from the station by station solution."""
-    grid, _, _ = arrange(problem(m, n, 60.0, variant="joint", datum=datum))
+    grid, _ = arrange(problem(m, n, 60.0, variant="joint", datum=datum))
     begin = adjust_stations(grid, find_start(grid, None)[0]).state
     flat = np.concatenate([begin.ravel(), grid.targets.ravel()])
 

@@ -39,7 +39,7 @@ def solve_dense(problem: BallPlateProblem) -> Solution:
     except np.linalg.LinAlgError:
         raise ObservabilityError("the matrix of Eq. 20 is singular") from None
     vector = inverse @ (weight_design.T @ observed)
-    residuals = model.residuals_of(problem, vector)
+    residuals = problem.deviations - (design @ vector).reshape(-1, 3)
     return Solution(
         estimate=model.unpack(problem, vector),
         unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(inverse), 0.0))),

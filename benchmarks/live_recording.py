@@ -85,8 +85,8 @@ def loaded(rate: float, seconds: float) -> tuple[float, int]:
     """Let all loads publish; return the rate in all and how many messages there were."""
     share = str(rate / LOADS)
     loads = [started(__file__, "publish", share, str(seconds)) for _ in range(LOADS)]
-    told = [load.communicate()[0].split() for load in loads]
-    return sum(float(t[0]) for t in told), sum(int(t[1]) for t in told)
+    counts = [load.communicate()[0].split() for load in loads]
+    return sum(float(t[0]) for t in counts), sum(int(t[1]) for t in counts)
 
 
 def plain(rate: float, seconds: float) -> tuple[float, int]:
@@ -138,7 +138,7 @@ class Recorder:
         return {
             "rate": real,
             "lost": sent - recorded,
-            "told": answer.lost,
+            "noticed": answer.lost,
             "cpu_percent": 100 * (used - before) / seconds,
             "memory_mb": max(memory),
             "growth_mb": max(memory) - memory[0],

@@ -8,7 +8,7 @@ DATA = Path(__file__).parent / "data"
 
 table = rc.read_table(DATA / "lengths.csv", DATA / "tracer.yaml")  # finds targets.csv beside it
 result = table.solve()
-print(f"{result.n_observations} lengths, verdict {result.verdict}")
+print(f"{result.n_observations} lengths, verdict {result.verdict_line}")
 print("angle/deg  ECC/arcsec  U/arcsec (k = 2)")
 for angle, deviation, std in zip(
     result.angles, result.deviations["ECC"], result.std["ECC"], strict=True

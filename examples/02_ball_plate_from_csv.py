@@ -10,7 +10,7 @@ DATA = Path(__file__).parent / "data"
 
 result = rc.read_table(DATA / "balls.csv", DATA / "ball_plate.yaml").solve()
 truth = rc.simulated_truth(rc.read_configuration(DATA / "ball_plate.yaml"))
-print(f"{result.n_observations} ball centres, verdict {result.verdict}")
+print(f"{result.n_observations} ball centres, verdict {result.verdict_line}")
 ratios = []
 for name, deviation in result.deviations.items():
     unit, text = rc.unit_of(name)

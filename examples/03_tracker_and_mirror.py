@@ -16,6 +16,7 @@ for way in ("joint", "stitching", "registration"):
     error = result.deviations["ECC"] - truth
     std = result.std["ECC"].max()
     print(
-        f"{way:12s} verdict {result.verdict}, largest U (k = 2) {2 * std / rc.ARCSEC:.2f} arcsec, "
+        f"{way:12s} verdict {result.verdict_line}; "
+        f"largest U (k = 2) {2 * std / rc.ARCSEC:.2f} arcsec, "
         f"rms error {np.sqrt(np.mean(error**2)) / rc.ARCSEC:.2f} arcsec"
     )

@@ -12,8 +12,9 @@ for warning in recording.warnings():
 accepted = [o for o in recording.observations if o.accepted]
 print(f"{len(accepted)} of {len(recording.observations)} observations accepted")
 result = recording.solve()
-print(f"{recording.calibration.method.title}: verdict {result.verdict}")
-print("report:", rc.write_report(recording, "report.html"))
+print(f"{recording.calibration.method.title}: verdict {result.verdict_line}")
+Path("out").mkdir(exist_ok=True)
+print("report:", rc.write_report(recording, "out/report.html"))
 
 truth = rc.simulated_truth(rc.read_configuration(DATA / "ball_plate.yaml"))["ECC"]
 largest = abs(result.deviations["ECC"] - truth).max() / rc.ARCSEC

@@ -38,8 +38,8 @@ table, ball, cmm = (np.array(column) for column in list(zip(*rows, strict=True))
 tangential = np.array([row[3] for row in rows])
 
 # tangential = ECC of the table + error of the ball's place + error of the CMM there
-one = np.eye(grid)
-design = np.column_stack([one[table], one[ball], one[cmm]])
+unit = np.eye(grid)
+design = np.column_stack([unit[table], unit[ball], unit[cmm]])
 ecc = np.linalg.lstsq(design, tangential, rcond=None)[0][:grid]
 ecc -= ecc.mean()
 

@@ -1,12 +1,14 @@
 """The nodes of one cell; with simulated:=true the simulated machine and instruments as well."""
 
+from pathlib import Path
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+from rotcal_ros.catalogue import read_configuration
 from rotcal_ros.node_names import FURTHER_NODES, NODES
 
 CLOSING_S = "25"
@@ -31,7 +33,14 @@ def generate_launch_description():
             **more,
         )
 
-    simulated = IfCondition(LaunchConfiguration("simulated"))
+    def wanted(context, group, name):
+        """Start a node with a group of its own; the simulated cell only when asked to."""
+        if group == "simulation":
+            asked = LaunchConfiguration("simulated").perform(context) == "true"
+        else:
+            asked = group in read_configuration(Path(configuration.perform(context))).given
+        return [node(name)] if asked else []
+
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -49,6 +58,9 @@ def generate_launch_description():
                 choices=["true", "false"],
             ),
             *(node(name) for name in NODES),
-            node(FURTHER_NODES["simulation"], condition=simulated),
+            *(
+                OpaqueFunction(function=lambda context, g=group, n=name: wanted(context, g, n))
+                for group, name in FURTHER_NODES.items()
+            ),
         ]
     )

@@ -15,7 +15,9 @@ _NAMES = {
     "api.measuring": (
         "capture_records", "simulate_observations", "simulate_records", "simulated_truth", "solve",
     ),
-    "api.evaluating": ("compare", "iso230", "plan_plate", "uncertainty", "write_report"),
+    "api.evaluating": (
+        "combine", "compare", "iso230", "plan_plate", "uncertainty", "write_report",
+    ),
     "api.compensating": ("correction", "make_table", "write_controller_files"),
     "catalogue.configuration": ("Configuration",),
     "catalogue.method": ("method_names",),

@@ -9,6 +9,13 @@ class RotcalError(Exception):
     """Base of all errors that rotcal raises on purpose.
 
     ``exit_code`` is the exit code of the command line (see docs/conventions.md).
+
+    >>> import rotcal_ros as rc
+    >>> try:
+    ...     rc.read_bag("no_such_bag")
+    ... except rc.RotcalError as error:
+    ...     print(error.exit_code)
+    2
     """
 
     exit_code = 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from rotcal_ros.errors import BagError
@@ -78,9 +79,24 @@ class FolderLock:
 
 def write_atomically(path: Path, text: str, encoding: str = "utf-8") -> None:
     """Write ``text`` so that ``path`` holds either the old or the new content, never half."""
+    replace_atomically(path, lambda temporary: write_durably(temporary, text, encoding))
+
+
+def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
+    """Let ``write`` make a file at the path it gets, sync it, and put it in the place of ``path``.
+
+    ``path`` holds either the old or the new content, never half. What ``write`` raises is passed
+    on; the unfinished file is removed.
+    """
     temporary = path.with_name(path.name + ".tmp")
-    write_durably(temporary, text, encoding)
-    temporary.replace(path)
+    try:
+        write(temporary)
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
     sync_folder(path.parent)
 
 

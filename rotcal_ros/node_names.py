@@ -13,5 +13,5 @@ DRIVERS: Final = ("linuxcnc_driver",)
 """Nodes that are started by hand, for the machine that the user has."""
 EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *DRIVERS)
 """All nodes, each a module of rotcal_ros.nodes and a command of the package."""
-PREFLIGHT_NODES: Final = ("capture", "recorder", "solver")
-"""Nodes that must beat before anything moves."""
+PREFLIGHT_NODES: Final = tuple(name for name in NODES if name != "planner")
+"""Nodes that must beat before anything moves; the planner is the one that looks."""

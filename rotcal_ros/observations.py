@@ -21,7 +21,12 @@ class LengthStatus(IntEnum):
 
 
 class PointKind(IntEnum):
-    """What a probe point is; the values of ``rotcal_msgs/ProbePoint``."""
+    """What a probe point is; the values of ``rotcal_msgs/ProbePoint``.
+
+    >>> import rotcal_ros as rc
+    >>> rc.PointKind(3).name
+    'CENTRE'
+    """
 
     UNKNOWN = 0
     REFLECTOR = 1  # reflector carried by the probe, standing at its target
@@ -117,6 +122,11 @@ class Observation:
     value (length) or three (point), in metres. A rejected observation keeps its numbers and
     says why in ``reason``; an accepted one has an empty reason. ``run`` counts from 0 how often an
     interrupted plan had been taken up again.
+
+    >>> import rotcal_ros as rc
+    >>> first = rc.read_bag("examples/data/ball_plate_bag").observations[0]
+    >>> first.accepted, first.reason, first.kind.name, len(first.mean)
+    (True, '', 'SURFACE', 3)
     """
 
     step: int

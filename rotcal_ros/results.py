@@ -18,6 +18,7 @@ import numpy as np
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import DataError
+from rotcal_ros.protection import Effect, Protection, ordered, unprotected
 from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
@@ -44,7 +45,9 @@ class Residuals:
     ``residual`` is observed - computed in the unit of the observations, metres for all built-in
     methods; ``redundancy`` lies in [0, 1] and
     ``test_value`` is the normalised residual (dimensionless). Rows that were not used keep
-    their residual against the final solution and have ``used`` False.
+    their residual against the final solution and have ``used`` False. An observation has
+    ``coordinates`` values (a length one, a point three); ``std`` is the standard deviation (m)
+    of each as the solution weighs it, rms over its coordinates. None: unknown.
     """
 
     table_position: Ints
@@ -53,6 +56,8 @@ class Residuals:
     redundancy: Floats
     test_value: Floats
     used: Bools
+    std: Floats | None = None
+    coordinates: int = 1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,7 +82,13 @@ class Result:
     230-1 names to (n,) arrays, ``covariance`` to (n, n) arrays. ``adjacent_deviations`` (n - 1,)
     are the deviations of the steps between neighbouring angles, in radians. ``sigma0`` is
     the a posteriori standard deviation of unit weight; 1 means that the stated noise fits.
-    ``details`` are for people: nothing but the figures of a method reads them.
+    ``details`` are for people: nothing but the figures of a method reads them. ``protections``
+    say what was done about each effect that could spoil the result; empty when not stated.
+
+    >>> import rotcal_ros as rc
+    >>> result = rc.read_result("examples/data/result_ball_plate.json")
+    >>> result.verdict, result.angles.shape, result.deviations["ECC"].shape
+    ('ok', (12,), (12,))
     """
 
     method: str
@@ -96,6 +107,20 @@ class Result:
     residuals: Residuals | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     runs: RepeatedRuns | None = None
+    protections: tuple[Protection, ...] = ()
+
+    @property
+    def unprotected(self) -> tuple[Effect, ...]:
+        """Effects that may have spoiled the result without a trace in the data."""
+        return unprotected(self.protections)
+
+    @property
+    def verdict_line(self) -> str:
+        """The verdict as people read it: never without what it does not cover."""
+        if not self.protections:
+            return f"{self.verdict}, protection against drift and the like not stated"
+        against = ", ".join(self.unprotected)
+        return f"{self.verdict}, not protected against {against}" if against else self.verdict
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -140,7 +165,10 @@ class Result:
             "n_rejected": len(self.rejected),
             "rejected": [{"index": r.index, "why": r.why} for r in self.rejected],
             "verdict": self.verdict,
+            "verdict_line": self.verdict_line,
+            "not_protected": list(self.unprotected),
             "warnings": list(self.warnings),
+            "protections": [plain_fields(p) for p in self.protections],
             "details": self.all_details,
         }
         if self.residuals is not None:
@@ -185,6 +213,7 @@ class Result:
                 rejected=tuple(Rejection(r["index"], r["why"]) for r in data["rejected"]),
                 verdict=data["verdict"],
                 warnings=tuple(data["warnings"]),
+                protections=ordered(Protection(**p) for p in data.get("protections", ())),
                 adjacent_deviations=_optional(data.get("adjacent_deviations_rad")),
                 adjacent_std=_optional(data.get("adjacent_std_rad")),
                 residuals=_residuals(data.get("residuals")),
@@ -259,11 +288,14 @@ def _residuals(data: Mapping[str, Any] | None) -> Residuals | None:
     if data is None:
         return None
     kinds: dict[str, type] = {"table_position": np.int64, "target": np.int64, "used": np.bool_}
+    columns = [
+        field.name for field in fields(Residuals) if field.name not in ("std", "coordinates")
+    ]
     return Residuals(
         **{
-            field.name: np.asarray(
-                data[FILE_NAMES.get(field.name, field.name)], kinds.get(field.name, np.float64)
-            )
-            for field in fields(Residuals)
-        }
+            name: np.asarray(data[FILE_NAMES.get(name, name)], kinds.get(name, np.float64))
+            for name in columns
+        },
+        std=_optional(data.get("std")),
+        coordinates=int(data.get("coordinates", 1)),
     )

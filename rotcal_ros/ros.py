@@ -1,11 +1,9 @@
-"""What a script needs of the ROS side; importing it needs rclpy and rotcal_msgs."""
+"""What a script needs of the ROS side; importing it needs rclpy and rotcal_msgs.
 
-from rotcal_ros.nodes.calibrator import (
-    Calibrator,
-    CalibratorError,
-    Feedback,
-    GoalRefusedError,
-    Outcome,
-)
+It works with a live graph of nodes only: examples/11_calibrate_from_a_script.py shows how.
+"""
+
+from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
+from rotcal_ros.nodes.outcome import Feedback, Outcome
 
 __all__ = ["Calibrator", "CalibratorError", "Feedback", "GoalRefusedError", "Outcome"]

@@ -1,9 +1,18 @@
-"""The names of everything inside the folder of a session."""
+"""The names of everything inside the folder of a session, and beside the results of many bags."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
+
+RESULTS_TABLE: Final = "results.parquet"
+"""The results of many bags, beside their OVERVIEW."""
+OVERVIEW: Final = "overview.html"
+VERIFICATION: Final = "verification.json"
+"""The figures of two sessions, before and after compensation, beside their folders."""
+CONFIGURATION: Final = "configuration.yaml"
+"""In a session's folder, and as an attachment in its bag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +24,7 @@ class SessionFolder:
     @property
     def configuration(self) -> Path:
         """The configuration, which is the parameter file of the nodes too."""
-        return self.path / "configuration.yaml"
+        return self.path / CONFIGURATION
 
     @property
     def bag(self) -> Path:

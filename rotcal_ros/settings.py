@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,6 +19,10 @@ from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.plugins import nearest
 
 T = TypeVar("T")
+
+_EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
+"""A number as people write it: without point, or sign of the exponent, YAML 1.1 reads a text."""
+_ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,11 +169,12 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
     kind, info = declared.kind, declared.info
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
+    if kind is float and isinstance(value, str) and _EXPONENT.fullmatch(value):
+        value = float(value)
     fits = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
     if not fits:
         raise ConfigurationError(
             f"{place}: expected {kind.__name__} ({info.description}), found {value!r}"
-            f"{_number_hint(value, kind)}"
         )
     if kind is float and not math.isfinite(value):
         raise ConfigurationError(f"{place}: expected a finite number, found {value!r}")
@@ -184,12 +190,14 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
     return value
 
 
-def _number_hint(value: Any, kind: type) -> str:
-    """Return a hint at YAML's rule for numbers: 5e-8 without a point is a text there."""
-    if kind is not float or not isinstance(value, str):
-        return ""
-    try:
-        number = float(value)
-    except ValueError:
-        return ""
-    return f"; for YAML a number with an exponent has a point: {number!r}" if number else ""
+def check_ros_name(name: str, what: str) -> str:
+    """Return ``name`` when a topic or namespace of ROS may be called so: ``/cell/tracer``.
+
+    Raises ConfigurationError, with ``what`` it names, for anything else.
+    """
+    if not _ROS_NAME.fullmatch(name):
+        raise ConfigurationError(
+            f"{what}: {name!r} is no name in ROS: expected words of letters, digits and "
+            "underscores that do not begin with a digit, with '/' between them"
+        )
+    return name

@@ -2,9 +2,10 @@
 
 mutmut makes the mutants: of functions with decorators and of constants too, which its own runner
 cannot try. Left out are those that put None for a value (they crash and tell nothing), those in
-the words of an error or of another sentence, and those of ``strict=``, ``dtype=np.float64`` and
-type aliases, which change nothing. A uniform random sample of the rest is tried, as
-``mutant_trials.py`` says.
+the words of an error or of another sentence, and those of ``strict=``, ``dtype=np.float64``, type
+aliases, the names of indices in ``einsum`` and the -1 of ``reshape`` (any negative number says the
+same), which change nothing. A uniform random sample of the rest is tried, as ``mutant_trials.py``
+says.
 """
 
 from __future__ import annotations
@@ -30,8 +31,17 @@ from mutmut.mutation.pragma_handling import IgnoredCode
 
 ROOMS = ("methods", "capture", "compensation", "planning", "evaluation")
 CHANGES_NOTHING = re.compile(r",\s*(?:strict=\w+|dtype=np\.float64|(?=\)))")
-DUMB = m.Raise() | m.Subscript(m.Name("Literal")) | m.Assign([m.AssignTarget(m.Name("__all__"))])
-"""Nodes whose parts are words for people or names for tools."""
+INDICES = re.compile(r'"[a-z.,]+->[a-z.]*"')
+"""The text of an ``einsum``, all in lower case: in upper case it says the same."""
+DUMB = (
+    m.Raise()
+    | m.Subscript(m.Name("Literal"))
+    | m.Assign([m.AssignTarget(m.Name("__all__"))])
+    | m.Arg(keyword=m.Name("strict"))
+)
+"""Nodes whose parts are words for people or names for tools, or a check that never speaks up."""
+RESHAPE = m.Call(m.Attribute(attr=m.Name("reshape")))
+OPEN_SIZE = m.Arg(m.UnaryOperation(m.Minus(), m.Integer("1")))
 OPERATORS = [
     (kind, make)
     for kind, make in mutation_operators
@@ -68,11 +78,15 @@ class Collector(MutationVisitor):
     def __init__(self) -> None:
         super().__init__(OPERATORS, IgnoredCode(set(), set(), set()))
         self.lines: list[int] = []
+        self.open_sizes: set[cst.CSTNode] = set()
 
     def on_visit(self, node: cst.CSTNode) -> bool:
         """Note on which line the mutations of a node begin; pass by what cannot be felt."""
-        if m.matches(node, DUMB):
+        if m.matches(node, DUMB) or node in self.open_sizes:
             return False
+        if isinstance(node, cst.Call) and m.matches(node, RESHAPE):
+            sizes = (arg.value for arg in node.args if m.matches(arg, OPEN_SIZE))
+            self.open_sizes |= {cst.ensure_type(s, cst.UnaryOperation).expression for s in sizes}
         deeper = super().on_visit(node)
         if new := len(self.mutations) - len(self.lines):
             self.lines += [self.get_metadata(PositionProvider, node).start.line] * new
@@ -93,6 +107,7 @@ def mutants_of(room: str, path: Path) -> Iterator[Mutant]:
         before, after = module.code_for_node(old), module.code_for_node(new)
         if (
             (isinstance(old, cst.SimpleString) and " " in before)
+            or (INDICES.fullmatch(before) and after == before.upper())
             or CHANGES_NOTHING.sub("", before) == CHANGES_NOTHING.sub("", after)
             or (isinstance(old, cst.Call) and _same_but_none(old, new))
         ):

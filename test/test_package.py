@@ -33,6 +33,9 @@ ROSDEP_KEYS = {
 OF_THE_CONTROLLER = {"hal", "linuxcnc"}
 RECORDED_BY_NAME = {"geometry_msgs", "lifecycle_msgs"}  # types that the recorder meets as text
 MAX_LINES = 400
+MAX_NODE_LINES = 200
+VAGUE = {"said", "told", "made", "still", "one"}
+"""Words that name nothing of the field."""
 TEXT_FILES = sorted(
     path
     for pattern in ("rotcal_ros/**/*.py", "test/**/*.py", "benchmarks/*.py", "scripts/*", "*.py")
@@ -180,4 +183,37 @@ def test_every_interface_is_built():
 
 @pytest.mark.parametrize("path", TEXT_FILES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_no_file_is_too_long_to_read(path):
-    assert len(path.read_text().splitlines()) <= MAX_LINES
+    node = (ROOT / "rotcal_ros" / "nodes") in path.parents
+    assert len(path.read_text().splitlines()) <= (MAX_NODE_LINES if node else MAX_LINES)
+
+
+def _given_names(tree):
+    """Yield the names that a file gives: variables, attributes, arguments, functions, classes."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield node.attr
+        elif isinstance(node, ast.arg):
+            yield node.arg
+        elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            yield node.name
+
+
+def test_names_come_from_the_field():
+    """A name says what it holds."""
+    vague = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in sorted((ROOT / "rotcal_ros").rglob("*.py"))
+        for name in _given_names(ast.parse(path.read_text()))
+        if name.strip("_").lower() in VAGUE
+    ]
+    assert vague == []
+
+
+def test_a_vague_name_is_found_wherever_it_is_given():
+    text = """
+for one in told: self.still = lambda made: one
+def said(): ...
+"""
+    assert {*_given_names(ast.parse(text))} & VAGUE == VAGUE - {"told"}  # told is only read

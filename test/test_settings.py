@@ -33,6 +33,16 @@ def test_defaults_and_whole_numbers_for_floats() -> None:
     assert isinstance(loaded.inner.rate_hz, float)
 
 
+@pytest.mark.parametrize("text", ["5e-8", "5.e-8", "0.5E-7", "+.5e-07", "50e-9"])
+def test_numbers_with_an_exponent_may_lack_what_yaml_wants(text: str) -> None:
+    """YAML 1.1 takes 5e-8 and 1.0e5 without a sign for texts."""
+    values = {"name": "x", "limit_m": text, "centre_m": [text, 1, 2.0], "angles_deg": [text]}
+    loaded = load(Outer, values, "here")
+    assert loaded.limit_m == pytest.approx(5e-8, rel=1e-15)
+    assert loaded.centre_m[0] == loaded.angles_deg[0] == loaded.limit_m
+    assert load(Outer, {"name": "5e-8"}, "here").name == "5e-8"
+
+
 @pytest.mark.parametrize(
     ("values", "text"),
     [
@@ -46,7 +56,10 @@ def test_defaults_and_whole_numbers_for_floats() -> None:
         ({"name": "x", "way": "dwon"}, "none of up, down; did you mean 'down'"),
         ({"name": "x", "way": None}, "expected str"),
         ({"name": "x", "limit_m": -1}, "out of range 0.0 to inf"),
-        ({"name": "x", "inner": {"rate_hz": "5e1"}}, r"has a point: 50\.0"),
+        ({"name": "x", "inner": {"rate_hz": "5e1 Hz"}}, "expected float"),
+        ({"name": "x", "inner": {"rate_hz": "50"}}, "expected float"),
+        ({"name": "x", "inner": {"rate_hz": "9e9"}}, "out of range"),
+        ({"name": "x", "limit_m": "9e999"}, "expected a finite number"),
         ({"name": "x", "centre_m": [1.0]}, "expected 3 values, found 1"),
         ({"name": "x", "angles_deg": [1.0, float("nan")]}, r"angles_deg\[1\]: expected a finite"),
         ({"name": "x", "inner": {"rate_hz": 0.0}}, r"here.inner.rate_hz: 0.0 is out of range"),

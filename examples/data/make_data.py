@@ -30,7 +30,6 @@ CHANGES = {
     "ball_plate": (
         "plan.plate={grid: 12, ball_steps: " + BALLS + ", circle_radius_m: 0.185, "
         "ball_diameter_m: 0.025}",
-        "plan.rounds=1",
         "plan.points_per_ball=7",
         "solver.sigma_centre_m=1.0e-7",
         "simulation.plate.grid=12",

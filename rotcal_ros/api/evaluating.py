@@ -8,22 +8,23 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros.api.reading import Name
-from rotcal_ros.catalogue.calibration import Calibration, prepare
+from rotcal_ros.catalogue.calibration import prepare
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.measurements import PlannedMeasurements
 from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.evaluation.bidirectional import require_runs
+from rotcal_ros.evaluation.combination import Measured
+from rotcal_ros.evaluation.combination import combine as combine_measured
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.evaluation.compare import compare as compare_curves
+from rotcal_ros.evaluation.component_groups import Enlargement
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
 from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
 from rotcal_ros.evaluation.propagated import Propagated, propagated
-from rotcal_ros.observations import Observation
 from rotcal_ros.planning.ball_layout import WEIGHTS, Layout, best_layout
 from rotcal_ros.recordings.replay import Recording
-from rotcal_ros.recordings.sources import read_curve, read_repeated_runs
+from rotcal_ros.recordings.sources import read_curve, read_measured, read_repeated_runs
 from rotcal_ros.results import Result
 
 Curve = Result | MeasuredCurve | Name
@@ -45,8 +46,27 @@ def compare(
     >>> compared.agree, compared.dof
     (True, 11)
     """
-    one, other = (_curve(curve, component) for curve in (first, second))
-    return compare_curves(one, other, align_order)
+    return compare_curves(_curve(first, component), _curve(second, component), align_order)
+
+
+def combine(*results: Curve, enlarge: Enlargement = "birge") -> Result:
+    """Return the best estimate of one table's deviations from independent measurements.
+
+    Each is a result, its file or session, a bag, a reference curve or its table (.csv).
+    Generalised least squares with all covariances; every input has its own zero, and nothing
+    in the result counts from another zero than its mean. ``verdict`` is suspect when an input is
+    or when they contradict each other: then ``enlarge`` ("birge", "mandel-paule", "none") tells
+    what is done to the uncertainties. ``details`` hold weights and chi-square. Raises DataError
+    for a failed input, and for inputs without common angles that cannot be interpolated.
+
+    >>> import rotcal_ros as rc
+    >>> folder = "examples/data"
+    >>> best = rc.combine(f"{folder}/result_tracer.json", f"{folder}/result_ball_plate.json")
+    >>> best.method, best.verdict, best.components
+    ('combination', 'ok', ('EXC', 'EYC', 'EZC', 'EAC', 'EBC', 'ECC'))
+    """
+    inputs = [_measured_input(k, r) for k, r in enumerate(results, 1)]
+    return combine_measured(inputs, enlarge).result
 
 
 def iso230(runs: BidirectionalRuns | Result | Name) -> Iso230:
@@ -54,13 +74,16 @@ def iso230(runs: BidirectionalRuns | Result | Name) -> Iso230:
 
     ``runs`` are deviations (m, n) in rad (actual - commanded), a table
     ``angle_deg,run,direction,deviation_arcsec``, or a result, its file or a bag of a plan with
-    runs. Every figure is in rad: ``accuracy`` A, ``repeatability`` R, ``reversal`` B ... Raises
-    DataError for runs that are not complete.
+    runs. Every figure is in rad: ``accuracy`` A, ``repeatability`` R, ``reversal`` B ...;
+    ``uncertainties`` has theirs under the same names. Raises DataError for runs that are not
+    complete.
 
     >>> import rotcal_ros as rc
     >>> figures = rc.iso230("examples/data/runs.csv")
     >>> figures.targets.shape, figures.warnings
     ((12,), ())
+    >>> figures.uncertainties["accuracy"].expanded < 0.5 * figures.accuracy
+    True
     """
     if isinstance(runs, str | PathLike):
         return evaluate_runs(read_repeated_runs(Path(runs)))
@@ -80,10 +103,10 @@ def uncertainty(
     """Propagate the stated noise through the solver by Monte Carlo, after JCGM 101.
 
     A configuration: about what its plan would see, before anything is measured. A recording or a
-    table: about what was measured. ``components`` maps each to value, linear_std, mean, std, low
-    and high (95 %), arrays (n,) in m or rad; ``warnings`` say where the trials contradict the
-    solver. ``trials`` at most; they end when the figures are stable to ``digits``. Raises
-    ConfigurationError where the method or the table brings no trials.
+    table (see :func:`read_table`): about what was measured. ``components`` maps each to value,
+    linear_std, mean, std, low and high (95 %), arrays (n,) in m or rad; ``warnings`` say where
+    the trials contradict the solver. ``trials`` at most; they end when the figures are stable to
+    ``digits``. Raises ConfigurationError where the method brings no trials.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -91,7 +114,7 @@ def uncertainty(
     >>> spread.components["ECC"].std.shape
     (12,)
     """
-    return propagated(*_measured(source), trials=trials, digits=digits, seed=seed, workers=workers)
+    return propagated(_measured(source), trials=trials, digits=digits, seed=seed, workers=workers)
 
 
 def plan_plate(
@@ -148,16 +171,18 @@ def _curve(curve: Curve, component: str) -> MeasuredCurve:
     return measured_curve(curve, component) if isinstance(curve, Result) else curve
 
 
-def _measured(
-    source: Configuration | Recording | Measurements,
-) -> tuple[Calibration, tuple[Observation, ...]]:
-    """Return the calibration and its observations: nominal ones of a configuration."""
+def _measured_input(number: int, source: Curve) -> Measured:
+    if isinstance(source, str | PathLike):
+        return read_measured(Path(source))
+    name = source.method if isinstance(source, Result) else "reference"
+    return Measured.of(f"{name} ({number})", source)
+
+
+def _measured(source: Configuration | Recording | Measurements) -> Measurements:
+    """Return what was measured, or for a configuration the nominal observations of its plan."""
     if isinstance(source, Configuration):
         calibration = prepare(source)
-        return calibration, calibration.nominal_observations()
-    if isinstance(source, Recording | PlannedMeasurements):
-        return source.calibration, source.observations
-    raise ConfigurationError(
-        "the rows of this table are no steps of a plan, which Monte Carlo trials need: give the "
-        "configuration or a bag"
-    )
+        return PlannedMeasurements(calibration, calibration.nominal_observations())
+    if isinstance(source, Recording):
+        return PlannedMeasurements(source.calibration, source.observations, source.sha256)
+    return source

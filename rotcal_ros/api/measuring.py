@@ -63,7 +63,7 @@ def simulate_observations(configuration: Configuration) -> tuple[Observation, ..
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
     >>> observations = rc.simulate_observations(configuration)
     >>> len(observations), observations[0].accepted
-    (72, True)
+    (78, True)
     """
     return tuple(found for _, observed in _simulated(configuration) for found in observed)
 

@@ -52,7 +52,7 @@ def read_bag(
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
     >>> len(recording.observations), recording.warnings()
-    (72, ())
+    (78, ())
     >>> recording.solve().verdict
     'ok'
     """

@@ -90,7 +90,7 @@ def read_streams(
     >>> import rotcal_ros as rc
     >>> streams = rc.read_streams("examples/data/ball_plate_bag")
     >>> streams.points["position"].shape, streams.points.dtype.names[:3]
-    ((504, 3), ('stamp_ns', 'sequence', 'step'))
+    ((546, 3), ('stamp_ns', 'sequence', 'step'))
     """
     topics, files = Topics(namespace), bag_files(Path(path))
     setup = configuration or find_configuration(files, topics)

@@ -54,6 +54,7 @@ class _Fields(ReadDataStream):
         return super().read(length)
 
     def read_prefixed_string(self) -> str:
+        """Return the text that follows its length; the records of mcap call this."""
         return decoded(self.read(self.read4()))
 
 

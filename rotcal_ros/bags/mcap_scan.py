@@ -48,7 +48,7 @@ class McapScan(Scan):
             raise BagError(f"cannot read {self.path}: {error.strerror or error}") from error
 
     def verdict(self) -> FileVerdict:
-        """Return what is to be said about the file, after the iteration."""
+        """Return the verdict on the file, after the iteration."""
         damages = sorted(self._damages, key=lambda damage: damage.offset)
         state: State = "damaged" if damages else "complete"
         if self._truncated is not None:

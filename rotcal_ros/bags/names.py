@@ -2,7 +2,9 @@
 
 from typing import Final
 
-CONFIGURATION: Final = "configuration.yaml"
+from rotcal_ros import session_folder
+
+CONFIGURATION: Final = session_folder.CONFIGURATION
 """Attachment: the configuration text, byte for byte as it was given."""
 PARAMETERS: Final = "parameters.json"
 """Attachment: every parameter of every node, by node name."""

@@ -37,7 +37,7 @@ class Scan(ABC):
 
     @abstractmethod
     def verdict(self) -> FileVerdict:
-        """Return what is to be said about the file, after the iteration."""
+        """Return the verdict on the file, after the iteration."""
 
     def _count(self, block: Block) -> None:
         """Count the messages of ``block`` and widen the span of log times."""

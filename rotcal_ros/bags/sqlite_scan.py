@@ -45,7 +45,7 @@ class SqliteScan(Scan):
             self._damages = (Damage(0, f"the database cannot be read further: {error}"),)
 
     def verdict(self) -> FileVerdict:
-        """Return what is to be said about the file, after the iteration."""
+        """Return the verdict on the file, after the iteration."""
         start_ns, end_ns = self._span or (None, None)
         return FileVerdict(
             path=self.path,

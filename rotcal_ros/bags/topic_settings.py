@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rotcal_ros.settings import setting
+from rotcal_ros.settings import check_ros_name, setting
 
 
 @dataclass(frozen=True)
@@ -21,6 +21,11 @@ class TopicSettings:
     angle_unit_rad: float = setting(
         1.0, doc="rad, unit of a Float64 angle; negative where the table counts clockwise"
     )
+
+    def __post_init__(self) -> None:
+        """Refuse names that no topic can bear."""
+        for role, topic in self.renamed().items():
+            check_ros_name(topic, role)
 
     def renamed(self) -> dict[str, str]:
         """Return role -> topic of those that were given."""

@@ -1,4 +1,4 @@
-"""What is to be said about a bag file: complete, truncated or damaged, and what is missing."""
+"""The verdict on a bag file: complete, truncated or damaged, and what is missing."""
 
 from __future__ import annotations
 

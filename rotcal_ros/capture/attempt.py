@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import nan
 
 from rotcal_ros.capture.settings import CaptureSettings
@@ -58,9 +58,8 @@ class Attempt:
     run: int
     samples: list[ProbeSample]
     search_ns: int
-    refusal: str = ""
+    refusal: str
     superseded_ns: int | None = None
-    points_seen: set[int] = field(default_factory=set)
 
     @property
     def begin_ns(self) -> int:

@@ -33,7 +33,7 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
-from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.plan import Plan, Step
 
 Record = Command | TracerSample | TableSample | ProbeSample | TemperatureSample
 Observations = tuple[Observation, ...]
@@ -161,7 +161,7 @@ class Capture:
     def _take_probe(self, sample: ProbeSample) -> Observations:
         """Start an attempt, or add a point to the newest one."""
         self._probe.received += 1
-        if sample.kind == PointKind.UNKNOWN:  # a position told unasked: no attempt begins
+        if sample.kind == PointKind.UNKNOWN:  # a position sent unasked: no attempt begins
             return ()
         newest = self._pending[-1] if self._pending else None
         if not 0 <= sample.step < len(self._plan.steps):
@@ -183,22 +183,21 @@ class Capture:
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
-        attempt = Attempt(step, sample.attempt, self._run, [sample], search_ns=sample.stamp_ns)
-        attempt.points_seen.add(sample.point)
-        attempt.refusal = self._refusal(attempt, sample)
+        refusal = self._refusal(step, sample)
+        stamp_ns = sample.stamp_ns
+        attempt = Attempt(step, sample.attempt, self._run, [sample], stamp_ns, refusal)
         self._pending.append(attempt)
 
     def _add_point(self, attempt: Attempt, sample: ProbeSample) -> None:
-        if sample.point in attempt.points_seen or len(attempt.samples) >= attempt.step.n_points:
+        seen = {known.point for known in attempt.samples}
+        if sample.point in seen or len(seen) >= attempt.step.n_points:
             self._probe.duplicates += 1
             return
-        attempt.points_seen.add(sample.point)
-        attempt.refusal = attempt.refusal or self._refusal(attempt, sample)
+        attempt.refusal = attempt.refusal or self._refusal(attempt.step, sample)
         attempt.samples.append(sample)
 
-    def _refusal(self, attempt: Attempt, sample: ProbeSample) -> str:
+    def _refusal(self, step: Step, sample: ProbeSample) -> str:
         """Say what is wrong with a probe sample itself; empty: nothing."""
-        step = attempt.step
         if self._probe_stamp is not None and sample.stamp_ns <= self._probe_stamp:
             self._probe.backwards += 1
             back = seconds(self._probe_stamp - sample.stamp_ns)

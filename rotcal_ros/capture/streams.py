@@ -102,7 +102,7 @@ class Stream:
         return staged >= self.wake_samples or stamp_ns >= self.wake_latest_ns
 
     def flush(self) -> None:
-        """Admit the staged samples; until told otherwise, the next one is worth a decision."""
+        """Admit the staged samples; without a new decision the next one is worth one."""
         if self._staged_stamps:
             stamps = np.array(self._staged_stamps, dtype=np.int64)
             values = np.array(self._staged_values, dtype=np.float64)
@@ -122,7 +122,7 @@ class Stream:
 
     def index(self, stamp_ns: int) -> int:
         """Return the index of the first remembered sample at or after ``stamp_ns``."""
-        return int(np.searchsorted(self.stamps, stamp_ns, side="left"))
+        return int(np.searchsorted(self.stamps, stamp_ns))
 
     def knows(self, stamp_ns: int) -> bool:
         """Return whether every sample up to ``stamp_ns`` has been admitted."""

@@ -7,6 +7,7 @@ from math import fsum, pi
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
@@ -55,7 +56,7 @@ def departure(
     first, last = table.index(begin_ns), table.index(end_ns)
     stamps = table.stamps[first : last + 1]
     moved = ~at_rest(table.values[first : last + 1], commanded, settings)
-    silent = np.diff(stamps, prepend=begin_ns) > settings.table_silence_s / NANOSECOND
+    silent = np.diff(stamps, prepend=begin_ns) > nanoseconds(settings.table_silence_s)
     wrong = moved | silent
     if not wrong.any():
         return None

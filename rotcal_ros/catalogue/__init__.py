@@ -10,6 +10,7 @@ from rotcal_ros.catalogue.calibration import (
     final_observations,
     last_accepted,
     prepare,
+    prepare_to_measure,
 )
 from rotcal_ros.catalogue.configuration import (
     Configuration,
@@ -30,5 +31,6 @@ __all__ = [
     "method_names",
     "parse_configuration",
     "prepare",
+    "prepare_to_measure",
     "read_configuration",
 ]

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.disturbance import Measured, Sizes
 from rotcal_ros.catalogue.method import Method, Trials
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.results import Result
@@ -65,6 +66,14 @@ class Calibration:
         see = self.method.nominal(self.configuration, self.plan)
         return tuple(step.observed(see(step)) for step in self.plan.steps)
 
+    def measured(self, sizes: Sizes, seed: int) -> Measured:
+        """Return observations of every step with the stated noise and the effects of ``sizes``."""
+        if self.method.disturbances is None:
+            raise ConfigurationError(
+                f"the method {self.method.name} does not say how noise and disturbances look"
+            )
+        return self.method.disturbances.measure(self.configuration, self.plan, sizes, seed)
+
     def _that_count(self, observations: Iterable[Observation]) -> tuple[Observation, ...]:
         """Return the last accepted one of each step, for a method that joins runs in each run."""
         accepted = last_accepted(observations)
@@ -76,6 +85,21 @@ class Calibration:
 def prepare(configuration: Configuration) -> Calibration:
     """Return the calibration that a configuration describes; PlanError for an impossible plan."""
     return Calibration(configuration, configuration.method.plan(configuration))
+
+
+def prepare_to_measure(configuration: Configuration) -> Calibration:
+    """Return :func:`prepare` of a configuration that will be measured.
+
+    Raises PlanError, with the place, where the data of the whole plan could not be solved. What is
+    recorded already may be less than that, and is read all the same.
+    """
+    calibration = prepare(configuration)
+    if calibration.method.check_plan is not None:
+        try:
+            calibration.method.check_plan(calibration.plan)
+        except PlanError as error:
+            raise PlanError(f"{configuration.source}: plan: {error}") from error
+    return calibration
 
 
 def last_accepted(observations: Iterable[Observation]) -> dict[RunStep, Observation]:

@@ -57,8 +57,14 @@ class Configuration:
     """A checked configuration: one typed object for every group of settings.
 
     The classes of ``plan``, ``solver`` and ``simulation`` are those of the method. ``given`` holds
-    the names of the groups that the text has; the others are at their defaults. ``text`` is the
+    the names of the groups that the text has, and of their settings as ``group.setting``; all
+    others are at their defaults. ``text`` is the
     YAML as given, ``source`` names it in error texts.
+
+    >>> import rotcal_ros as rc
+    >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
+    >>> configuration.method.name, configuration.simulated, configuration.cell.axis
+    ('ball_plate', True, 'C')
     """
 
     method: Method
@@ -117,7 +123,10 @@ def parse_configuration(
         group: load(cls, values[group] if group in given else None, f"{source}: {group}")
         for group, cls in settings_classes(method).items()
     }
-    return Configuration(method=method, **loaded, given=given, text=text, source=source)
+    settings = (f"{group}.{setting}" for group in given for setting in values[group] or ())
+    return Configuration(
+        method=method, **loaded, given=given.union(settings), text=text, source=source
+    )
 
 
 def changed(configuration: Configuration, changes: Sequence[str]) -> Configuration:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rotcal_ros.catalogue.calibration import Calibration
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.method import Measurements, find_method, method_names
+from rotcal_ros.catalogue.method import Measurements, Trials, find_method, method_names
 from rotcal_ros.errors import DataError
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Step
@@ -18,15 +18,19 @@ from rotcal_ros.tables import Row, read_table, require_header
 
 @dataclass(frozen=True)
 class PlannedMeasurements:
-    """Observations of a plan that stand in a table; ``sha256`` maps file names to hashes."""
+    """Observations of a plan, as of a table; ``sha256`` maps file names to hashes."""
 
     calibration: Calibration
     observations: tuple[Observation, ...]
-    sha256: Mapping[str, str]
+    sha256: Mapping[str, str] = field(default_factory=dict)
 
     def solve(self) -> Result:
         """Return the result."""
         return self.calibration.solve(self.observations)
+
+    def trials(self) -> Trials:
+        """Prepare Monte Carlo trials about the observations."""
+        return self.calibration.trials(self.observations)
 
 
 def read_measurements(
@@ -55,31 +59,36 @@ def read_measurements(
 
 
 class StepFinder:
-    """Finds the step of the plan that a row measures, and refuses the same step twice."""
+    """Finds the step of the plan that a row measures, and refuses it twice.
+
+    What the plan measures again, as a plan that closes does, may stand in the table again.
+    """
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._steps: dict[tuple[int, int], Step] = {}
+        self._steps: dict[tuple[int, int], list[Step]] = {}
         for step in plan.steps:
-            self._steps.setdefault((step.table_position, step.target), step)
-        self._seen: dict[int, str] = {}
+            self._steps.setdefault((step.table_position, step.target), []).append(step)
+        self._seen: dict[tuple[int, int], list[str]] = {}
 
     def __call__(self, row: Row, position: int, target: int) -> Step:
         """Return the step that measures a target at a table position."""
-        step = self._steps.get((position, target))
-        if step is None:
+        steps = self._steps.get((position, target))
+        if steps is None:
             raise DataError(
                 f"{row.place}: position {position}, target {target} is not in the plan, which has "
                 f"positions 0 to {len(self._plan.table_angles) - 1} and targets "
                 f"{_in_words(self._plan.steps)}; does the set-up belong to this table?"
             )
-        if step.index in self._seen:
+        seen = self._seen.setdefault((position, target), [])
+        if len(seen) == len(steps):
             raise DataError(
                 f"{row.place}: position {position}, target {target} was measured already "
-                f"({self._seen[step.index]}); keep one of the two rows"
+                f"({', '.join(seen)}); keep one of the rows"
+                + (f", {len(steps)} are in the plan" if len(steps) > 1 else "")
             )
-        self._seen[step.index] = row.place
-        return step
+        seen.append(row.place)
+        return steps[len(seen) - 1]
 
 
 def _in_words(steps: Sequence[Step]) -> str:

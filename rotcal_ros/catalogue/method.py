@@ -12,6 +12,7 @@ import numpy as np
 from rotcal_ros import plugins
 from rotcal_ros.arrays import Floats
 from rotcal_ros.capture.rules import CaptureRules
+from rotcal_ros.catalogue.disturbance import Disturbances
 from rotcal_ros.figures import Figure
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Step
@@ -31,7 +32,7 @@ See = Callable[[Step], tuple[float, ...]]
 
 
 class Measurements(Protocol):
-    """What was read from a table, ready to be solved; ``sha256`` maps file names to hashes."""
+    """What was measured, ready to be solved; ``sha256`` maps file names to hashes."""
 
     @property
     def sha256(self) -> Mapping[str, str]:
@@ -39,6 +40,9 @@ class Measurements(Protocol):
 
     def solve(self) -> Result:
         """Return the result."""
+
+    def trials(self) -> Trials:
+        """Prepare Monte Carlo trials about it; ConfigurationError where there are none."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class TableReader:
 
 
 DEFAULT: Final = "tracer_multistation"
-"""The method of a node or a simulation that nobody has told which one."""
+"""The method of a node or a simulation for which nobody has chosen."""
 
 
 def counted_from_the_first(_angles: Floats, deviations: Curves) -> dict[str, Floats]:
@@ -89,12 +93,17 @@ class Method:
     interruption changes ``joins_runs``: it gets the accepted observations of all runs of a
     plan, not only the last one of each step.
 
+    ``check_plan`` raises PlanError for a plan whose data could never be solved, before anything is
+    measured. ``older_plans`` are the plans that earlier versions made of the same configuration:
+    bags of theirs are read with them.
+
     ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
     deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
     says in words what the observations so far tell about a person's work (see
     :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``table`` reads plain tables,
     ``short_setup`` turns a set-up file that is no configuration, given with its name, into groups
-    of settings. ``figures`` draws what the method alone can show.
+    of settings. ``figures`` draws what the method alone can show. ``disturbances`` measure a
+    plan with its noise and with what may spoil it.
     """
 
     name: str
@@ -110,11 +119,14 @@ class Method:
     nominal: Callable[[Configuration, Plan], See] | None = None
     gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
     joins_runs: bool = False
+    older_plans: tuple[Callable[[Configuration], Plan], ...] = ()
     trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
     check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
+    check_plan: Callable[[Plan], None] | None = None
     table: TableReader | None = None
     short_setup: Callable[[Mapping[str, Any], str], Mapping[str, Any]] | None = None
     figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = no_figures
+    disturbances: Disturbances | None = None
 
     def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:
         """Travel to other processes by name."""
@@ -122,7 +134,12 @@ class Method:
 
 
 def method_names() -> tuple[str, ...]:
-    """Return the names of all methods that are installed."""
+    """Return the names of all methods that are installed.
+
+    >>> import rotcal_ros as rc
+    >>> "ball_plate" in rc.method_names()
+    True
+    """
     return plugins.names(plugins.METHODS)
 
 

@@ -50,7 +50,7 @@ def command(
     output: Path | None,
     as_json: bool,
 ) -> int:
-    """Compare results of one table pair by pair: result.json, bags, reference tables (.csv).
+    """Compare results of one table pair by pair: result.json, bags, sessions, references (.csv).
 
     A reference table has the columns angle_deg, deviation_arcsec and, if known, u_arcsec. The
     offset that no method can know is taken off. The exit code is 1 when some pair disagrees

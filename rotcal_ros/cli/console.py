@@ -45,6 +45,8 @@ def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
     say(f"drawn: {output.absolute()}")
 
 
-def print_verdict(verdict: str, text: str) -> None:
-    """Print the last line: the verdict and what it rests on."""
-    click.secho(f"verdict {verdict}: {text}", fg="green" if verdict == "ok" else "red")
+def print_verdict(verdict_line: str, text: str) -> None:
+    """Print the last line: the verdict, what it does not cover, and what it rests on."""
+    verdict, *reserve = verdict_line.split(",", 1)
+    colour = "red" if verdict != "ok" else "yellow" if reserve else "green"
+    click.secho(f"verdict {verdict_line}: {text}", fg=colour)

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import draw, json_option, path_type, print_json
+from rotcal_ros.units import ARCSEC
 
 
 @click.command()
@@ -14,17 +15,28 @@ from rotcal_ros.cli.console import draw, json_option, path_type, print_json
 @click.option(
     "-o", "--output", type=path_type, help="Draw the diagrams of the standard there (.svg)."
 )
+@click.option(
+    "--device",
+    type=click.FloatRange(min=0.0),
+    metavar="ARCSEC",
+    help="Standard uncertainty (k = 1) of the measuring device at a target, the same in all runs.",
+)
 @json_option
-def command(source: Path, output: Path | None, as_json: bool) -> int:
+def command(source: Path, output: Path | None, device: float | None, as_json: bool) -> int:
     """Evaluate RUNS: a table (.csv), or the result.json or bag of a plan with runs.
 
     The table has the columns angle_deg, run, direction (up or down), deviation_arcsec; every
-    target is there once in every run and direction.
+    target is there once in every run and direction. Every figure comes with its uncertainty:
+    from the scatter of the runs, and from errors that all runs share. The latter are known from
+    a result or bag; for a table --device states them.
     """
+    from rotcal_ros.evaluation.bidirectional import with_device
     from rotcal_ros.evaluation.iso230 import iso230
     from rotcal_ros.recordings.sources import read_repeated_runs
 
     runs = read_repeated_runs(source)
+    if device is not None:
+        runs = with_device(runs, device * ARCSEC)
     figures = iso230(runs)
     if output is not None:
         from rotcal_ros.report.iso230 import diagrams

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
+from rotcal_ros.cli import reliability
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.order_forecast import forecast_dict, forecast_lines
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import PlanError
 from rotcal_ros.report.terminal.console import progress
@@ -42,7 +44,10 @@ touch_option = shown_option("--touches", type=click.IntRange(min=1), default=15,
 
 @click.group()
 def command() -> None:
-    """Design a ball plate and its measurement."""
+    """Design a ball plate and its measurement; tell what a plan could hide."""
+
+
+command.add_command(reliability.command, "reliability")
 
 
 @command.command()
@@ -79,10 +84,12 @@ def plate(
 
     Looks at all layouts where they can be counted out (up to rotation and reflection), else
     exchanges one ball at a time from many starts. The gap is the distance to a bound that no
-    layout can beat.
+    layout can beat. For every order of measurement it predicts what a drift of the CMM and a
+    knock of the plate would do, and from which size on they are found.
     """
     from rotcal_ros.planning.ball_layout import best_layout
     from rotcal_ros.planning.ball_plan import Kinematics, Order, plan_measurement
+    from rotcal_ros.planning.order_forecast import forecast
 
     with progress("layouts") as shown:
         layout = best_layout(
@@ -103,6 +110,9 @@ def plate(
         )
         for name in get_args(Order)
     }
+    forecasts = {
+        name: forecast(rows, sigma_um * MICROMETRE, radius_m) for name, rows in orders.items()
+    }
     if as_json:
         facts = ("score", "bound", "gap", "optimal", "evaluated")
         print_json(
@@ -111,11 +121,17 @@ def plate(
                 "ball_steps": list(layout.steps),
                 **{name: getattr(layout, name) for name in facts},
                 "predicted_std": std,
-                "orders": {name: _order_dict(rows) for name, rows in orders.items()},
+                "orders": {
+                    name: {**_order_dict(rows), **forecast_dict(forecasts[name])}
+                    for name, rows in orders.items()
+                },
             }
         )
     else:
-        _print_layout(layout, std, orders)
+        _print_layout(layout, std)
+        for name, rows in orders.items():
+            click.echo(f"\n{_order_in_words(name, rows)}")
+            click.echo("\n".join(forecast_lines(forecasts[name])))
     return 0
 
 
@@ -229,7 +245,7 @@ def order(
     return 0
 
 
-def _print_layout(layout: Layout, std: dict[str, float], orders: dict[str, BallPlan]) -> None:
+def _print_layout(layout: Layout, std: dict[str, float]) -> None:
     click.echo(f"ball_steps: [{', '.join(map(str, layout.steps))}]   # of {layout.grid}")
     how = "proven optimal" if layout.optimal else "best found"
     click.echo(
@@ -239,8 +255,6 @@ def _print_layout(layout: Layout, std: dict[str, float], orders: dict[str, BallP
     for name, value in std.items():
         unit, label = unit_of(name)
         click.echo(f"  {name}  {value / unit:.4f} {label}")
-    for name, rows in orders.items():
-        click.echo(_order_in_words(name, rows))
 
 
 def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> None:

@@ -1,4 +1,4 @@
-"""``rotcal report``: the self-contained HTML page of a recording."""
+"""``rotcal report``: the self-contained HTML page of a recording or a result."""
 
 from __future__ import annotations
 
@@ -10,31 +10,41 @@ import click
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES
 from rotcal_ros.errors import BagError
 from rotcal_ros.report.terminal.console import say
+from rotcal_ros.session_folder import SessionFolder
 
 
 @click.command()
-@click.argument("bag", type=click.Path(exists=True, path_type=Path))
+@click.argument("source", type=click.Path(exists=True, path_type=Path), metavar="BAG|RESULT")
 @click.option(
     "-o",
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="The page to write; report.html beside the bag unless given. Never overwrites.",
+    help="The page to write; report.html beside BAG unless given. Never overwrites.",
 )
 @click.option(
     "--truth",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="truth.json of a simulation, drawn beside the result.",
 )
-def command(bag: Path, output: Path | None, truth: Path | None) -> int:
-    """Solve BAG again and write the report: figures, tables, warnings, verdict, fingerprints."""
+def command(source: Path, output: Path | None, truth: Path | None) -> int:
+    """Solve BAG again and write the report: figures, tables, warnings, verdict, fingerprints.
+
+    RESULT (.json): about a result as it is, be it a combination or one whose bag is elsewhere.
+    """
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.replay import read_recording
-    from rotcal_ros.report.recorded import write_recorded
+    from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.report.recorded import write_recorded, write_result
 
-    output = output or (bag if bag.is_dir() else bag.parent) / "report.html"
+    session = SessionFolder(source)
+    source = session.bag if session.bag.is_dir() else source
+    output = output or SessionFolder(source if source.is_dir() else source.parent).report
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
     injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
-    result = write_recorded(read_recording(bag), output, injected)
+    if source.suffix == ".json":
+        result = write_result(read_source(source), output, injected)
+    else:
+        result = write_recorded(read_recording(source), output, injected)
     say(f"report: {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]

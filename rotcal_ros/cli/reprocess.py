@@ -10,6 +10,7 @@ import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress, say
+from rotcal_ros.session_folder import OVERVIEW, RESULTS_TABLE
 
 if TYPE_CHECKING:
     from rotcal_ros.recordings.many import Job, Outcome
@@ -55,7 +56,7 @@ def command(
     jobs = [Job(bag, configuration, str(cache)) for bag in bags]
     running = on_cluster(jobs, scheduler) if scheduler else on_all_cores(jobs, workers)
     outcomes = in_time(_followed(running, jobs))
-    table, overview = output.absolute() / "results.parquet", output.absolute() / "overview.html"
+    table, overview = output.absolute() / RESULTS_TABLE, output.absolute() / OVERVIEW
     write_table(outcomes, table)
     write_overview(outcomes, configuration.text, overview)
     bad = [outcome for outcome in outcomes if outcome.error]
@@ -86,10 +87,12 @@ def _followed(running: Iterator[Outcome], jobs: list[Job]) -> list[Outcome]:
 
 
 def _summary(outcome: Outcome) -> dict[str, object]:
+    result = outcome.deviations()
     return {
         "source": outcome.source,
         "table": outcome.table,
-        "verdict": outcome.result["verdict"] if outcome.result else None,
+        "verdict": result.verdict if result else None,
+        "verdict_line": result.verdict_line if result else None,
         "error": outcome.error,
         "cached": outcome.cached,
     }

@@ -89,7 +89,7 @@ def _print(outcome: Mapping[str, Any]) -> None:
     """Print the verdict in one line and where everything is."""
     skipped = len(outcome["skipped_steps"])
     print_verdict(
-        outcome["verdict"],
+        outcome["verdict_line"],
         f"{outcome['n_used']} steps used, {skipped} skipped, "
         f"{outcome['n_rejected']} attempts rejected, {outcome['seconds']:.0f} s",
     )

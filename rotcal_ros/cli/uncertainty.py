@@ -11,12 +11,15 @@ from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
-    from rotcal_ros.catalogue import Calibration
-    from rotcal_ros.observations import Observation
+    from rotcal_ros.catalogue.method import Measurements
 
 
 @click.command()
-@click.argument("source", type=path_type, metavar="BAG|CONFIG")
+@click.argument("source", type=path_type, metavar="BAG|TABLE|CONFIG")
+@click.option(
+    "--setup", type=path_type, help="Configuration of a table; default: the one in the bag."
+)
+@click.option("--targets", type=path_type, help="Target positions of a tracer table.")
 @click.option(
     "--trials",
     type=click.IntRange(min=2),
@@ -35,22 +38,29 @@ if TYPE_CHECKING:
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default: one per core.")
 @json_option
 def command(
-    source: Path, trials: int, digits: int, seed: int, workers: int | None, as_json: bool
+    source: Path,
+    setup: Path | None,
+    targets: Path | None,
+    trials: int,
+    digits: int,
+    seed: int,
+    workers: int | None,
+    as_json: bool,
 ) -> int:
     """Propagate the stated noise through the solver by Monte Carlo, after JCGM 101.
 
-    BAG: about what was measured. CONFIG (.yaml): about the plan's nominal geometry, before
-    anything is measured. Seed and number of trials alone decide the figures, not the workers.
-    The exit code is 1 when the trials contradict the solver's uncertainty.
+    BAG, TABLE (.csv, with --setup): about what was measured. CONFIG (.yaml): about the plan's
+    nominal geometry, before anything is measured. Seed and number of trials alone decide the
+    figures, not the workers. The exit code is 1 when the trials contradict the solver's
+    uncertainty.
     """
     from rotcal_ros.evaluation.propagated import propagated
     from rotcal_ros.recordings.workers import usable_cores
 
-    calibration, observations = _read(source)
+    measured = _read(source, setup, targets)
     with progress("trials") as shown:
         both = propagated(
-            calibration,
-            observations,
+            measured,
             trials=trials,
             digits=digits,
             seed=seed,
@@ -66,15 +76,25 @@ def command(
     return int(bool(both.warnings))
 
 
-def _read(source: Path) -> tuple[Calibration, tuple[Observation, ...]]:
-    """Return the calibration and its observations: measured ones, or nominal ones."""
+def _read(source: Path, setup: Path | None, targets: Path | None) -> Measurements:
+    """Return what was measured, or for a configuration the nominal observations of its plan."""
+    from rotcal_ros.catalogue.measurements import PlannedMeasurements, read_measurements
+    from rotcal_ros.catalogue.setup_file import read_setup
+
+    if source.suffix == ".csv":
+        if setup is None:
+            raise click.UsageError("a table needs its set-up: --setup SETUP.yaml")
+        return read_measurements(source, read_setup(setup), targets)
     if source.suffix in (".yaml", ".yml"):
         from rotcal_ros.catalogue import prepare
         from rotcal_ros.catalogue.configuration import read_configuration
 
+        if setup is not None:
+            raise click.UsageError("--setup belongs to a table or a bag, not to a configuration")
         calibration = prepare(read_configuration(source))
-        return calibration, calibration.nominal_observations()
+        return PlannedMeasurements(calibration, calibration.nominal_observations())
     from rotcal_ros.recordings.replay import read_recording
 
-    recording = read_recording(source)
-    return recording.calibration, recording.observations
+    configuration = None if setup is None else read_setup(setup)
+    recording = read_recording(source, configuration=configuration)
+    return PlannedMeasurements(recording.calibration, recording.observations, recording.sha256)

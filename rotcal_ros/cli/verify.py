@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 @click.option("--spacing", default=10.0, show_default=True, help="deg between rows of the tables.")
 @click.option("--to", "controllers", multiple=True, help="Controller to write files for, too.")
 @click.option("--files", type=path_type, help="Folder of these; default: OUTPUT/compensation.")
+@click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet, too.")
 @click.option("--report-of", type=path_type, help="Report of this earlier run, not of OUTPUT.")
 @json_option
 def command(
@@ -40,6 +41,7 @@ def command(
     spacing: float,
     controllers: tuple[str, ...],
     files: Path | None,
+    accept_unverified: bool,
     report_of: Path | None,
     as_json: bool,
 ) -> int:
@@ -48,16 +50,13 @@ def command(
     OUTPUT/before and OUTPUT/after hold the two runs, OUTPUT/verification.json the figures. The
     exit code is 0 when no more is left than the uncertainties explain.
     """
-    from rotcal_ros.errors import ConfigurationError
     from rotcal_ros.report.verification import verification_section
-    from rotcal_ros.session_folder import SessionFolder
+    from rotcal_ros.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.sessions.products import write_report
     from rotcal_ros.sessions.verification import verify
 
     folder = (output or Path("out") / configuration.stem).absolute()
-    shown = SessionFolder(folder / "before" if report_of is None else report_of.absolute())
-    if shown.report.exists():
-        raise ConfigurationError(f"{shown.report} exists already and nothing is overwritten")
+    shown = SessionFolder((report_of or folder / "before").absolute())
     verified = verify(
         configuration,
         folder,
@@ -66,16 +65,18 @@ def command(
         spacing=spacing * DEGREE,
         controllers=controllers,
         files=files,
+        accept_unverified=accept_unverified,
+        report_of=report_of and report_of.absolute(),
     )
     if verified is None:
         return INTERRUPTED
     verification, written = verified
     write_report(shown, [verification_section(verification)])
     if as_json:
-        click.echo((folder / "verification.json").read_text(encoding="utf-8"), nl=False)
+        click.echo((folder / VERIFICATION).read_text(encoding="utf-8"), nl=False)
     else:
         click.echo(f"controllers:   {', '.join(written)}")
-        click.echo(f"verification:  {folder / 'verification.json'}")
+        click.echo(f"verification:  {folder / VERIFICATION}")
         click.echo(f"report:        {shown.report}")
         _print(verification)
     return VERDICT_EXIT_CODES[verification.verdict]
@@ -89,6 +90,8 @@ def _print(verification: Verification) -> None:
             f"ISO 230-2 {letter}:   {first / ARCSEC:.3f} arcsec before, "
             f"{second / ARCSEC:.3f} after (true angle, both directions)"
         )
+    for line in verification.reserves:
+        click.echo(line)
     print_verdict(
         verification.verdict,
         f"measured E {before.systematic / ARCSEC:.3f} arcsec before, "

@@ -12,7 +12,12 @@ from rotcal_ros.settings import load
 
 
 def controller_names() -> tuple[str, ...]:
-    """Return the names of all controllers that are installed."""
+    """Return the names of all controllers that are installed.
+
+    >>> import rotcal_ros as rc
+    >>> "linuxcnc" in rc.controller_names()
+    True
+    """
     return plugins.names(plugins.CONTROLLERS)
 
 

@@ -18,10 +18,10 @@ from rotcal_ros.compensation.resample import resample
 from rotcal_ros.compensation.table import (
     SIGN_CONVENTION,
     CompensationTable,
-    check_axis,
     check_verdict,
 )
 from rotcal_ros.compensation.writing import check_stem
+from rotcal_ros.components import check_axis
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -75,13 +75,20 @@ def prepare_export(
     files = controller.write(rows, name)
     residual = residual_budget(shifted, rows, controller, controller.read(files))
     _refuse_harm(residual, controller.facts.title)
-    warnings = (*table.warnings, *(f"not verified: {text}" for text in controller.unverified))
+    line = table.verdict_line
+    reserve = (f"the result is {line}",) if line not in ("", "ok") else ()
+    warnings = (
+        *reserve,
+        *table.warnings,
+        *(f"not verified: {text}" for text in controller.unverified),
+    )
     side = {
         "schema": SCHEMA,
         "written": now.isoformat(timespec="seconds"),
         "axis": table.axis,
         "method": table.method,
         "verdict": table.verdict,
+        "verdict_line": table.verdict_line,
         "table_sha256": table.table_hash,
         "sources_sha256": dict(sources or {}),
         "sign_of_the_table": SIGN_CONVENTION,

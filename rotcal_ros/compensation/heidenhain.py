@@ -6,6 +6,7 @@ axis; 256 entries, of which a rotary axis uses 0 .. 360. Sources: ``Heidenhain.f
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -72,7 +73,8 @@ class Heidenhain(Controller):
         lines = text.splitlines()
         if len(lines) < 4 or not lines[0].startswith("BEGIN ") or lines[-1] != "[END]":
             raise BagError(f"{name}: expected BEGIN in the first line and [END] in the last")
-        if name.rsplit(".", 1)[0] not in assignment:
+        stem = re.escape(name.rsplit(".", 1)[0])
+        if not re.search(rf"^\d+ \* {stem}$", assignment, re.MULTILINE):
             raise BagError(f"the .CMA table does not name {name}")
         _, angles, backlash, up = parse_rows(name, lines[2:-1], 4, None).T
         down = backlash if self.backlash == ABSOLUTE else backlash + up

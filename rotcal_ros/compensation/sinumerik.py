@@ -28,7 +28,8 @@ from rotcal_ros.compensation.rows import (
     require_at_most,
 )
 from rotcal_ros.compensation.rules import PeriodicTable
-from rotcal_ros.compensation.table import CompensationTable, check_axis
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.components import check_axis
 from rotcal_ros.errors import BagError
 from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE

@@ -6,13 +6,13 @@ Correction = -deviation = commanded - actual, radians: what must be *added* to t
 from __future__ import annotations
 
 import hashlib
-import re
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.components import check_axis
 from rotcal_ros.curves.interpolation import (
     SAME_ANGLE,
     TURN,
@@ -39,7 +39,14 @@ class CompensationTable:
     an arc: it neither closes nor wraps. ``correction_forward`` is for approaches with increasing
     angle and zero at ``reference_angle``, ``correction_reverse`` for decreasing angle. ``std`` is
     the standard uncertainty (k = 1) of both, ``warnings`` say in words what to know before use.
+    ``verdict_line`` is the verdict with what it does not cover; empty where that is not known, as
+    in a message.
     Raises DataError when the arrays do not fit together.
+
+    >>> import rotcal_ros as rc
+    >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
+    >>> table.closed, table.directional, float(table.correction_forward[0])
+    (True, False, 0.0)
     """
 
     axis: str
@@ -52,6 +59,7 @@ class CompensationTable:
     reference_angle: float
     verdict: Verdict
     warnings: tuple[str, ...] = ()
+    verdict_line: str = ""
 
     def __post_init__(self) -> None:
         check_axis(self.axis)
@@ -90,16 +98,6 @@ class CompensationTable:
         for block in (scalars, *columns):
             digest.update(np.asarray(block, dtype="<f8").tobytes())
         return digest.hexdigest()
-
-
-def check_axis(axis: str) -> str:
-    """Return ``axis`` when it can stand in a controller file, else raise ConfigurationError."""
-    if not re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", axis):
-        raise ConfigurationError(
-            f"axis name {axis!r}: expected a capital letter followed by at most 15 capitals, "
-            "digits or underscores, such as C or C1"
-        )
-    return axis
 
 
 def check_verdict(origin: Result | CompensationTable) -> None:
@@ -163,6 +161,7 @@ def table_from_result(
             *([] if harmonics is None else [_left_out(forward, harmonics)]),
             *_notes(forward, backward, weights[-1]),
         ),
+        verdict_line=_lines(result, reverse),
     )
 
 
@@ -202,6 +201,14 @@ def _worse(result: Result, reverse: Result | None) -> Verdict:
     ranking: tuple[Verdict, ...] = ("ok", "suspect", "failed")
     verdicts = [result.verdict] if reverse is None else [result.verdict, reverse.verdict]
     return max(verdicts, key=ranking.index)
+
+
+def _lines(result: Result, reverse: Result | None) -> str:
+    """Return the verdict lines of both directions, once where they are the same."""
+    lines = (
+        [result.verdict_line] if reverse is None else [result.verdict_line, reverse.verdict_line]
+    )
+    return "; other direction: ".join(dict.fromkeys(lines))
 
 
 def _left_out(curve: MeasuredCurve, order: int) -> str:

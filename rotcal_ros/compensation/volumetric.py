@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation import parsing
-from rotcal_ros.compensation.table import check_axis, check_verdict
+from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import check_stem
-from rotcal_ros.components import COMPONENTS, TRANSLATIONS
+from rotcal_ros.components import COMPONENTS, TRANSLATIONS, check_axis
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.results import Result
 
@@ -47,6 +47,8 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "units": {name: _si_unit(name) for name in names},
         "method": result.method,
         "verdict": result.verdict,
+        "verdict_line": result.verdict_line,
+        "not_protected": list(result.unprotected),
         "angles_rad": result.angles.tolist(),
         "deviations": {name: result.deviations[name].tolist() for name in names},
         "std": {name: result.std[name].tolist() for name in names},

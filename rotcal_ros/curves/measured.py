@@ -24,12 +24,14 @@ class MeasuredCurve:
     """Deviation (n,) at ascending angles (n,) rad with covariance (n, n), in rad or metres.
 
     ``period`` is 2 pi when the angles go round, with no angle twice, and 0 for an arc.
+    ``verdict_line`` is that of the result it comes from, empty for a reference without one.
     """
 
     angles: Floats
     deviation: Floats
     covariance: Floats
     period: float
+    verdict_line: str = ""
 
 
 def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
@@ -54,6 +56,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
         deviation=merge @ curve.deviation,
         covariance=merge @ curve.covariance @ merge.T,
         period=curve.period,
+        verdict_line=result.verdict_line,
     )
 
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.results import Result
@@ -62,12 +64,42 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
 def runs_of(result: Result) -> BidirectionalRuns | None:
     """Return the repeated runs of a result where both directions have two or more, else None.
 
+    What the covariance of the result holds beyond the scatter of the runs is common to them all.
     DataError names an arrival that is missing.
     """
     runs = result.runs
     if runs is None or runs.forward is None or runs.reverse is None or runs.forward.shape[1] < 2:
         return None
-    return BidirectionalRuns(runs.targets, runs.forward, runs.reverse)
+    measured = BidirectionalRuns(runs.targets, runs.forward, runs.reverse)
+    covariance = result.covariance.get("ECC")
+    if covariance is None or np.shape(covariance) != (len(runs.targets),) * 2:
+        return measured
+    return replace(measured, common=_common_to_all_runs(measured, covariance))
+
+
+def with_device(runs: BidirectionalRuns, std: float) -> BidirectionalRuns:
+    """Return ``runs`` with a standard uncertainty (rad) of the device at every target.
+
+    The same in all runs, independent from target to target; it adds to what is known already.
+    """
+    known = np.zeros((len(runs.targets),) * 2) if runs.common is None else runs.common
+    return replace(runs, common=known + std**2 * np.eye(len(runs.targets)))
+
+
+def _common_to_all_runs(runs: BidirectionalRuns, covariance: Floats) -> Floats:
+    """Return the part of the covariance of the mean curve that no repetition shows.
+
+    Noise and repeatability differ from run to run: they are in the scatter, and their share in
+    the mean of all runs is taken off. The mean counts from its first target.
+    """
+    n = runs.forward.shape[1]
+    scatter = (runs.forward.var(axis=1, ddof=1) + runs.reverse.var(axis=1, ddof=1)) / 2.0
+    tied = np.eye(len(scatter))
+    tied[:, 0] -= 1.0
+    counted = tied @ covariance @ tied.T  # whatever the zero of the result is
+    rest = counted - float(scatter.mean()) / (2 * n) * tied @ tied.T
+    values, vectors = np.linalg.eigh((rest + rest.T) / 2.0)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, dtype=np.float64)
 
 
 def require_runs(result: Result, source: str) -> BidirectionalRuns:

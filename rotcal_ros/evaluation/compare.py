@@ -92,16 +92,22 @@ class Comparison:
         return plain_fields(self)
 
 
-def compare(first: MeasuredCurve, second: MeasuredCurve, align_order: int = 0) -> Comparison:
+def compare(
+    first: MeasuredCurve,
+    second: MeasuredCurve,
+    align_order: int = 0,
+    names: tuple[str, str] = ("first", "second"),
+) -> Comparison:
     """Compare two independent curves at the angles of the one that has fewer.
 
     Where the other was not measured it is interpolated by its spline, marked and noted.
     ``align_order`` takes off, beside the offset, so many harmonics that the two methods define
-    differently (1 for radial deviations with another origin). Raises DataError with fewer
-    common angles than the alignment needs.
+    differently (1 for radial deviations with another origin). The notes name, by ``names``, each
+    curve whose verdict is not a bare ok: two may agree in an error that neither can see. Raises
+    DataError with fewer common angles than the alignment needs.
     """
     if len(second.angles) < len(first.angles):
-        return _turned(compare(second, first, align_order))
+        return _turned(compare(second, first, align_order, (names[1], names[0])))
     angles, rows = _common(first, second)
     weights = interpolation_matrix(second.angles, angles, second.period)
     measured = _coincide(angles, second)
@@ -113,6 +119,11 @@ def compare(first: MeasuredCurve, second: MeasuredCurve, align_order: int = 0) -
     p_value = 0.0 if exact and np.any(normalised) else float(stats.chi2.sf(chi2, dof))
     agree = _agree(normalised, p_value)
     why = _why(first.deviation[rows], weights @ second.deviation, second, angles, agree)
+    doubts = [
+        f"{name}: {curve.verdict_line}"
+        for name, curve in zip(names, (first, second), strict=True)
+        if curve.verdict_line not in ("", "ok")
+    ]
     return Comparison(
         angles=angles,
         difference=difference,
@@ -125,7 +136,7 @@ def compare(first: MeasuredCurve, second: MeasuredCurve, align_order: int = 0) -
         dof=dof,
         p_value=p_value,
         agree=agree,
-        notes=tuple(_notes(measured, len(first.angles), why, exact)),
+        notes=(*doubts, *_notes(measured, len(first.angles), why, exact)),
     )
 
 
@@ -163,7 +174,10 @@ def compare_all(
     curves: Mapping[str, MeasuredCurve], align_order: int = 0
 ) -> dict[tuple[str, str], Comparison]:
     """Compare every pair of ``curves``; the keys are pairs of their names."""
-    return {(a, b): compare(curves[a], curves[b], align_order) for a, b in combinations(curves, 2)}
+    return {
+        (a, b): compare(curves[a], curves[b], align_order, (a, b))
+        for a, b in combinations(curves, 2)
+    }
 
 
 def _agree(normalised: Floats, p_value: float) -> bool:

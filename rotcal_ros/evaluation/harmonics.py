@@ -77,7 +77,7 @@ def harmonic_content(curve: MeasuredCurve, max_order: int | None = None) -> Harm
 
 
 def _significant(vectors: Floats, pairs: Floats) -> Bools:
-    """Whether v' C^-1 v is above the 95 % quantile; exact values are significant unless zero."""
+    """Whether v' C^-1 v is above the 95 % quantile; never where no uncertainty is stated."""
     size = np.maximum(np.linalg.det(pairs), 0.0)
     adjugate = np.stack(
         [

@@ -8,30 +8,54 @@ one-directional figures.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.iso230_uncertainty import (
+    FigureUncertainty,
+    TargetStatistics,
+    figure_uncertainties,
+)
 from rotcal_ros.results import plain_fields
 from rotcal_ros.units import DEGREE
+
+ONLY_SCATTER: Final = (
+    "U holds the scatter of the runs alone: nothing is stated about errors that all runs share"
+)
 
 
 @dataclass(frozen=True, eq=False)
 class BidirectionalRuns:
     """Deviations (m, n) rad of m target angles (m,) rad in n runs for each direction.
 
-    Raises DataError for shapes that do not fit, values that are not finite, or fewer than two
-    runs or targets.
+    ``common`` (m, m) rad^2 is the covariance of measurement errors that all runs share, such as
+    those of the calibration of the device; None when nothing is known of it. Raises DataError
+    for shapes that do not fit, values that are not finite, or fewer than two runs or targets.
+
+    >>> import rotcal_ros as rc
+    >>> up = rc.ARCSEC * np.array([[0.0, 0.2], [1.0, 1.2]])  # two targets, two runs
+    >>> runs = rc.BidirectionalRuns(np.array([0.0, np.pi]), up, up + 3 * rc.ARCSEC)
+    >>> round(rc.iso230(runs).reversal / rc.ARCSEC, 6)
+    3.0
     """
 
     targets: Floats
     forward: Floats
     reverse: Floats
+    common: Floats | None = None
 
     def __post_init__(self) -> None:
+        m = len(self.targets)
+        if self.common is not None and np.shape(self.common) != (m, m):
+            raise DataError(
+                f"the covariance of the shared errors has shape {np.shape(self.common)}, expected "
+                f"({m}, {m})"
+            )
         shape = np.shape(self.forward)
         if len(shape) != 2 or shape != np.shape(self.reverse) or shape[0] != len(self.targets):
             raise DataError(
@@ -59,7 +83,9 @@ class Iso230:
 
     ``mean_*`` and ``s_*`` per direction, ``reversal_i`` = B_i = mean forward - mean reverse,
     ``repeatability_i`` = R_i. Scalars: reversal B and its mean, repeatability R, systematic
-    deviation E, range of the mean bidirectional deviation M, accuracy A.
+    deviation E, range of the mean bidirectional deviation M, accuracy A. ``uncertainties`` maps
+    the names of the scalars to theirs; without ``measurement_stated`` they hold the scatter of
+    the runs alone.
     """
 
     targets: Floats
@@ -83,6 +109,8 @@ class Iso230:
     accuracy_reverse: float
     accuracy: float
     warnings: tuple[str, ...]
+    uncertainties: Mapping[str, FigureUncertainty] = field(default_factory=dict)
+    measurement_stated: bool = False
 
     def summary(self) -> list[tuple[str, tuple[float | None, float | None, float | None]]]:
         """Return each figure (rad) with its name: of both directions, forward, reverse."""
@@ -101,9 +129,25 @@ class Iso230:
             ("Accuracy A", (self.accuracy, self.accuracy_forward, self.accuracy_reverse)),
         ]
 
+    def expanded(self) -> list[float]:
+        """Return the expanded uncertainty (95 %, rad) of each figure of :meth:`summary`.
+
+        That of the figure of both directions.
+        """
+        names = (
+            "reversal",
+            "mean_reversal",
+            "repeatability",
+            "systematic",
+            "mean_range",
+            "accuracy",
+        )
+        return [self.uncertainties[name].expanded for name in names]
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON; radians."""
-        return plain_fields(self)
+        stated = {name: u.to_dict() for name, u in self.uncertainties.items()}
+        return {**plain_fields(self), "uncertainties": stated}
 
 
 def iso230(runs: BidirectionalRuns) -> Iso230:
@@ -114,6 +158,8 @@ def iso230(runs: BidirectionalRuns) -> Iso230:
     repeat = np.max([2.0 * (s_up + s_down) + np.abs(reversal), 4.0 * s_up, 4.0 * s_down], axis=0)
     means = np.vstack([up, down])
     spread = 2.0 * np.vstack([s_up, s_down])
+    m, n = runs.forward.shape
+    common = np.zeros((m, m)) if runs.common is None else runs.common
     return Iso230(
         targets=runs.targets,
         mean_forward=up,
@@ -136,6 +182,8 @@ def iso230(runs: BidirectionalRuns) -> Iso230:
         accuracy_reverse=_range(means[1:], spread[1:]),
         accuracy=_range(means, spread),
         warnings=tuple(_short_of_the_standard(runs)),
+        uncertainties=figure_uncertainties(TargetStatistics(means, spread / 2.0, n, common)),
+        measurement_stated=runs.common is not None,
     )
 
 

@@ -157,10 +157,9 @@ def _blocks(model: Model, seed: int, block: int, n_blocks: int, workers: int) ->
     with ProcessPoolExecutor(workers, context, _keep_model, (model,)) as pool:
         ahead: deque[Future[Floats]] = deque()
         try:
-            for index in range(n_blocks + workers):
-                if index < n_blocks:
-                    ahead.append(pool.submit(_run_block, seed, index, block))
-                if index >= workers and ahead:
+            for index in range(n_blocks):
+                ahead.append(pool.submit(_run_block, seed, index, block))
+                if len(ahead) > workers:
                     yield ahead.popleft().result()
             while ahead:
                 yield ahead.popleft().result()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.components import unit_of
 from rotcal_ros.evaluation.monte_carlo import (
     BLOCK,
@@ -19,7 +18,6 @@ from rotcal_ros.evaluation.monte_carlo import (
     compare_with_linear,
     propagate,
 )
-from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result, plain_fields
 from rotcal_ros.units import DEGREE
 
@@ -96,8 +94,7 @@ class Propagated:
 
 
 def propagated(
-    calibration: Calibration,
-    observations: Sequence[Observation],
+    measured: Measurements,
     *,
     trials: int,
     digits: int,
@@ -105,9 +102,9 @@ def propagated(
     workers: int,
     progress: Progress | None = None,
 ) -> Propagated:
-    """Solve ``observations`` and run at most ``trials`` about them, see :func:`propagate`."""
+    """Solve what was measured and run at most ``trials`` about it, see :func:`propagate`."""
     spread = propagate(
-        calibration.trials(observations),
+        measured.trials(),
         seed=seed,
         max_trials=trials,
         digits=digits,
@@ -115,4 +112,4 @@ def propagated(
         block=min(BLOCK, trials),
         progress=progress,
     )
-    return Propagated(calibration.solve(observations), spread, seed)
+    return Propagated(measured.solve(), spread, seed)

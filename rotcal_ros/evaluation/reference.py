@@ -41,7 +41,7 @@ def read_reference(text: str, name: str) -> MeasuredCurve:
     if len(rows) < 3:
         raise DataError(f"{name}: {len(rows)} rows, expected at least 3")
     data = np.array([[*row, 0.0][:3] for row in rows])
-    data = data[np.argsort(data[:, 0], kind="stable")]
+    data = data[np.argsort(data[:, 0])]
     angles, deviation, std = data[:, 0] * DEGREE, data[:, 1] * ARCSEC, data[:, 2] * ARCSEC
     if np.any(np.diff(angles) < SAME_ANGLE):
         twice = angles[np.argmax(np.diff(angles) < SAME_ANGLE)] / DEGREE
@@ -98,7 +98,7 @@ def _sorted(
     angles: Floats, deviation: Floats, std: Floats, period: float, name: str
 ) -> MeasuredCurve:
     position = np.array([wrapped(a) for a in angles]) if period else angles
-    order = np.argsort(position, kind="stable")
+    order = np.argsort(position)
     if np.any(np.diff(position[order]) < SAME_ANGLE):
         raise DataError(f"{name}: more than one turn; give every table position once")
     return MeasuredCurve(position[order], deviation[order], np.diag(std[order] ** 2), period)

@@ -60,12 +60,14 @@ class Verification:
 
     ``stated`` (rad) is what the table should leave. ``iso`` holds ISO 230-2 evaluations of
     the axis itself under "before" and "after", where somebody knows its true angle.
+    ``verdict_lines`` are those of the two measurements, by the same names.
     """
 
     before: Positioning
     after: Positioning
     stated: float
     iso: Mapping[str, Iso230] = field(default_factory=dict)
+    verdict_lines: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def ratio(self) -> float:
@@ -77,6 +79,15 @@ class Verification:
         """Largest deviation (rad) that may be left: both uncertainties and what was stated."""
         squares = float(np.max(self.before.std)) ** 2 + float(np.max(self.after.std)) ** 2
         return AGREEMENT * float(np.sqrt(squares)) + self.stated
+
+    @property
+    def reserves(self) -> tuple[str, ...]:
+        """What the verdict on each measurement does not cover; both may share such an error."""
+        return tuple(
+            f"measurement {when}: {line}"
+            for when, line in self.verdict_lines.items()
+            if line != "ok"
+        )
 
     @property
     def verdict(self) -> Verdict:
@@ -92,6 +103,7 @@ class Verification:
         data: dict[str, Any] = {
             "schema": SCHEMA,
             "verdict": self.verdict,
+            "verdict_lines": dict(self.verdict_lines),
             "ratio": self.ratio,
             "stated_residual_arcsec": self.stated / ARCSEC,
             "expected_at_most_arcsec": self.expected / ARCSEC,

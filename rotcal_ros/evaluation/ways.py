@@ -93,7 +93,7 @@ def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
         result = evaluation.result
         lines.append(
             f"{evaluation.name}: {result.n_observations} observations, {result.dof} degrees of "
-            f"freedom, verdict {result.verdict}"
+            f"freedom, verdict {result.verdict_line}"
         )
         for name in result.components:
             unit, label = unit_of(name)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtrc, chdtri, fdtri, ndtri
+from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc, fdtri, ncfdtrinc, ndtr, ndtri
 
 from rotcal_ros.arrays import Floats
 
@@ -28,6 +28,32 @@ def f_isf(probability: float, dof: ArrayLike, dof_below: ArrayLike) -> Floats:
     return np.asarray(fdtri(dof, dof_below, 1.0 - probability), dtype=np.float64)
 
 
+def f_sf(value: float, dof: float, dof_below: float) -> float:
+    """Return how probably F with ``dof`` over ``dof_below`` exceeds ``value``."""
+    return float(fdtrc(dof, dof_below, value))
+
+
+def normal_sf(value: float) -> float:
+    """Return how probably a standard normal number exceeds ``value``."""
+    return float(ndtr(-value))
+
+
 def normal_isf(probability: float) -> float:
     """Return what a standard normal number exceeds with ``probability``."""
     return float(-ndtri(probability))
+
+
+def f_noncentrality(limit: float, dof: float, dof_below: float, power: float) -> float:
+    """Return the noncentrality at which F exceeds ``limit`` with the probability ``power``."""
+    return float(ncfdtrinc(dof, dof_below, 1.0 - power, limit))
+
+
+def noncentrality(significance: float, power: float, dof: int = 1) -> float:
+    """Return Baarda's lambda0: what shifts chi-squared with ``dof`` enough to be found.
+
+    A test of ``significance`` finds a noncentral chi-squared of this noncentrality with the
+    probability ``power``. For one degree of freedom its root is delta0: 4.13 at 0.001 and 0.80
+    (Baarda 1968, A testing procedure for use in geodetic networks).
+    """
+    critical = float(chi2_isf(significance, dof))
+    return float(chndtrinc(critical, dof, 1.0 - power))

@@ -12,27 +12,23 @@ For example::
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
 from rotcal_ros.catalogue import Configuration
-from rotcal_ros.errors import ConfigurationError, DataError, RotcalError
+from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.outcome import Feedback, Outcome, text_of
 from rotcal_ros.nodes.peer import Peer
 from rotcal_ros.nodes.running import use_middleware
-from rotcal_ros.planning.plan import PAUSED
-from rotcal_ros.results import Result
 
 CANCEL_TIMEOUT_S: Final = 15.0
 ANSWER_TIMEOUT_S: Final = 10.0
@@ -42,56 +38,6 @@ _GRACE_S: Final = 0.5
 """Time for a result that is on its way when the planner has left."""
 _ON_ITS_WAY_S: Final = 0.1
 """Time for a feedback that is on its way when a pause has ended."""
-
-
-@dataclass(frozen=True, slots=True)
-class Feedback:
-    """How far a calibration has come; None is what nobody knows yet.
-
-    ``accepted`` and ``rejected`` count attempts.
-    """
-
-    step: int
-    total: int
-    activity: str
-    time_left_s: float | None
-    current_std_rad: float | None
-    accepted: int
-    rejected: int
-
-    @property
-    def instruction(self) -> str:
-        """What a person has to do before the calibration goes on; empty: nothing."""
-        return self.activity.removeprefix(PAUSED) if self.activity.startswith(PAUSED) else ""
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How a calibration ended: ``error_code`` 0 means with a result, see docs/interfaces.md.
-
-    ``bag_folder`` and ``result_file`` are absolute paths, empty where there is none. The verdict
-    is ok, suspect or failed. ``skipped_steps`` were given up after all attempts.
-    """
-
-    canceled: bool = False
-    error_code: int = 0
-    error_msg: str = ""
-    bag_folder: str = ""
-    result_file: str = ""
-    verdict: str = ""
-    n_used: int = 0
-    n_rejected: int = 0
-    skipped_steps: tuple[int, ...] = ()
-
-    def load(self) -> Result:
-        """Return the result; DataError with the reason when there is none."""
-        if not self.result_file:
-            raise DataError(f"the calibration has no result: {self.error_msg}")
-        try:
-            text = Path(self.result_file).read_text(encoding="utf-8")
-        except OSError as error:
-            raise DataError(f"cannot read the result {self.result_file}: {error}") from error
-        return Result.from_dict(json.loads(text))
 
 
 class CalibratorError(RotcalError):
@@ -155,7 +101,7 @@ class Calibrator:
         """
         if self._running():
             raise CalibratorError("a calibration is running: wait for result() or call cancel()")
-        goal = Calibrate.Goal(configuration=_text_of(configuration), start_index=start_index)
+        goal = Calibrate.Goal(configuration=text_of(configuration), start_index=start_index)
         self.wait_until_ready()
         self._feedback, self._outcome, self._deadline_s = None, None, math.inf
         self._handle = self._answer = None
@@ -231,10 +177,7 @@ class Calibrator:
         if silent:
             self._peer.work_until(self._answer.done, _GRACE_S)
         if self._answer.done():
-            answer = self._answer.result()
-            values = {n: getattr(answer.result, n) for n in Outcome.__slots__ if n != "canceled"}
-            values["skipped_steps"] = tuple(answer.result.skipped_steps)
-            return Outcome(canceled=answer.status == GoalStatus.STATUS_CANCELED, **values)
+            return Outcome.of(self._answer.result())
         lost = Calibrate.Result.NODE_LOST
         if silent:
             return Outcome(error_code=lost, error_msg="node planner fell silent")
@@ -246,37 +189,10 @@ class Calibrator:
         return f"no answer from the planner; it is {self.planner_state or 'silent'}"
 
     def _hear(self, message: Any) -> None:
-        heard = message.feedback
-        self._feedback = Feedback(
-            step=heard.step,
-            total=heard.total,
-            activity=heard.activity,
-            time_left_s=_known(heard.time_left),
-            current_std_rad=_known(heard.current_std),
-            accepted=heard.n_accepted,
-            rejected=heard.n_rejected,
-        )
+        self._feedback = Feedback.of(message.feedback)
 
     def _wait(self, future: Any) -> Any:
         """Return the answer of the planner to a request."""
         if not self._peer.work_until(future.done, ANSWER_TIMEOUT_S):
             raise CalibratorError(self._no_answer())
         return future.result()
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _text_of(configuration: Path | str | Configuration) -> str:
-    """Return the YAML text of a configuration, however it is given."""
-    if isinstance(configuration, Configuration):
-        return configuration.text
-    if isinstance(configuration, str) and ("\n" in configuration or not configuration):
-        return configuration
-    try:
-        return Path(configuration).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(
-            f"cannot read the configuration {configuration}: {error}"
-        ) from error

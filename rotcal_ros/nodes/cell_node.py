@@ -102,7 +102,7 @@ class CellNode(Node, ABC):
         return True
 
     def finished(self) -> bool:
-        """Return whether the work is done without being told to end."""
+        """Return whether the work is done before the system asks the node to end."""
         return False
 
     @abstractmethod

@@ -22,13 +22,8 @@ from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 
-from rotcal_ros.nodes.calibrator import (
-    Calibrator,
-    CalibratorError,
-    Feedback,
-    GoalRefusedError,
-    Outcome,
-)
+from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
+from rotcal_ros.nodes.outcome import Feedback, Outcome
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
 PERIOD_S: Final = 0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +24,10 @@ BAG_TIMEOUT_S: Final = 10.0
 
 
 class GoalRun:
-    """One goal; ``measuring`` pauses where a person has to work."""
+    """One goal; ``measuring`` pauses where a person has to work.
+
+    ``verdict_line`` is what people read of the result, empty before there is one.
+    """
 
     def __init__(
         self, calibration: Calibration, continuation: Continuation, watch: GoalWatch
@@ -32,6 +36,7 @@ class GoalRun:
         self._continuation = continuation
         self._folder: SessionFolder | None = None
         self._bag_is_open = False
+        self.verdict_line = ""
         self.watch = watch
         self.measuring = Measuring(calibration, continuation, watch)
 
@@ -45,6 +50,7 @@ class GoalRun:
             await self.measuring.measure_all()
             answer = await self._solve()
             outcome.verdict = answer.verdict
+            self.verdict_line = json.loads(answer.result_json)["verdict_line"]
             await self._close_bag()
             outcome.result_file = _keep(answer.result_json, folder.result)
         except GoalError as error:

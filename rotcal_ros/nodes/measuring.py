@@ -56,11 +56,13 @@ class Measuring:
         What the method can live with is asked for ``max_attempts`` times, what makes a result
         impossible until the goal is canceled.
         """
-        text = pause.instruction
+        text, begin = pause.instruction, pause.first
         for asked in count(1):
-            await self._ask(pause, text)
-            for index in range(pause.first, pause.last + 1):
+            if pause.again_from is None or asked > 1:
+                await self._ask(pause, text)
+            for index in range(begin, pause.last + 1):
                 await self._measure(index)
+            begin = pause.first if pause.again_from is None else pause.again_from
             found, hopeless = self._complaints()
             if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
                 return

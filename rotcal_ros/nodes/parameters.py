@@ -99,7 +99,7 @@ def _default(value: Any, declared: Declaration) -> Any:
 
 
 def _descriptor(declared: Declaration, read_only: bool) -> ParameterDescriptor:
-    """Describe a setting; ROS knows ranges of scalars only, all else is said in words."""
+    """Describe a setting; ROS knows ranges of scalars only, all else goes into the description."""
     info = declared.info
     descriptor = ParameterDescriptor(description=info.description, read_only=read_only)
     words = []

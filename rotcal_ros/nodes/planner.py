@@ -15,7 +15,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
-from rotcal_ros.catalogue import prepare
+from rotcal_ros.catalogue import prepare_to_measure
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
@@ -109,12 +109,12 @@ class Planner(CellNode, LifecycleNode):
             outcome = Codes(error_code=Codes.UNKNOWN, error_msg=repr(error))
         finally:
             self._run = None
-        self._end(handle, outcome)
+        self._end(handle, outcome, goal.verdict_line)
         return outcome
 
     def _prepare(self, handle: ServerGoalHandle) -> GoalRun:
         """Return the run of a goal; ConfigurationError or PlanError when it is impossible."""
-        calibration = prepare(self._configured.configuration(handle.request))
+        calibration = prepare_to_measure(self._configured.configuration(handle.request))
         continuation, self._continuation = self._continuation, None
         plan_id, start_index = calibration.configuration.plan_id, handle.request.start_index
         asked = (plan_id, start_index)
@@ -135,9 +135,9 @@ class Planner(CellNode, LifecycleNode):
         )
         return GoalRun(calibration, continuation, watch)
 
-    def _end(self, handle: ServerGoalHandle, outcome: Codes) -> None:
+    def _end(self, handle: ServerGoalHandle, outcome: Codes, verdict_line: str) -> None:
         if outcome.error_code == Codes.NONE:
-            self.get_logger().info(f"calibration done, verdict {outcome.verdict}")
+            self.get_logger().info(f"calibration done, verdict {verdict_line}")
             handle.succeed()
             return
         self.get_logger().error(f"calibration ended: {outcome.error_msg}")

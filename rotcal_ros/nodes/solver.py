@@ -116,7 +116,7 @@ class SolverNode(CellNode):
             response.result_json = result.to_json()
             response.verdict = result.verdict
             response.success = True
-            self._state = f"final result, verdict {result.verdict}"
+            self._state = f"final result, verdict {result.verdict_line}"
         except Exception as error:
             if not isinstance(error, RotcalError):
                 self.health.note_error("final solution", error)

@@ -111,9 +111,8 @@ def best_layout(
 def count_layouts(grid: int, n_balls: int, min_gap: int = 1) -> int:
     """Return how many layouts the exhaustive search enumerates (reflections counted twice)."""
     return sum(
-        comb(free + n_balls - 2, n_balls - 2)
+        comb(grid - n_balls * gap + n_balls - 2, n_balls - 2)
         for gap in range(min_gap, grid // n_balls + 1)
-        if (free := grid - n_balls * gap) >= 0
     )
 
 
@@ -139,11 +138,9 @@ def _necklaces(grid: int, n_balls: int, min_gap: int) -> Iterator[Ints]:
     """
     for gap in range(min_gap, grid // n_balls + 1):
         free = grid - n_balls * gap  # to be shared out among the other gaps
-        if free < 0:
-            continue
         for chosen in _choices(range(free + n_balls - 2), n_balls - 2):
             edge = np.full((len(chosen), 1), -1), np.full((len(chosen), 1), free + n_balls - 2)
-            others = np.diff(np.hstack([edge[0], chosen, edge[1]]), axis=1) - 1 + gap
+            others = np.diff(np.hstack([edge[0], chosen, edge[1]])) - 1 + gap
             others = others[others[:, 0] <= others[:, -1]]
             start = np.zeros((len(others), 1), dtype=np.int64)
             yield np.hstack([start, start + gap, gap + np.cumsum(others[:, :-1], axis=1)])
@@ -152,7 +149,7 @@ def _necklaces(grid: int, n_balls: int, min_gap: int) -> Iterator[Ints]:
 def _subsets(grid: int, places: Ints, n_balls: int, min_gap: int) -> Iterator[Ints]:
     """Yield batches of all subsets of the places that keep the gaps."""
     for layouts in _choices(places.tolist(), n_balls):
-        gaps = np.diff(np.hstack([layouts, layouts[:, :1] + grid]), axis=1)
+        gaps = np.diff(np.hstack([layouts, layouts[:, :1] + grid]))
         yield layouts[gaps.min(axis=1) >= min_gap]
 
 
@@ -251,8 +248,8 @@ def _best_of(grid: int, layouts: Ints, weights: Floats) -> tuple[float, Ints, Fl
 
 def _scores(variances: Floats, weights: Floats) -> Floats:
     """Return the weighted sums (L,); layouts that do not separate count as infinite."""
-    scores: Floats = np.where(np.isfinite(variances).all(axis=1), 0.0, np.inf)
-    good = np.isfinite(scores)
+    good = np.isfinite(variances).all(axis=1)
+    scores = np.full(len(variances), np.inf)
     scores[good] = variances[good] @ weights
     return scores
 

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import PlanError
 
-Order = Literal["table_once", "probe_rests"]
+Order = Literal["interleaved", "table_once", "probe_rests"]
+DEFAULT_ORDER: Final[Order] = "interleaved"
+ROUNDS: Final = 4
+"""Turns of the table in the interleaved order where none are asked for."""
+CLOSING_BALLS: Final = 3
+"""Balls at a table position below which its repetition tells no motion."""
+_GOLDEN: Final = 0.5 * (np.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True)
@@ -38,13 +44,15 @@ class BallPlan:
     ``table_angle`` is unwrapped, in radians: the table turns to it from the row before.
     ``table_travel`` (rad) adds up all its motion, ``reversals`` counts changes of direction,
     ``duration`` is predicted in seconds, ``lead_in`` the angle from which the first position is
-    approached so that all are approached from the same side.
+    approached so that all are approached from the same side. The last ``closing`` rows measure
+    the first table position again.
     """
 
     grid: int
     position: Ints
     ball_step: Ints
     table_angle: Floats
+    closing: int
     lead_in: float
     table_travel: float
     reversals: int
@@ -61,25 +69,33 @@ def plan_measurement(
     balls: list[int] | Ints,
     *,
     positions: list[int] | Ints | None = None,
-    order: Order = "table_once",
-    rounds: int = 1,
+    order: Order = DEFAULT_ORDER,
+    rounds: int = 0,
+    closing: bool = True,
     backlash: bool = True,
     radius: float = 0.185,
     kinematics: Kinematics | None = None,
 ) -> BallPlan:
     """Order the centres of all balls at the CMM positions (all when None).
 
-    ``table_once`` turns the table once around in all and lets the probe visit the balls at
-    every position, to and fro; ``probe_rests`` keeps the probe at one CMM position and turns
-    all balls to it, as in the paper. ``rounds`` > 1 turns the table around so often, each time
-    for a share of the CMM positions that is spread over the circle: the errors separate after
-    the first rounds and the rest only sharpens them. With ``backlash`` every position is
-    approached in the positive direction: no reversals, and a lead-in of one step. ``radius`` of
-    the ball circle in metres. Raises PlanError for steps outside the grid.
+    ``interleaved`` turns the table around ``rounds`` times (ROUNDS when 0) and measures a share
+    of the balls at every stop, another one each time: every ball, every table position and every
+    CMM position is met early and late, so that nothing can take a drift or a knock for its own.
+    ``table_once`` turns the table once around in all and lets the probe visit all balls at every
+    position, to and fro; with ``rounds`` > 1 it goes around so often, each time for a share of
+    the CMM positions. ``probe_rests`` keeps the probe at one CMM position and turns all balls to
+    it, as in the paper. ``closing`` measures the first table position again at the end (the first
+    with most balls, where positions are left out). With
+    ``backlash`` every position is approached in the positive direction: no reversals, and a
+    lead-in of one step. ``radius`` of the ball circle in metres. Raises PlanError for steps
+    outside the grid.
     """
     balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
-    _check_steps(grid, balls, cmm, rounds)
+    _check_steps(grid, balls, cmm)
     turns, ball = _ordered(order, grid, balls, cmm, rounds, backlash)
+    n_once = len(turns)
+    if closing:
+        turns, ball = _closed(grid, turns, ball, backlash)
     step = 2.0 * np.pi / grid
     angle = np.asarray(turns * step, dtype=np.float64)
     lead_in = float(angle[0]) - (step if backlash else 0.0)
@@ -90,6 +106,7 @@ def plan_measurement(
         position=turns % grid,
         ball_step=ball,
         table_angle=angle,
+        closing=len(turns) - n_once,
         lead_in=lead_in,
         table_travel=float(np.abs(moves).sum()),
         reversals=int(np.count_nonzero(np.diff(directions))),
@@ -97,33 +114,70 @@ def plan_measurement(
     )
 
 
-def _check_steps(grid: int, balls: Ints, cmm: Ints, rounds: int) -> None:
+def _check_steps(grid: int, balls: Ints, cmm: Ints) -> None:
     for name, steps in (("ball steps", balls), ("CMM positions", cmm)):
         if not len(steps) or steps[0] < 0 or steps[-1] >= grid:
             raise PlanError(f"{name} must lie in 0..{grid - 1}, found {steps.tolist()}")
-    if not 1 <= rounds <= len(cmm):
-        raise PlanError(f"{len(cmm)} CMM positions cannot be shared out among {rounds} rounds")
 
 
 def _ordered(
     order: Order, grid: int, balls: Ints, cmm: Ints, rounds: int, backlash: bool
 ) -> tuple[Ints, Ints]:
     """Return turn of the table and ball step (n,) of every centre, in the order of measurement."""
+    if order == "interleaved":
+        return _interleaved(grid, balls, cmm, rounds or min(ROUNDS, len(balls)))
     if order == "table_once":
-        return _in_rounds(grid, balls, cmm, rounds)
+        return _in_rounds(grid, balls, cmm, rounds or 1)
     if order == "probe_rests":
         return (_probe_rests if backlash else _to_and_fro)(grid, balls, cmm)
-    raise PlanError(f"unknown order {order!r}: table_once or probe_rests")
+    raise PlanError(f"unknown order {order!r}: interleaved, table_once or probe_rests")
+
+
+def _closed(grid: int, turns: Ints, ball: Ints, backlash: bool) -> tuple[Ints, Ints]:
+    """Add the balls of the first table position that has most of them once more."""
+    position = turns % grid
+    count = np.bincount(position, minlength=grid)[position]
+    reference = position[int(np.argmax(count))]
+    again = _from_largest_gap(grid, np.unique(ball[position == reference]))
+    if len(again) < CLOSING_BALLS:
+        return turns, ball
+    onward = int(reference - turns[-1]) % grid
+    if not backlash and onward > grid // 2:
+        onward -= grid
+    last = np.full(len(again), turns[-1] + onward)
+    return np.concatenate([turns, last]), np.concatenate([ball, again])
+
+
+def _interleaved(grid: int, balls: Ints, cmm: Ints, rounds: int) -> tuple[Ints, Ints]:
+    """Go around ``rounds`` times; every stop takes each ``rounds``-th ball along the circle.
+
+    Which ball begins changes from stop to stop without a period that the grid could share.
+    """
+    if not 1 <= rounds <= len(balls):
+        raise PlanError(f"{len(balls)} balls cannot be shared out among {rounds} rounds")
+    around = _from_largest_gap(grid, balls)
+    first = np.floor(np.arange(grid) * _GOLDEN * rounds).astype(np.int64)
+    turns, visited = [], []
+    forward = True
+    for number in range(rounds):
+        for position in range(grid):
+            taken = (np.arange(len(around)) + first[position]) % rounds == number
+            here = around[taken & np.isin((position + around) % grid, cmm)]
+            visited.append(here if forward else here[::-1])
+            turns.append(np.full(len(here), number * grid + position))
+            forward = forward != bool(len(here))
+    return np.concatenate(turns), np.concatenate(visited)
 
 
 def spread_out(grid: int) -> Ints:
     """Order the positions so that any first few are spread over the circle without a period."""
-    golden = 0.5 * (np.sqrt(5.0) - 1.0)
-    return np.argsort(np.argsort(np.arange(grid) * golden % 1.0))
+    return np.argsort(np.argsort(np.arange(grid) * _GOLDEN % 1.0))
 
 
 def _in_rounds(grid: int, balls: Ints, cmm: Ints, rounds: int) -> tuple[Ints, Ints]:
     """Go around once for every share of the CMM positions, the table always onward."""
+    if not 1 <= rounds <= len(cmm):
+        raise PlanError(f"{len(cmm)} CMM positions cannot be shared out among {rounds} rounds")
     spread = spread_out(grid)
     shares = np.array_split(spread[np.isin(spread, cmm)], rounds)
     turns, visited = [], []

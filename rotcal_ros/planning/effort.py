@@ -86,7 +86,7 @@ def unit_std(
 
     For any choice of balls and CMM positions; ObservabilityError when it separates nothing.
     """
-    ball, cmm = (axis.ravel() for axis in np.meshgrid(balls, positions, indexing="ij"))
+    ball, cmm = (axis.ravel() for axis in np.meshgrid(balls, positions))
     angle = grid_angles(grid)[cmm]
     nominal = radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
     problem = BallPlateProblem(grid, radius, (cmm - ball) % grid, ball, nominal)

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Complexes, Floats, Ints
-from rotcal_ros.methods.ball_plate.harmonics import couplings
+from rotcal_ros.methods.ball_plate.harmonics import couplings, multiplicity
 
 SINGULAR: Final = 1e-7
 """Relative determinant below which a layout counts as not separable."""
@@ -38,7 +38,7 @@ def spectrum(grid: int, layouts: Ints) -> Complexes:
     """Return P(q) of layouts (L, R) for q = 0 .. N//2 + 1, (L, N//2 + 2)."""
     present = np.zeros((len(layouts), grid))
     present[np.arange(len(layouts))[:, None], layouts] = 1.0
-    half = np.fft.rfft(present, axis=1)
+    half = np.fft.rfft(present)
     beyond = half[:, grid - grid // 2 - 1].conj()  # P(N//2 + 1), by symmetry
     extended: Complexes = np.concatenate([half, beyond[:, None]], axis=1)
     return extended
@@ -59,14 +59,6 @@ def proven_bound(grid: int, n_balls: int) -> Floats:
     rest = (power - 2.0 * first) / others
     pair = 1.0 / (n_balls - first / n_balls) + others / (n_balls - rest / n_balls)
     return np.array([each, pair / grid, 2.0 * pair / grid, each])
-
-
-def _multiplicity(grid: int) -> Floats:
-    """How often the harmonics q = 1..N//2 occur with both signs."""
-    twice = np.full(grid // 2, 2.0)
-    if grid % 2 == 0:
-        twice[-1] = 1.0
-    return twice
 
 
 def _variances(sums: Complexes, grid: int, n_balls: int) -> Floats:
@@ -90,7 +82,7 @@ def _variances(sums: Complexes, grid: int, n_balls: int) -> Floats:
         height = (upper * lower - cross_power) / determinant
     bad = _singular(upper, lower, middle, turn, determinant, n_balls)
     plane_down[:, 0] = tilt_down[:, 0] = 0.0
-    twice = _multiplicity(grid) / grid
+    twice = multiplicity(grid) / grid
     result = np.stack(
         [
             turn @ twice,

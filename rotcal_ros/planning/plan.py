@@ -76,15 +76,18 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """A person's work before step ``first``, told in ``instruction``.
+    """A person's work before step ``first``, described in ``instruction``.
 
     The steps ``first`` to ``last`` show whether it was done well: they are measured and judged by
-    the method before the rest follows. ``last`` = ``first`` - 1: nothing shows it.
+    the method before the rest follows. ``last`` = ``first`` - 1: nothing shows it. With
+    ``again_from`` there is nothing to do first: only where the steps show something wrong is the
+    person asked, and everything from that step on measured again.
     """
 
     first: int
     last: int
     instruction: str
+    again_from: int | None = None
 
 
 @dataclass(frozen=True)

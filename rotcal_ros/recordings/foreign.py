@@ -22,7 +22,7 @@ POINT: Final = "geometry_msgs/msg/PointStamped"
 
 @dataclass(frozen=True, slots=True)
 class Position:
-    """Where the probe is (m, machine frame), told without a step."""
+    """Where the probe is (m, machine frame), received without a step."""
 
     stamp_ns: int
     position: Point

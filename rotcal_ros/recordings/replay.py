@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -39,6 +39,11 @@ class Recording:
     had published; ``counts`` is what the capture counted per stream (empty when the
     observations were taken from the bag), ``broken`` the messages per topic that could not be
     decoded, and ``sha256`` maps file names to hashes.
+
+    >>> import rotcal_ros as rc
+    >>> recording = rc.read_bag("examples/data/ball_plate_bag")
+    >>> recording.warnings(), recording.solve().verdict
+    ((), 'ok')
     """
 
     calibration: catalogue.Calibration
@@ -98,8 +103,8 @@ def read_recording(
     topics = topics or Topics()
     if configuration is None:
         configuration = find_configuration(files, topics)
-    calibration = catalogue.prepare(configuration)
     topics.renamed = {**configuration.topics.renamed(), **topics.renamed}
+    calibration = _as_planned(configuration, files, topics)
     feeder = StreamFeeder(
         calibration.capture,
         configuration.cell.joint,
@@ -151,6 +156,31 @@ def find_configuration(files: tuple[Path, ...], topics: Topics) -> Configuration
         f"attachment {names.CONFIGURATION} nor a message on the topic {names.PLAN}; "
         "give the set-up (--setup)"
     )
+
+
+def _as_planned(
+    configuration: Configuration, files: tuple[Path, ...], topics: Topics
+) -> catalogue.Calibration:
+    """Return the calibration with the plan that was measured, be it one of an earlier version.
+
+    The number of steps tells, as announced on the ``plan`` topic.
+    """
+    calibration = catalogue.prepare(configuration)
+    older = [plan(configuration) for plan in configuration.method.older_plans]
+    if not older:
+        return calibration
+    announced = next(_announced_steps(files, topics), len(calibration.plan.steps))
+    plans = (plan for plan in (calibration.plan, *older) if len(plan.steps) == announced)
+    return replace(calibration, plan=next(plans, calibration.plan))
+
+
+def _announced_steps(files: tuple[Path, ...], topics: Topics) -> Iterator[int]:
+    decoders: Decoders = {}
+    for scan in map(scan_file, files):
+        for block in scan.blocks():
+            for part in topics.split(block, scan.channels, decoders):
+                if part.role == names.PLAN:
+                    yield from (message.total_steps for _, message in part.messages(block))
 
 
 def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
+from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
+from rotcal_ros.evaluation.combination import Measured
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
+from rotcal_ros.session_folder import SessionFolder
 
 
 @dataclass(frozen=True)
@@ -32,10 +35,19 @@ class Source:
 
 
 def read_source(path: Path) -> Source:
-    """Return the result in a JSON file, or the solution of a bag.
+    """Return the result in a JSON file, the solution of a bag, or the result of a session.
 
-    Raises BagError when it cannot be read, DataError when the file holds no result.
+    The folder of a session that is not finished yet has no result: its bag is solved. Raises
+    BagError when it cannot be read, DataError when the file holds no result.
     """
+    session = SessionFolder(path)
+    if session.result.is_file():
+        # The result of a file does not know its axis, its session does.
+        known = session.configuration.is_file()
+        axis = read_configuration(session.configuration).cell.axis if known else None
+        return replace(read_source(session.result), axis=axis)
+    if session.bag.is_dir():
+        return read_source(session.bag)
     if path.suffix != ".json":
         recording = read_recording(path)
         axis = recording.calibration.configuration.cell.axis
@@ -65,6 +77,13 @@ def read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise BagError(f"cannot read {path}: {error}") from error
+
+
+def read_measured(path: Path, polygon: MeasuredCurve | None = None) -> Measured:
+    """Return a result, a bag, a session or a reference table (.csv), ready to be combined."""
+    if path.suffix == ".csv":
+        return Measured.of(str(path), read_curve(path, "ECC", polygon))
+    return Measured.of(str(path), read_source(path).result)
 
 
 def read_curve(path: Path, component: str, polygon: MeasuredCurve | None) -> MeasuredCurve:

@@ -1,4 +1,4 @@
-"""What is in a bag, told without decoding its messages."""
+"""What is in a bag, found without decoding its messages."""
 
 from __future__ import annotations
 

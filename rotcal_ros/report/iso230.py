@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.bidirectional import runs_of
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
+from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, BidirectionalRuns, Iso230, iso230
 from rotcal_ros.figures import style
 from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
@@ -78,8 +78,9 @@ def section(result: Result) -> str:
         return ""
     figures = iso230(runs)
     rows = [
-        (name, ["–" if v is None else f"{v / ARCSEC:.3f}" for v in values])
-        for name, values in figures.summary()
+        (name, ["–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded)])
+        for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
     ]
     drawn = diagrams(runs, figures)
-    return render("iso230", figure=drawn, rows=rows, warnings=figures.warnings)
+    notes = () if figures.measurement_stated else (ONLY_SCATTER,)
+    return render("iso230", figure=drawn, rows=rows, notes=notes, warnings=figures.warnings)

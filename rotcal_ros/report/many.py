@@ -12,8 +12,9 @@ import numpy as np
 from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.figures import style
-from rotcal_ros.files import write_atomically
+from rotcal_ros.files import replace_atomically, write_atomically
 from rotcal_ros.recordings.many import Outcome
+from rotcal_ros.report import trust
 from rotcal_ros.report.template import render
 
 
@@ -36,6 +37,7 @@ def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
             ("key", pa.string()),
             ("start", pa.timestamp("ns", tz="UTC")),
             ("verdict", pa.string()),
+            ("verdict_line", pa.string()),
             ("error", pa.string()),
             ("sigma0", pa.float64()),
             ("n_observations", pa.int64()),
@@ -47,9 +49,8 @@ def write_table(outcomes: Sequence[Outcome], path: Path) -> None:
         ]
     )
     rows = [row for outcome in outcomes for row in _rows(outcome)]
-    temporary = path.with_name(path.name + ".part")
-    parquet.write_table(pa.Table.from_pylist(rows, schema), temporary)
-    temporary.replace(path)
+    table = pa.Table.from_pylist(rows, schema)
+    replace_atomically(path, lambda temporary: parquet.write_table(table, temporary))
 
 
 def write_overview(outcomes: Sequence[Outcome], configuration_text: str, path: Path) -> None:
@@ -83,6 +84,7 @@ def _rows(outcome: Outcome) -> list[dict[str, Any]]:
         return [common]
     common |= {
         "verdict": result.verdict,
+        "verdict_line": result.verdict_line,
         "sigma0": result.sigma0,
         "n_observations": result.n_observations,
         "n_rejected": len(result.rejected),
@@ -111,7 +113,8 @@ def _summary(outcome: Outcome) -> dict[str, Any]:
         "source": outcome.source,
         "table": outcome.table,
         "start": begin,
-        "verdict": result.verdict if result is not None else "no result",
+        "verdict": "no result" if result is None else result.verdict_line,
+        "standing": "no" if result is None else trust.standing(result),
         "span": ", ".join(ranges),
         "notes": [outcome.error] if outcome.error else warnings,
     }

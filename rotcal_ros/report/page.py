@@ -11,7 +11,7 @@ from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import harmonics
+from rotcal_ros.report import harmonics, reliability, trust
 from rotcal_ros.report.iso230 import section as iso230_section
 from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
@@ -43,6 +43,8 @@ def render_report(report: ReportInput) -> str:
     """Return the report as one HTML page without any reference to other files."""
     result = report.result
     evaluated = [
+        (trust.TITLE, trust.section(result)),
+        (reliability.TITLE, reliability.section(result)),
         ("Harmonic content", harmonics.section(result)),
         ("ISO 230-2: positioning of the axis", iso230_section(result)),
     ]
@@ -55,6 +57,7 @@ def render_report(report: ReportInput) -> str:
         columns=[f"{name} / {unit_of(name)[1]}" for name in result.components],
         rows=_deviation_rows(result),
         summary=_summary(result),
+        standing=trust.standing(result),
         extra=[*(section for section in evaluated if section[1]), *report.extra],
         sections=[(name.replace("_", " "), text) for name, text in details if text],
         attempts=[o for o in report.observations if not o.accepted],
@@ -110,7 +113,7 @@ def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
 
 def _summary(result: Result) -> list[tuple[str, str]]:
     summary = [
-        ("Verdict", result.verdict),
+        ("Verdict", result.verdict_line),
         ("Observations", f"{result.n_observations}, of these {len(result.rejected)} rejected"),
         ("Degrees of freedom", str(result.dof)),
         ("σ₀ (1 = the stated noise fits)", f"{result.sigma0:.3f}"),

@@ -11,8 +11,10 @@ from typing import Any
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
+from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import Recording
+from rotcal_ros.recordings.sources import Source
 from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.results import Result
 
@@ -43,6 +45,23 @@ def write_recorded(
     )
     write_atomically(page, render_report(report))
     return report.result
+
+
+def write_result(source: Source, page: Path, truth: Mapping[str, Any] | None = None) -> Result:
+    """Write the page about a result that comes without its bag, and return the result."""
+    result = source.result
+    installed = result.method in method_names()
+    report = ReportInput(
+        result=result,
+        title="Calibration of a rotary table",
+        method_title=find_method(result.method).title if installed else result.method,
+        inputs=list(source.sha256.items()),
+        versions=_versions({}),
+        truth=truth,
+        notes=source.warnings,
+    )
+    write_atomically(page, render_report(report))
+    return result
 
 
 def _versions(attachments: Mapping[str, bytes]) -> dict[str, str]:

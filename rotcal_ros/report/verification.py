@@ -46,7 +46,9 @@ def verification_section(verification: Verification) -> tuple[str, str]:
         f"of both measurements and {verification.stated / ARCSEC:.3f} arcsec of the table itself."
     )
     head = "<tr><th>arcsec</th><th>before</th><th>after</th></tr>"
-    return TITLE, f"<p>{text}</p>{before_and_after(before, after)}<table>{head}{cells}</table>"
+    reserves = "".join(f"<p>{escape(line)}</p>" for line in verification.reserves)
+    drawing = before_and_after(before, after)
+    return TITLE, f"<p>{text}</p>{reserves}{drawing}<table>{head}{cells}</table>"
 
 
 @style.styled

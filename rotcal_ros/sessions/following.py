@@ -13,6 +13,7 @@ from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.files import write_atomically
 from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.sources import read_source
 from rotcal_ros.report.terminal.console import progress_bar, say
 from rotcal_ros.sessions.commands import CLIENT
 from rotcal_ros.sessions.person import Person
@@ -38,7 +39,8 @@ def calibrate(session: Session, *, at_once: bool = False) -> dict[str, Any]:
     """Run the nodes of a session to the end and return the outcome of the goal.
 
     A person's work counts as done ``at_once`` or when the person says so. The outcome's
-    ``interrupted`` is true when the user ended it. Raises RotcalError when it failed.
+    ``interrupted`` is true when the user ended it, else its ``verdict_line`` says how far to
+    trust the result. Raises RotcalError when it failed.
     """
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
@@ -50,6 +52,8 @@ def calibrate(session: Session, *, at_once: bool = False) -> dict[str, Any]:
         say(f"to go on: {session.resume_command}")
     elif outcome["error_code"]:
         _fail(session, outcome)
+    else:
+        outcome["verdict_line"] = read_source(session.folder.result).result.verdict_line
     return outcome
 
 

@@ -87,19 +87,33 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
 
 
 def export_files(
-    source: Source, table: CompensationTable, names: Sequence[str], spacing: float | None = None
+    source: Source,
+    table: CompensationTable,
+    names: Sequence[str],
+    spacing: float | None = None,
+    *,
+    accept_unverified: bool = False,
 ) -> dict[str, ExportFiles]:
     """Return the files of the controllers ``names``, with rows every ``spacing`` rad."""
     now = datetime.now(timezone.utc)
     return {
-        name: prepare_export(table, name, now=now, spacing=spacing, sources=source.sha256)
+        name: prepare_export(
+            table,
+            name,
+            now=now,
+            spacing=spacing,
+            sources=source.sha256,
+            accept_unverified=accept_unverified,
+        )
         for name in names
     }
 
 
 def write_exports(exports: dict[str, ExportFiles], folder: Path) -> None:
     """Write the files of several controllers, all or none."""
-    write_files({n: text for one in exports.values() for n, text in one.files.items()}, folder)
+    write_files(
+        {n: text for export in exports.values() for n, text in export.files.items()}, folder
+    )
 
 
 def _write_compensation(session: Session) -> None:

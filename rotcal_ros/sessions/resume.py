@@ -97,6 +97,10 @@ def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
         return ()
     for warning in recording.warnings():
         say(f"warning: {warning}")
+    if recording.calibration.plan.steps != calibration.plan.steps:
+        raise ConfigurationError(
+            f"{bag} was begun by an earlier version, whose steps were others: begin a new one"
+        )
     return recording.observations
 
 

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rotcal_ros.catalogue import Calibration, Configuration, changed, prepare, read_configuration
+from rotcal_ros.catalogue import (
+    Calibration,
+    Configuration,
+    changed,
+    prepare_to_measure,
+    read_configuration,
+)
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.files import write_atomically
@@ -72,7 +78,7 @@ def prepare_session(
 
 def checked_calibration(source: Path, changes: Sequence[str]) -> Calibration:
     """Read a configuration with ``changes``; all of its groups and its plan are checked."""
-    return prepare(changed(read_configuration(source), changes))
+    return prepare_to_measure(changed(read_configuration(source), changes))
 
 
 def free_name(folder: Path) -> Path:

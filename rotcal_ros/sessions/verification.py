@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.catalogue import Calibration
 from rotcal_ros.compensation import plain_csv
 from rotcal_ros.compensation.export import ExportFiles
 from rotcal_ros.compensation.table import table_from_result
@@ -19,6 +21,8 @@ from rotcal_ros.evaluation.verification import Verification, positioning
 from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.sources import Source, read_source
 from rotcal_ros.report.terminal.console import say
+from rotcal_ros.results import Result
+from rotcal_ros.session_folder import VERIFICATION, SessionFolder
 from rotcal_ros.sessions.environment import require_ros
 from rotcal_ros.sessions.following import calibrate
 from rotcal_ros.sessions.products import export_files, write_exports, write_truth
@@ -50,20 +54,27 @@ def verify(
     spacing: float,
     controllers: Sequence[str] = (),
     files: Path | None = None,
+    accept_unverified: bool = False,
+    report_of: Path | None = None,
 ) -> tuple[Verification, tuple[str, ...]] | None:
     """Return the outcome and the controllers that got files; None when the user ended it.
 
     ``folder`` gets ``before``, ``after`` and verification.json. ``changes`` hold for both
     measurements, ``check`` for the second one. Files with rows every ``spacing`` rad are written
-    for CONTROLLERS and ``controllers`` into ``files`` (``folder``/compensation). Raises
-    ConfigurationError before anything is measured, DataError for a result that is not ok.
+    for CONTROLLERS and ``controllers`` into ``files`` (``folder``/compensation), as they would be
+    with ``accept_unverified``. ``report_of`` is an earlier run whose report will tell the outcome.
+    Raises ConfigurationError before anything is measured, DataError for a result that is not ok.
     """
+    wanted = _Wanted(spacing, controllers, files or folder / "compensation", accept_unverified)
     _check(configuration, folder, changes, check)
+    _check_report(folder, report_of)
+    _rehearse(wanted, checked_calibration(configuration, changes), folder)
     require_ros()
     before = _measure(configuration, folder / "before", changes)
     if before is None:
         return None
-    exports = _compensate(before, spacing, controllers, files or folder / "compensation")
+    exports = wanted.files(before.source, before.session.configuration.cell.axis)
+    write_exports(exports, wanted.folder)
     applied = _applied(exports[APPLIED])
     after = _measure(configuration, folder / "after", (*changes, *check, *applied))
     if after is None:
@@ -73,10 +84,37 @@ def verify(
         after=positioning(after.source.result),
         stated=exports[APPLIED].residual.stated,
         iso={"before": _true_figures(before), "after": _true_figures(after)},
+        verdict_lines={
+            "before": before.source.result.verdict_line,
+            "after": after.source.result.verdict_line,
+        },
     )
     data = verification.to_dict() | {"controllers": list(exports)}
-    write_atomically(folder / "verification.json", json.dumps(data, indent=1) + "\n")
+    write_atomically(folder / VERIFICATION, json.dumps(data, indent=1) + "\n")
     return verification, tuple(exports)
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """The controller files that are wanted: rows every ``spacing`` rad, into ``folder``."""
+
+    spacing: float
+    controllers: Sequence[str]
+    folder: Path
+    accept_unverified: bool
+
+    def files(self, source: Source, axis: str) -> dict[str, ExportFiles]:
+        """Return the files of all controllers for ``source``, by controller."""
+        table = table_from_result(source.result, axis=axis)
+        # An arc is nothing for a control that repeats its table every turn.
+        names = (*(n for n in CONTROLLERS if table.closed or n != "sinumerik"), *self.controllers)
+        return export_files(
+            source,
+            table,
+            list(dict.fromkeys(names)),
+            self.spacing,
+            accept_unverified=self.accept_unverified,
+        )
 
 
 def _check(
@@ -93,6 +131,41 @@ def _check(
         raise ConfigurationError(f"{folder} exists already and nothing is overwritten")
 
 
+def _check_report(folder: Path, report_of: Path | None) -> None:
+    """Raise ConfigurationError unless the run ``report_of`` can be given its report."""
+    if report_of is None:
+        return
+    run = SessionFolder(report_of)
+    if run.report.exists():
+        raise ConfigurationError(f"{run.report} exists already and nothing is overwritten")
+    if not run.bag.is_dir() and report_of not in (folder / "before", folder / "after"):
+        raise ConfigurationError(
+            f"--report-of {report_of}: there is no {run.bag}; name the folder of a finished run"
+        )
+
+
+def _rehearse(wanted: _Wanted, calibration: Calibration, folder: Path) -> None:
+    """Make the controller files of a perfect table, and raise ConfigurationError where they fail.
+
+    So a misspelt controller, rows that it cannot hold, or a name that is taken are told at once.
+    """
+    angles = np.unique(calibration.plan.table_angles)
+    nothing = {"ECC": np.zeros(len(angles))}
+    covariance = {"ECC": np.zeros((len(angles), len(angles)))}
+    perfect = Result(calibration.plan.method, angles, nothing, nothing, covariance, 1.0, 0, 0)
+    exports = wanted.files(Source(perfect, {}), calibration.configuration.cell.axis)
+    target = wanted.folder.absolute()
+    if folder / "after" in (target, *target.parents):
+        raise ConfigurationError(f"--files {target}: this folder is for the second measurement")
+    for path in (target / name for export in exports.values() for name in export.files):
+        if os.path.lexists(path):
+            raise ConfigurationError(f"--files: {path} exists already, nothing is overwritten")
+    for place in (folder, target):
+        above = next(path for path in (place, *place.parents) if path.exists())
+        if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+            raise ConfigurationError(f"{place} cannot be made: {above} takes no new files")
+
+
 def _measure(configuration: Path, folder: Path, changes: Sequence[str]) -> Measured | None:
     """Run one calibration; DataError unless its verdict is ok, None when the user ended it."""
     session = prepare_session(configuration, folder, changes)
@@ -107,21 +180,6 @@ def _measure(configuration: Path, folder: Path, changes: Sequence[str]) -> Measu
             f"{'; '.join(source.result.warnings)}"
         )
     return Measured(session, source)
-
-
-def _compensate(
-    before: Measured, spacing: float, further: Sequence[str], folder: Path
-) -> Mapping[str, ExportFiles]:
-    """Write the files of all controllers and return them by controller."""
-    axis = before.session.configuration.cell.axis
-    table = table_from_result(before.source.result, axis=axis)
-    # An arc is nothing for a control that repeats its table every turn.
-    names = [
-        n for n in dict.fromkeys((*CONTROLLERS, *further)) if table.closed or n != "sinumerik"
-    ]
-    exports = export_files(before.source, table, names, spacing)
-    write_exports(exports, folder)
-    return exports
 
 
 def _applied(export: ExportFiles) -> list[str]:

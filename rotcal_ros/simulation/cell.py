@@ -27,7 +27,7 @@ from rotcal_ros.units import NANOSECOND
 
 @dataclass(frozen=True, slots=True)
 class CellOutput:
-    """What the instruments said, each stream in the order of its stamps."""
+    """What the instruments sent, each stream in the order of its stamps."""
 
     tracer: tuple[TracerSample, ...]
     table: tuple[TableSample, ...]

@@ -1,4 +1,4 @@
-"""A table that another program moves: its actual angle is told, the cell follows."""
+"""A table that another program moves: the cell follows the actual angle that it reports."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rotcal_ros.units import DEGREE
 
 HISTORY: Final = 1000
 """Angles that are remembered; readings are never made further back than a fraction of these."""
-STILL: Final = 1e-10
-"""rad; a smaller change is no motion."""
+AT_REST_RAD: Final = 1e-10
+"""A smaller change of the angle is no motion."""
 
 
 class ExternalTable:
@@ -30,7 +30,7 @@ class ExternalTable:
 
     def follow(self, stamp_ns: int, angle: float) -> None:
         """Note the actual ``angle`` (rad) at ``stamp_ns``, later than the one before."""
-        if abs(angle - self._angles[-1]) > STILL:
+        if abs(angle - self._angles[-1]) > AT_REST_RAD:
             self.rest_ns = stamp_ns
         self._stamps.append(stamp_ns)
         self._angles.append(angle)

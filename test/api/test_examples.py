@@ -66,8 +66,9 @@ def test_an_example_finds_the_truth(name, tmp_path):
 def test_examples_leave_what_they_say(tmp_path):
     run(EXAMPLES / "04_solve_a_bag.py", tmp_path)
     text = run(EXAMPLES / "09_table_for_my_controller.py", tmp_path)
-    assert "<html" in (tmp_path / "report.html").read_text()
+    assert "<html" in (tmp_path / "out" / "report.html").read_text()
     assert all((tmp_path / file).is_file() for file in re.findall(r"written: (\S+)", text))
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]  # which git ignores
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

@@ -103,9 +103,35 @@ def test_uncertainty_of_a_plan_and_of_what_was_measured():
     before = rc.uncertainty(configuration, trials=2000).components["ECC"].std
     after = rc.uncertainty(rc.read_bag(DATA / "ball_plate_bag"), trials=2000).components["ECC"].std
     assert before == pytest.approx(after, rel=0.1)
-    points = rc.read_table(DATA / "tracker.csv", DATA / "plane_mirror.yaml")
-    with pytest.raises(ConfigurationError, match="no steps of a plan"):
-        rc.uncertainty(points)
+
+
+@pytest.mark.parametrize(
+    ("table", "setup"),
+    [("lengths", "tracer"), ("balls", "ball_plate"), ("tracker", "plane_mirror")],
+)
+def test_uncertainty_of_a_plain_table(table, setup):
+    measured = rc.read_table(DATA / f"{table}.csv", DATA / f"{setup}.yaml")
+    spread, result = rc.uncertainty(measured, trials=2000), measured.solve()
+    assert list(spread.components) == list(result.components)
+    for name, part in spread.components.items():
+        np.testing.assert_array_equal(part.value, result.deviations[name])
+        np.testing.assert_allclose(part.std, result.std[name], rtol=0.08)
+        assert np.all(np.abs(part.mean - part.value) < 0.1 * part.std + 1e-15)
+    assert spread.warnings == ()
+
+
+def test_uncertainty_of_a_table_follows_the_stated_noise():
+    """Twice the noise of the points: twice the spread, whatever the residuals say."""
+    base = ["solver.mirror_slope_std_arcsec=0", "solver.tilt_std_arcsec=0.001"]
+    spreads = []
+    for factor in (1.0, 2.0):
+        noise = {"range_std_m": 2.5e-6, "transverse_std_m": 4e-6}
+        changes = [f"solver.{name}={factor * value:.9f}" for name, value in noise.items()]
+        zero = ["solver.range_std_relative=0", "solver.transverse_std_relative=0"]
+        configuration = rc.read_configuration(DATA / "plane_mirror.yaml", *base, *zero, *changes)
+        measured = rc.read_table(DATA / "tracker.csv", configuration)
+        spreads.append(rc.uncertainty(measured, trials=1000).components["ECC"].std[1:])
+    np.testing.assert_allclose(spreads[1] / spreads[0], 2.0, rtol=0.02)
 
 
 def test_the_correction_has_a_sign_and_a_side(plate):

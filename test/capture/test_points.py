@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from capture_scenes import MS, SETTINGS, make_plan, make_scene, probe_sample, replay, table_off
 
+from rotcal_ros.capture import Capture, CaptureRules
+from rotcal_ros.capture.points import points
+from rotcal_ros.capture.window import Reduced
 from rotcal_ros.observations import PointKind
 
 KINDS = [PointKind.CENTRE, PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST]
@@ -75,3 +78,20 @@ def test_table_off_at_a_point_is_rejected():
     assert observation.reason == (
         "table not at rest in position during the probe points: up to 30 arcsec off (allowed 20)"
     )
+
+
+def test_a_method_brings_its_own_way_to_make_one_value():
+    """Rules of a method with nothing but a reducer: it gets samples, step and settings."""
+    plan = make_plan(PointKind.CENTRE, n_points=4)
+    scene, _ = scene_of_points(plan)
+    seen = []
+
+    def last(samples, step, settings):
+        seen.append((len(samples), step, settings))
+        return Reduced(mean=samples[-1].position, n_used=1, reason="for once")
+
+    capture = Capture(plan, SETTINGS, CaptureRules({PointKind.CENTRE: points(last)}))
+    (found,) = [o for record in scene.by_stamp() for o in capture.feed(record)]
+    assert seen == [(4, plan.steps[0], SETTINGS)]
+    assert found.mean == scene.probe[-1].position
+    assert (found.accepted, found.reason, found.n_samples) == (False, "for once", 4)

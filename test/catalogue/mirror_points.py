@@ -1,6 +1,6 @@
 """Points of a problem as the table that a tracker's own program would write."""
 
-from rotcal_ros.catalogue.plane_mirror.table import HEADER, KINDS
+from rotcal_ros.catalogue.plane_mirror.table import HEADER, KINDS, TIMED
 
 
 def points_table(problem):
@@ -11,4 +11,8 @@ def points_table(problem):
             problem.position, problem.station, problem.kind, problem.nest, problem.xyz, strict=True
         )
     ]
-    return "\n".join(",".join(map(str, row)) for row in [HEADER, *rows]) + "\n"
+    header = HEADER
+    if problem.time is not None:
+        rows = [(*row, repr(t)) for row, t in zip(rows, problem.time.tolist(), strict=True)]
+        header = TIMED
+    return "\n".join(",".join(map(str, row)) for row in [header, *rows]) + "\n"

@@ -113,7 +113,7 @@ def test_nothing_and_too_little_are_refused(measured):
     calibration, observations = measured
     with pytest.raises(DataError, match="no ball was measured"):
         calibration.solve(())
-    with pytest.raises(ObservabilityError, match="cannot be told apart from plate and CMM"):
+    with pytest.raises(ObservabilityError, match="at 7 table positions fewer than 3 balls"):
         calibration.solve(observations[:30])
 
 
@@ -122,13 +122,13 @@ def test_several_evaluations_of_the_same_data(measured):
     data = Data(calibration, observations)
     whole, five = evaluate(data.calibration, data.observations, ways(["all", "0,1,3,5,8"], []))
     assert (whole.name, five.name) == ("all data", "balls=[0,1,3,5,8]")
-    assert (whole.result.n_observations, five.result.n_observations) == (72, 60)
+    assert (whole.result.n_observations, five.result.n_observations) == (78, 65)
     for name in COMPONENTS:
         between = np.abs(five.result.deviations[name] - whole.result.deviations[name]).max()
         assert five.differences[name] == pytest.approx(between, rel=1e-9)
         assert between < 5 * five.result.std[name].max()
     lines = in_words([whole, five])
-    assert lines[0].startswith("all data: 72 observations")
+    assert lines[0].startswith("all data: 78 observations")
     assert len(lines) == 2 * 7
     with pytest.raises(PlanError, match=r"ball steps \[2\] were not measured"):
         evaluate(data.calibration, data.observations, ways(["0,1,2,3,5"], []))
@@ -196,8 +196,63 @@ def test_a_little_dirt_is_left_out():
         ("plan.cmm_positions=[0, 99]", "must lie in 0..11"),
         ("plan.rounds=50", "cannot be shared out"),
         ("plan.plate.grid=two", "expected int"),
+        ("plan.points_per_ball=4", "out of range 5 to 1000"),
+        ("simulation.touch_probe.points_per_ball=4", "out of range 5 to 1000"),
+        ("plan.plate.grid=36001", "out of range 3 to 36000"),
+        ("simulation.plate.grid=36001", "out of range 3 to 36000"),
     ],
 )
 def test_an_impossible_plan_is_refused(change, text):
     with pytest.raises((ConfigurationError, PlanError), match=text):
         small(change)
+
+
+def test_the_solver_estimates_a_drift_in_the_time_of_the_centres():
+    """A cell without drift: its centres are shifted by a drift in time, with a long pause."""
+    changes = ("plan.order=interleaved", "plan.rounds=3", "solver.drift=linear")
+    calibration = small(*changes)
+    observations = list(measure(calibration))
+    pause = 3600 * 10**9
+    half = len(observations) // 2
+    late = [
+        replace(o, window_end_ns=o.window_end_ns + pause) if n >= half else o
+        for n, o in enumerate(observations)
+    ]
+    times = np.array([o.window_end_ns for o in late], dtype=float)
+    share = (times - times[0]) / (times[-1] - times[0])
+    shifted = [
+        replace(o, mean=(o.mean[0], o.mean[1] + 2e-6 * s, o.mean[2]))
+        for o, s in zip(late, share.tolist(), strict=True)
+    ]
+    without, found = calibration.solve(late), calibration.solve(shifted)
+    difference = np.subtract(*(r.details["drift"][0]["amount"] for r in (found, without)))
+    fitted = (times[71] - times[0]) / (times[-1] - times[0])  # until the closing begins
+    np.testing.assert_allclose(difference, [0.0, 2e-6 * fitted, 0.0], atol=1e-10)
+    for name in COMPONENTS:
+        np.testing.assert_allclose(
+            found.deviations[name], without.deviations[name], atol=1e-9 * found.std[name].max()
+        )
+    assert found.protections[0].treatment == "estimated"
+    with pytest.raises(ConfigurationError, match="drift"):
+        small("solver.drift=cubic")
+
+
+def test_a_stated_drift_is_in_the_budget():
+    hidden = ("plan.order=table_once", "plan.closing=false")
+    plain = small(*hidden)
+    observations = measure(plain)
+    less = plain.solve(observations)
+    more = small(*hidden, "solver.drift_allowance_m=1.0e-6").solve(observations)
+    assert "drift" in less.unprotected
+    assert "drift" not in more.unprotected
+    assert more.std["EZC"].max() > 2.0 * less.std["EZC"].max()
+
+
+@pytest.mark.parametrize(
+    ("stated", "order"), [((), "table_once"), (("plan.order=probe_rests",), "probe_rests")]
+)
+def test_an_older_bag_was_measured_without_closing(stated, order):
+    now = small(*stated)
+    (older,) = (plan(now.configuration) for plan in now.method.older_plans)
+    assert older.steps == small(f"plan.order={order}", "plan.closing=false").plan.steps
+    assert len(older.steps) < len(now.plan.steps)

@@ -18,7 +18,7 @@ def test_dump_is_parsed_again() -> None:
     configuration = parse_configuration(TEXT)
     assert configuration.method is find_method("tracer_multistation")
     assert configuration.plan.table_positions == 5
-    assert configuration.given == {"plan"}
+    assert configuration.given == {"plan", "plan.table_positions"}
     assert not configuration.simulated
     assert configuration.plan_id == hashlib.sha256(TEXT.encode()).hexdigest()
     assert len(prepare(configuration).plan.table_angles) == 5

@@ -9,6 +9,7 @@ from mirror_points import points_table
 
 from rotcal_ros.catalogue import changed, find_method, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, continued
 from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem
@@ -60,11 +61,11 @@ def consistent(result, truth):
 
 def test_the_configurations_are_what_they_say():
     demo = prepare(configured()).plan
-    assert (len(demo.table_angles), len(demo.pauses), len(demo.targets)) == (17, 6, 6)
-    assert len(demo.steps) == 6 * 6 + 22 * 3 * 2
+    assert (len(demo.table_angles), len(demo.pauses), len(demo.targets)) == (17, 12, 6)
+    assert len(demo.steps) == 6 * 12 + 22 * 3 * 2
     real = prepare(read_configuration(CONFIG / "plane_mirror.yaml"))
     assert not real.configuration.simulated
-    assert len(real.plan.pauses) == 6
+    assert len(real.plan.pauses) == 12
     assert "tracer_length" not in find_method("plane_mirror").topics
 
 
@@ -114,7 +115,7 @@ def test_a_reflector_without_its_image_is_left_out_and_named(short):
 
 def test_nests_are_checked_as_soon_as_the_second_station_has_seen_them(short):
     calibration, observations, _ = short
-    second = calibration.plan.pauses[1]
+    second = calibration.plan.pauses[2]
     before = [o for o in observations if o.step < second.first]
     so_far = [o for o in observations if o.step <= second.last]
     assert calibration.check(before) == ()
@@ -126,6 +127,51 @@ def test_nests_are_checked_as_soon_as_the_second_station_has_seen_them(short):
     nests = [o for o in so_far if o.kind == PointKind.NEST and o.station == 1][:2]
     with pytest.raises(DataError, match="2 nests"):
         calibration.check([*before, *nests])
+
+
+def test_a_tracker_that_drifts_is_told_at_once_and_corrected():
+    calibration, observations, truth = measured(
+        configured(
+            *SHORT,
+            "simulation.tracker.azimuth_drift_arcsec_per_h=3000.0",
+            "simulation.tracker.range_drift_um_per_h=300.0",
+            "plan.drift_limit_arcsec=3.0",
+        )
+    )
+    closing = calibration.plan.pauses[3]
+    assert calibration.check([o for o in observations if o.step < closing.first]) == ()
+    (text,) = calibration.check([o for o in observations if o.step <= closing.last])
+    assert text.startswith("the tracker turned by ")
+    assert "between two rounds of nests at station 1, allowed 3: let it settle" in text
+    result = calibration.solve(observations)
+    assert consistent(result, truth)
+    assert "drift" not in result.unprotected
+    span = [np.ptp(d["knots"]) / 3600.0 for d in result.details["drift"]]
+    turned = [d["turn_rad"][0, 2] / ARCSEC for d in result.details["drift"]]
+    np.testing.assert_allclose(turned, 3000.0 * np.array(span), atol=2.5)
+    once = prepare(configured(*SHORT, "plan.closing_nests=false"))
+    assert len(once.plan.steps) == len(calibration.plan.steps) - 3 * 6
+
+
+@pytest.mark.parametrize("done", [20, 25, 29, 40])
+def test_an_interrupted_station_goes_on_where_it_was_and_is_closed(short, done):
+    """Between positions, within the closing nests, behind them, within the next first nests."""
+    calibration, observations, truth = short
+    configuration, plan = calibration.configuration, calibration.plan
+    rest = continued(
+        plan, configuration.plan_id, 1, observations[:done], max_attempts=3, join_steps=0
+    )
+    assert rest.steps == tuple(range(done, len(plan.steps)))
+    hour = 3_600_000_000_000
+    later = [
+        replace(o, run=1, attempt=ATTEMPTS_PER_RUN, window_start_ns=o.window_start_ns + hour,
+                window_end_ns=o.window_end_ns + hour)
+        for o in observations[done:]
+    ]  # fmt: skip
+    result = calibration.solve([*rest.observations, *later])
+    assert result.verdict == "ok", result.warnings
+    assert "drift" not in result.unprotected
+    assert consistent(result, truth)
 
 
 def test_exchanged_direct_and_mirrored_is_refused(short):
@@ -174,7 +220,7 @@ def test_reflectors_on_the_table_are_solved_directly():
             "simulation.tracker.reflectors_on_table=true",
         )
     )
-    assert {o.kind for o in observations} == {PointKind.DIRECT}
+    assert {o.kind for o in observations} == {PointKind.DIRECT, PointKind.NEST}
     result = calibration.solve(observations)
     assert result.verdict == "ok", result.warnings
     assert "ways" not in result.details

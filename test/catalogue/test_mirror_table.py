@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from mirror_points import points_table
 
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
-from rotcal_ros.catalogue.plane_mirror.table import HEADER, read_points
+from rotcal_ros.catalogue.plane_mirror.table import HEADER, TIMED, read_points
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.methods.plane_mirror import (
     PlaneMirrorProblem,
@@ -22,7 +22,7 @@ def read(folder, text, angles):
     path = folder / "points.csv"
     path.write_bytes(text.encode())
     table = read_table(path)
-    require_header(table, (HEADER,))
+    require_header(table, (HEADER, TIMED))
     return read_points(table, np.asarray(angles))
 
 
@@ -31,6 +31,16 @@ def test_table_gives_the_same_result_to_the_last_bit(tmp_path):
     again = read(tmp_path, points_table(problem), problem.angles)
     np.testing.assert_array_equal(again.xyz, problem.xyz)
     np.testing.assert_array_equal(solve(again).deviations["ECC"], solve(problem).deviations["ECC"])
+
+
+def test_a_column_of_times_tells_when_a_row_was_measured(tmp_path):
+    head = HEAD.replace("z_m", "z_m,time_s")
+    rows = "0,A,direct,1,1,2,3,12.5\n0,A,mirrored,1,2,3,4,13\n,A,nest,1,1,0,0,-2e1\n"
+    problem = read(tmp_path, head + rows, [0.0, 1.0])
+    assert problem.moment.tolist() == [12.5, 13.0, -20.0]
+    assert read(tmp_path, HEAD + "0,A,direct,1,1,2,3\n", [0.0, 1.0]).moment.tolist() == [0.0]
+    with pytest.raises(DataError, match="row 2: time_s must be a finite number, found 'noon'"):
+        read(tmp_path, head + "0,A,direct,1,1,2,3,noon\n", [0.0, 1.0])
 
 
 @given(

@@ -3,9 +3,10 @@
 import json
 
 import click
+import pytest
 from click.testing import CliRunner
 
-from rotcal_ros.cli.console import json_option, print_json
+from rotcal_ros.cli.console import json_option, print_json, print_verdict
 from rotcal_ros.report.terminal.console import progress, say
 
 
@@ -28,3 +29,16 @@ def test_json_is_all_that_standard_output_gets():
 
 def test_without_json_standard_output_is_free():
     assert CliRunner().invoke(verb, []).stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("line", "colour"),
+    [("ok", 32), ("ok, not protected against drift", 33), ("suspect", 31), ("failed, x", 31)],
+)
+def test_only_an_ok_without_reserve_is_green(line, colour):
+    @click.command()
+    def shown():
+        print_verdict(line, "12 steps")
+
+    output = CliRunner().invoke(shown, color=True).stdout
+    assert output == f"\x1b[{colour}mverdict {line}: 12 steps\x1b[0m\n"

@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.controllers import controller_names
+from rotcal_ros.protection import Protection
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
@@ -18,7 +19,7 @@ def deviation(angles):
     return 12.0 * ARCSEC * (np.sin(angles) + 0.3 * np.sin(3 * angles))
 
 
-def write_result(path, verdict="ok", angles=ANGLES):
+def write_result(path, verdict="ok", angles=ANGLES, protections=()):
     result = Result(
         method="tracer_multistation",
         angles=angles,
@@ -29,6 +30,7 @@ def write_result(path, verdict="ok", angles=ANGLES):
         dof=50,
         n_observations=100,
         verdict=verdict,
+        protections=protections,
     )
     path.write_text(result.to_json())
     return path
@@ -54,6 +56,24 @@ def test_every_controller_gets_its_files(export, tmp_path, controller):
     assert facts["controller"] == controller
     assert facts["sources_sha256"].keys() == {"result.json"}
     assert facts["residual_arcsec"]["simulated"] < facts["residual_arcsec"]["before"]
+
+
+def test_the_provenance_says_what_the_result_is_not_protected_against(export, tmp_path):
+    protections = (Protection("drift", "not protected", ""), Protection("tilt", "harmless", ""))
+    source = write_result(tmp_path / "result.json", protections=protections)
+    line = "ok, not protected against drift"
+    run = export("--to", "csv", source=source)
+    assert run.exit_code == 0
+    assert f"warning: the result is {line}" in run.stderr
+    side = json.loads((tmp_path / "files" / "c_csv.provenance.json").read_text())
+    assert (side["verdict"], side["verdict_line"]) == ("ok", line)
+    assert side["warnings"][0] == f"the result is {line}"
+    assert export("--to", "volumetric", source=source).exit_code == 0
+    facts = json.loads((tmp_path / "files" / "c_volumetric.json").read_text())
+    assert (facts["verdict_line"], facts["not_protected"]) == (line, ["drift"])
+    protected = write_result(tmp_path / "other.json", protections=protections[1:])
+    bare = export("--to", "csv", "--name", "other", source=protected)
+    assert "the result is" not in bare.stderr
 
 
 def test_a_linuxcnc_table_over_three_revolutions_subtracts_the_deviation(export, tmp_path):

@@ -46,6 +46,17 @@ def test_the_section_shows_both_and_the_iso_figures():
     assert figures_out["systematic"] == pytest.approx(np.ptp(runs.mean(axis=1)) / ARCSEC)
 
 
+def test_what_the_measurements_do_not_cover_is_told_beside_the_verdict():
+    lines = {"before": "ok", "after": "ok, not protected against drift"}
+    verification = Verification(run(30.0), run(0.3), 0.0, verdict_lines=lines)
+    assert verification.reserves == ("measurement after: ok, not protected against drift",)
+    assert verification.to_dict()["verdict_lines"] == lines
+    assert (
+        "measurement after: ok, not protected against drift"
+        in verification_section(verification)[1]
+    )
+
+
 def test_an_existing_folder_is_not_overwritten(tmp_path):
     pytest.importorskip("rclpy")
     found = CliRunner().invoke(rotcal, ["verify", "config/verify_demo.yaml", "-o", str(tmp_path)])

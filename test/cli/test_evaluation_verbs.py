@@ -246,6 +246,23 @@ def test_uncertainty_of_a_method_without_trials(configuration, monkeypatch):
     assert "no Monte Carlo trials" in ran.stderr
 
 
+@pytest.mark.parametrize(
+    ("table", "setup"),
+    [("lengths", "tracer"), ("balls", "ball_plate"), ("tracker", "plane_mirror")],
+)
+def test_uncertainty_of_a_plain_table(table, setup):
+    data = Path(__file__).parents[2] / "examples" / "data"
+    source, given = data / f"{table}.csv", data / f"{setup}.yaml"
+    ran = run("uncertainty", source, "--setup", given, "--trials", 2000, "--json", "--workers", 1)
+    assert ran.exit_code == 0, ran.output
+    for part in json.loads(ran.stdout)["components"].values():
+        measured = np.array(part["linear_std"]) > 0.0
+        ratio = np.array(part["std"])[measured] / np.array(part["linear_std"])[measured]
+        assert ratio == pytest.approx(np.ones(len(ratio)), abs=0.08)
+    assert run("uncertainty", source).exit_code == 2
+    assert run("uncertainty", given, "--setup", given).exit_code == 2
+
+
 @pytest.mark.parametrize("name", ["plane_mirror_demo", "ball_plate_demo", "tracer_demo"])
 def test_uncertainty_of_every_method_before_anything_is_measured(name, tmp_path):
     path = Path(__file__).parents[2] / "config" / f"{name}.yaml"

@@ -64,10 +64,10 @@ def test_order_lists_every_ball_with_its_duration():
     result = run("plan", "order", str(CONFIG / "ball_plate.yaml"))
     lines = result.stdout.splitlines()
     assert lines[0] == "step,table_deg,ball_step"
-    assert len(lines) == 1 + 12 * 72
-    assert "864 balls" in result.stderr
+    assert len(lines) == 1 + 12 * 72 + 12  # the first table position again
+    assert "876 balls" in result.stderr
     found = plan("order", str(CONFIG / "ball_plate_demo.yaml"), "--touch-s", "0.5")
-    assert found["centres"] == 432
+    assert found["centres"] == 444
     assert found["duration_s"] > 432 * 15 * 0.5
     turned = [step["table_deg"] for step in found["steps"]]
     assert turned == sorted(turned)
@@ -161,3 +161,49 @@ def test_other_methods_have_no_balls_to_choose(table, setup):
     result = run("solve", str(data / table), "--setup", setup, *further, "--coarser", "2")
     assert result.exit_code == 3
     assert "--balls and --coarser are for the data of a ball plate" in result.stderr
+
+
+def test_each_order_is_told_what_drift_and_knocks_would_do():
+    found = plan("plate", "--grid", "36", "--balls", "12", "--min-gap", "2", "--starts", "2")
+    orders = found["orders"]
+    assert set(orders) == {"interleaved", "table_once", "probe_rests"}
+    assert orders["table_once"]["duration_s"] < orders["interleaved"]["duration_s"]
+    assert max(orders["interleaved"]["unseen_std"].values()) < 2.0
+    assert min(orders["table_once"]["unseen_std"].values()) > 2.0
+    effects = {(e["kind"], e["axis"]): e for e in orders["table_once"]["effects"]}
+    assert len(effects) == 9
+    lift = effects["shift", "z"]
+    # one turn: from the knock on, every position keeps the lift, less the mean of the curve
+    assert 0.5 < lift["error_per_unit"]["EZC"] < 1.0
+    assert lift["error_per_unit"]["ECC"] == pytest.approx(0.0, abs=1e-9)
+    assert 5e-8 < lift["found_from"] < 3e-7
+    coarse = plan(
+        "plate", "--grid", "36", "--balls", "12", "--min-gap", "2", "--starts", "2",
+        "--sigma-um", "0.1",
+    )  # fmt: skip
+    again = coarse["orders"]["table_once"]["effects"][5]
+    assert again["found_from"] == pytest.approx(2.0 * lift["found_from"], rel=1e-9)
+    words = run("plan", "plate", "--grid", "24", "--balls", "5", "--starts", "2").stdout
+    assert words.count("CMM drifts in x, 1 um") == 3
+    assert "unseen at worst: drift" in words
+    assert "(not protected)" in words
+
+
+def test_a_table_may_hold_the_closing_rows_of_its_plan(tmp_path):
+    """The first position again at the end: taken once more, refused the third time."""
+    table = Path(centres_table(tmp_path / "centres.csv"))
+    rows = table.read_text().splitlines()
+    first = [row for row in rows[1:] if row.startswith("0,")]
+    setup = str(CONFIG / "plates" / "ball_plate_12.yaml")
+    table.write_text("\n".join([*rows, *first]) + "\n")
+    result = run("solve", str(table), "--setup", setup, "--json")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert (found["n_observations"], found["n_rejected"]) == (156, 0)
+    assert found["details"]["closure"][0]["n_balls"] == 12
+    assert "drift" in {p["effect"] for p in found["protections"]}
+    table.write_text("\n".join([*rows, *first, first[3]]) + "\n")
+    again = run("solve", str(table), "--setup", setup)
+    assert again.exit_code == 3
+    assert "was measured already" in again.stderr
+    assert "2 are in the plan" in again.stderr

@@ -78,3 +78,32 @@ def test_a_configuration_file(refused, tmp_path, arguments, change, nearest):
     text = refused(*(path if argument == "CONFIG" else argument for argument in arguments))
     assert f"did you mean '{nearest}'" in text
     assert str(path) in text
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--to", "fanucc"], "did you mean 'fanuc'"),
+        (["--to", "fanuc"], "--accept-unverified"),
+        (["--spacing", 0], "spacing 0 deg"),
+        (["--spacing", -10], "spacing -10 deg"),
+        (["--spacing", 0.5], "the controller holds 256"),
+        (["--files", "file"], "takes no new files"),
+        (["--files", "file/folder"], "takes no new files"),
+        (["--files", "taken"], "c_csv.csv exists already"),
+        (["--files", "out/after/files"], "second measurement"),
+        (["-o", "file/out"], "takes no new files"),
+        (["--report-of", "taken"], "there is no"),
+        (["--report-of", "reported"], "report.html exists already"),
+        (["--to", "heidenhain", "--accept-unverified", "--set", "plan.table_positions=12"],
+         "measure the full circle"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_what_verify_will_write_is_checked_before_it_measures(refused, tmp_path, options, words):
+    (tmp_path / "file").write_text("")
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "c_csv.csv").write_text("")
+    (tmp_path / "reported" / "bag").mkdir(parents=True)
+    (tmp_path / "reported" / "report.html").write_text("")
+    assert words in refused("verify", CONFIG / "verify_demo.yaml", "-o", "out", *options)

@@ -1,8 +1,11 @@
 """Tables and results for the tests of the compensation feed: known curves, nothing measured."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.protection import Protection
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
@@ -30,6 +33,7 @@ def result_of(angles, deviation, std=0.1 * ARCSEC, verdict="ok", **components):
         dof=10,
         n_observations=100,
         verdict=verdict,
+        protections=(Protection("drift", "tested", "closure", 1.0),),
     )
 
 
@@ -53,3 +57,16 @@ def d4_table():
         reference_angle=0.0,
         verdict="ok",
     )
+
+
+def two_ways(n=24, **changes):
+    """Two directions; the correction is minus a curve, zero at the reference on the way up."""
+    angles = even(n)
+    table = CompensationTable(
+        axis="C", method="m", angles=angles,
+        correction_forward=-(wavy(angles) - wavy(0.0)),
+        correction_reverse=-(wavy(angles, [(1, 9.0, 0.5), (3, 2.0, 1.0)]) + 3.0 * ARCSEC),
+        std=(1.0 + np.arange(n) % 5) * 0.1 * ARCSEC, period=TAU, reference_angle=0.0,
+        verdict="ok", warnings=("known",),
+    )  # fmt: skip
+    return replace(table, **changes)

@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -203,3 +204,16 @@ def test_polygon_without_a_face_is_refused():
 def test_bad_references_are_refused_with_the_place(text, expected):
     with pytest.raises(DataError, match=expected):
         read_reference(text, "ref.csv")
+
+
+def test_an_input_that_is_suspect_or_not_protected_is_named_even_where_curves_agree():
+    bare = replace(curve(12), verdict_line="ok, not protected against drift")
+    odd = replace(curve(24), verdict_line="suspect")
+    fine = replace(curve(12), verdict_line="ok")
+    pairs = compare_all({"a.json": bare, "b.json": odd, "c.csv": curve(12), "d.json": fine})
+    assert pairs["a.json", "b.json"].agree
+    assert pairs["a.json", "b.json"].notes[:2] == (
+        "a.json: ok, not protected against drift", "b.json: suspect",
+    )  # fmt: skip
+    assert pairs["b.json", "c.csv"].notes[0] == "b.json: suspect"  # turned round inside
+    assert pairs["c.csv", "d.json"].notes == ()

@@ -58,3 +58,56 @@ def test_an_angle_counted_clockwise_is_named():
     assert "counted clockwise" in suspicion(CURVE, turned, CURVE)
     assert suspicion(CURVE, CURVE, CURVE) == ""
     assert suspicion(CURVE, OTHER, turned) == ""
+
+
+FACTORS = {  # arc seconds in each unit
+    "degrees taken for arcseconds": 3600.0,
+    "arcminutes taken for arcseconds": 60.0,
+    "radians taken for arcseconds": np.rad2deg(1.0) * 3600.0,
+    "microradians and arcseconds exchanged": np.rad2deg(1e-6) * 3600.0,
+}
+
+
+@pytest.mark.parametrize("text", FACTORS)
+@pytest.mark.parametrize(
+    ("share", "named"),
+    [(0.8 + 1e-7, True), (0.8 - 1e-7, False), (1.2 - 1e-7, True), (1.2 + 1e-7, False)],
+)
+def test_a_unit_is_recognised_within_a_fifth(text, share, named):
+    """The units by their definition; either the ratio or one over the factor is a fifth off."""
+    factor = FACTORS[text]
+    expected = f"both curves have one shape, but for one of them {text}" if named else ""
+    assert suspicion(factor * share * CURVE, CURVE, None) == expected
+    assert suspicion(share / factor * CURVE, CURVE, None) == expected
+
+
+def of_correlation(alike, first, across):
+    return alike * first + np.sqrt(1.0 - alike**2) * across
+
+
+@pytest.mark.parametrize(
+    ("straight", "mirrored", "named"),
+    [
+        (0.0, 0.91, True),
+        (0.0, 0.89, False),
+        (0.70, 0.95, True),
+        (-0.70, 0.95, True),
+        (0.80, 0.95, False),
+        (-0.80, 0.95, False),
+    ],
+)
+def test_clockwise_needs_a_shape_that_fits_clearly_better(straight, mirrored, named):
+    """A correlation of 0.9, and 0.2 more than straight."""
+    unit, across, other = (np.sqrt(2) * np.sin(k * ANGLES) for k in (1, 2, 3))
+    found = suspicion(
+        unit, of_correlation(straight, unit, across), of_correlation(mirrored, unit, other)
+    )
+    words = (
+        "the curves fit when one is turned the other way round: is its angle counted clockwise?"
+    )
+    assert found == (words if named else "")
+
+
+def test_a_flat_curve_is_like_none():
+    assert suspicion(CURVE, OTHER, np.full(24, 2.0)) == ""
+    assert suspicion(np.full(24, 2.0), OTHER, CURVE) == ""

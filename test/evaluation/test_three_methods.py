@@ -7,6 +7,7 @@ import one_table
 import pytest
 
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
+from rotcal_ros.evaluation.combination import Measured, combine
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import without_polygon
 from rotcal_ros.methods import ball_plate, plane_mirror, tracer
@@ -18,8 +19,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def comparisons():
-    """All pairs of three methods in many runs; everything is drawn anew in each."""
+def tables():
+    """Many tables with their results of three methods; everything is drawn anew in each."""
     found = []
     for seed in range(RUNS):
         rng = np.random.default_rng(seed)
@@ -30,8 +31,16 @@ def comparisons():
             "mirror": plane_mirror.solve(one_table.by_mirror(table, rng)),
         }
         assert [r.verdict for r in results.values()].count("failed") == 0
-        found.append(compare_all({n: measured_curve(r) for n, r in results.items()}))
+        found.append((table, results))
     return found
+
+
+@pytest.fixture(scope="module")
+def comparisons(tables):
+    """All pairs of the three methods."""
+    return [
+        compare_all({n: measured_curve(r) for n, r in results.items()}) for _, results in tables
+    ]
 
 
 PAIRS = [("tracer", "plate"), ("tracer", "mirror"), ("plate", "mirror")]
@@ -51,6 +60,24 @@ def test_all_angles_were_measured_by_both(comparisons):
         comparison = comparisons[0][pair]
         assert len(comparison.angles) == angles
         assert not comparison.interpolated.any()
+
+
+def test_the_combination_of_all_three_is_as_good_as_it_says(tables):
+    inside, single, consistent = [], [], 0
+    for table, results in tables:
+        found = combine([Measured.of(name, result) for name, result in results.items()])
+        best = found.result
+        error = best.deviations["ECC"] - (table[:, 5] - table[:, 5].mean())
+        inside.append(np.abs(error) <= 1.96 * best.std["ECC"])
+        alone = [combine([Measured.of(n, r)]).result.std["ECC"] for n, r in results.items()]
+        single.append(min(np.mean(std) for std in alone) / np.mean(best.std["ECC"]))
+        consistent += all(group.consistent for group in found.groups)
+        plate = results["plate"]
+        np.testing.assert_allclose(best.deviations["EXC"], plate.deviations["EXC"], atol=1e-13)
+        np.testing.assert_allclose(best.std["EXC"], plate.std["EXC"], rtol=0.02)
+    assert 0.93 < np.mean(inside) < 0.97
+    assert min(single) > 1.0
+    assert consistent >= 0.95 * RUNS
 
 
 def paper_check(seed):

@@ -9,8 +9,10 @@ import pytest
 from rotcal_polygon.adjustment import PolygonProblem, adjust, separable, solve
 from rotcal_polygon.calibration import check
 from rotcal_polygon.plan import plan
+from rotcal_polygon.protections import protections
 from rotcal_polygon.settings import PolygonPlanSettings, PolygonSolverSettings
 from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.protection import EFFECTS, ordered, unprotected
 from rotcal_ros.units import ARCSEC
 
 N = 12
@@ -55,6 +57,24 @@ def test_the_signs_are_those_of_the_conventions():
     assert measured(ahead, none, (0,)).reading[5] == 4.0 * ARCSEC
     assert adjust(measured(ahead, none, (0, 1))).table[5] == pytest.approx(4.0 * ARCSEC)
     assert adjust(measured(none, ahead, (0, 1))).face[5] == pytest.approx(11 / 12 * 4 * ARCSEC)
+
+
+@pytest.mark.parametrize(
+    ("first_faces", "closure", "more", "bare"),
+    [
+        ((0, 1, 5), True, {}, ("drift", "repeatability", "scale")),
+        ((0, 1, 5), False, {}, ("drift", "knock", "repeatability", "scale")),
+        ((0,), True, {"unknown_faces": False}, ("drift", "repeatability", "scale", "gauge")),
+        ((0,), False, {"certificate": np.zeros(N)},
+         ("drift", "knock", "axis noise", "repeatability", "scale")),
+    ],
+)  # fmt: skip
+def test_all_nine_effects_are_stated_and_what_the_readings_cannot_show_is_named(
+    first_faces, closure, more, bare
+):
+    stated = protections(measured(np.zeros(N), np.zeros(N), first_faces, None, closure, **more))
+    assert [p.effect for p in ordered(stated)] == list(EFFECTS)
+    assert unprotected(stated) == bare
 
 
 def test_the_same_as_dense_least_squares_with_constraints():

@@ -63,6 +63,20 @@ def outcomes():
     return carry_out(SOLVED | CHECKED, ARITHMETIC)
 
 
+def known_then(outcome, stored):
+    """Return what a command printed without the entries that results did not have then."""
+    return only_known(json.loads(outcome["out"]), stored)
+
+
+def only_known(found, stored):
+    """Return ``found`` without the entries of dictionaries that ``stored`` does not have."""
+    if isinstance(found, dict) and isinstance(stored, dict):
+        return {name: only_known(found[name], stored[name]) for name in found if name in stored}
+    if isinstance(found, list) and isinstance(stored, list) and len(found) == len(stored):
+        return [only_known(a, b) for a, b in zip(found, stored, strict=True)]
+    return found
+
+
 def assert_close(found, stored, place=""):
     """Everything but the last digits must be the same."""
     assert type(found) is type(stored), place
@@ -82,19 +96,19 @@ def assert_close(found, stored, place=""):
 
 @pytest.mark.parametrize("name", SOLVED)
 def test_an_old_recording_solves_to_the_same_result(outcomes, name):
-    outcome, stored = outcomes[name], stored_for(name)
+    outcome, stored = outcomes[name], json.loads(stored_for(name))
     assert outcome["code"] == 0, outcome["error"]
     if EXACT:
         assert outcome["error"] == ""  # captured again as it was live
-        assert json.loads(outcome["out"]) == json.loads(stored)
-        assert outcome["out"] == stored
+        assert known_then(outcome, stored) == stored
     else:
-        assert_close(json.loads(outcome["out"]), json.loads(stored))
+        assert_close(known_then(outcome, stored), stored)
 
 
 def test_another_arithmetic_changes_the_last_digits_only():
     for name, outcome in carry_out(SOLVED, OTHER_ARITHMETIC).items():
-        assert_close(json.loads(outcome["out"]), json.loads(stored_for(name)), name)
+        stored = json.loads(stored_for(name))
+        assert_close(known_then(outcome, stored), stored, name)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from plate_data import PAPER_PLATE, RADIUS
 
+from rotcal_ros.catalogue.ball_plate.solver_settings import BallPlateSolverSettings
+from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.catalogue.setup_file import read_setup
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.methods.ball_plate.plate import Plate, parse_plate
 from rotcal_ros.methods.ball_plate.separability import separability
 from rotcal_ros.planning.ball_layout import best_layout
@@ -92,6 +94,93 @@ def test_a_plate_file_may_state_the_noise_of_a_centre(tmp_path):
     good = (PLATES / "ball_plate_12.yaml").read_text()
     path.write_text(good + "sigma_centre_m: 2.0e-7\n")
     assert read_setup(path).solver.sigma_centre_m == 2.0e-7
+
+
+@pytest.mark.parametrize(
+    ("stated", "sigma", "axes"),
+    [
+        ("5e-8", 5e-8, ()),  # YAML 1.1 takes this for a text
+        ("5E-08", 5e-8, ()),
+        ("[5e-8, 5e-8, 1.0e-7]", 0.0, (5e-8, 5e-8, 1e-7)),
+    ],
+)
+def test_noise_in_exponents_and_for_each_axis(tmp_path, stated, sigma, axes):
+    path = tmp_path / "plate.yaml"
+    good = (PLATES / "ball_plate_12.yaml").read_text()
+    path.write_text(good + f"sigma_centre_m: {stated}\n")
+    solver = read_setup(path).solver
+    assert (solver.sigma_centre_m, solver.sigma_axes_m) == (sigma, axes)
+
+
+@pytest.mark.parametrize(
+    ("stated", "text"),
+    [
+        ("5e-8 m", "expected float .* found '5e-8 m'"),
+        ("nan", "expected float .* found 'nan'"),
+        ("[5e-8, 5e-8]", "three positive lengths"),
+        ("[5e-8, 5e-8, 0]", "three positive lengths"),
+    ],
+)
+def test_other_words_for_noise_are_refused(tmp_path, stated, text):
+    path = tmp_path / "plate.yaml"
+    path.write_text((PLATES / "ball_plate_12.yaml").read_text() + f"sigma_centre_m: {stated}\n")
+    with pytest.raises(ConfigurationError, match=text):
+        read_setup(path)
+
+
+def test_one_standard_deviation_or_three():
+    with pytest.raises(ConfigurationError, match="not both"):
+        BallPlateSolverSettings(sigma_centre_m=5e-8, sigma_axes_m=(5e-8, 5e-8, 5e-8))
+
+
+def centres_table(path, std=("", "")):
+    """A table of exact centres of a small plate, with further columns."""
+    header, cells = std
+    lines = [f"position,ball_step,x_m,y_m,z_m{header}"]
+    rng = np.random.default_rng(1)
+    for ball in (0, 3, 4, 9, 14, 20):
+        for i in range(24):
+            angle = 2 * np.pi * (i + ball) / 24
+            place = np.array([RADIUS * np.cos(angle), RADIUS * np.sin(angle), 0.0])
+            place += [5e-8, 5e-8, 1.5e-7] * rng.normal(size=3)
+            lines.append(f"{i},{ball}," + ",".join(repr(float(v)) for v in place) + cells)
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+SMALL = """method: ball_plate
+grid: 24
+ball_steps: [0, 3, 4, 9, 14, 20]
+circle_radius_m: 0.185
+ball_diameter_m: 0.02
+"""
+
+
+def test_a_table_may_state_the_noise_of_each_centre(tmp_path):
+    setup = tmp_path / "plate.yaml"
+    setup.write_text(SMALL + "sigma_centre_m: 1e-7\n")
+    std = (",sx_m,sy_m,sz_m", ",5e-8,5e-8,1.5e-7")
+    path = centres_table(tmp_path / "balls.csv", std)
+    result = read_measurements(path, read_setup(setup)).solve()
+    assert result.verdict == "ok"
+    np.testing.assert_allclose(result.details["axis_noise"]["used"], 1.0)  # times the stated
+    wrong = read_measurements(centres_table(tmp_path / "b.csv"), read_setup(setup)).solve()
+    assert wrong.verdict == "suspect"  # 0.1 um for all does not hold
+    setup.write_text(SMALL + "sigma_centre_m: [5e-8, 5e-8, 1.5e-7]\n")
+    same = read_measurements(tmp_path / "b.csv", read_setup(setup)).solve()
+    for name, deviations in same.deviations.items():
+        np.testing.assert_array_equal(deviations, result.deviations[name])
+        np.testing.assert_array_equal(same.std[name], result.std[name])
+
+
+@pytest.mark.parametrize("bad", ["0", "-1e-7", "0.5", "x"])
+def test_a_standard_deviation_in_a_table_must_be_one(tmp_path, bad):
+    setup = tmp_path / "plate.yaml"
+    setup.write_text(SMALL)
+    std = (",sx_m,sy_m,sz_m", f",5e-8,5e-8,{bad}")
+    path = centres_table(tmp_path / "balls.csv", std)
+    with pytest.raises(DataError, match=r"row 2: sz_m"):
+        read_measurements(path, read_setup(setup))
 
 
 def test_plate_defaults():

@@ -47,13 +47,29 @@ def test_a_circle_of_another_radius_is_refused(larger):
 
 
 @pytest.mark.parametrize("direction", [0.4, 2.0, -2.5])
-def test_the_circle_may_lie_off_the_axis_by_two_percent(direction):
+def test_the_circle_may_lie_off_the_axis_by_three_percent(direction):
     problem = perfect()
     away = RADIUS * np.array([np.cos(direction), np.sin(direction), 0.0])
-    assert refused(replace(problem, centres=problem.centres + 0.0199 * away)) == []
-    x, y = 0.0201e3 * away[:2]
+    assert refused(replace(problem, centres=problem.centres + 0.0299 * away)) == []
+    x, y = 0.0301e3 * away[:2]
     with pytest.raises(DataError, match=rf"\({x:.3f}, {y:.3f}\) mm off the origin"):
-        screen(replace(problem, centres=problem.centres + 0.0201 * away))
+        screen(replace(problem, centres=problem.centres + 0.0301 * away))
+
+
+@pytest.mark.parametrize("direction", [0.4, 2.0, -2.5])
+def test_the_plate_may_lie_off_the_axis_by_three_percent(direction):
+    """Every ball moves by more than a quarter step from its place, and none is flagged."""
+    problem = perfect()
+    turn = direction + STEP * problem.position
+    away = RADIUS * np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
+    off = problem.centres + np.array([3e-3, -2e-3, 1e-3])
+    assert refused(replace(problem, centres=off + 0.0299 * away)) == []
+    misplaced = perfect(turned=one(4 * STEP)).centres - problem.centres
+    assert refused(replace(problem, centres=off + 0.0299 * away + misplaced)) == [100]
+    x, y = 0.0301e3 * RADIUS * np.array([np.cos(direction), np.sin(direction)])
+    text = rf"the plate lies \({x:.3f}, {y:.3f}\) mm off the table's axis: centre it"
+    with pytest.raises(DataError, match=text):
+        screen(replace(problem, centres=off + 0.0301 * away))
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(99.0, "wrong plate file"), (101.0, "millimetres")])

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rotcal_ros.methods.distributions import chi2_isf, chi2_sf, f_isf, normal_isf
+from rotcal_ros.methods.distributions import (
+    chi2_isf,
+    chi2_sf,
+    f_isf,
+    f_sf,
+    normal_isf,
+    normal_sf,
+)
 
 PROBABILITIES = (1e-12, 1e-4, 0.01, 0.3, 0.5, 0.99)
 
@@ -22,6 +29,12 @@ def test_normal_and_f(p):
     assert normal_isf(p) == stats.norm.isf(p)
     dof, below = np.array([1, 3, 3]), np.array([7, 50, 5000])
     assert np.array_equal(f_isf(p, dof, below), stats.f.isf(p, dof, below))
+
+
+@pytest.mark.parametrize("value", [0.0, 0.3, 1.0, 2.5, 9.0])
+def test_tails_of_normal_and_f(value):
+    assert normal_sf(value) == stats.norm.sf(value)
+    assert f_sf(value, 24.5, 79.0) == stats.f.sf(value, 24.5, 79.0)
 
 
 def test_arrays_keep_their_shape():

@@ -37,7 +37,8 @@ def test_linear_map_gives_what_the_solver_finds_for_the_same_numbers(name):
     moved = problem.centres + (trials.std * noise[0]).reshape(-1, 3)
     answer = stacked(solve(replace(problem, centres=moved)).deviations)
     found = trials(np.random.default_rng(4), 1)[0]
-    np.testing.assert_allclose(found, answer, rtol=0, atol=1e-16)
+    # the map is the tangent of the exact model: products of noise and plate errors remain
+    np.testing.assert_allclose(found, answer, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("name", plates())
@@ -60,14 +61,14 @@ def test_separate_groups_are_solved_one_by_one():
 
 
 def test_separate_groups_with_given_deviations():
-    """Noise of its own for each coordinate, enlarged by as much as the residuals demand."""
+    """Noise of its own for each coordinate, enlarged by what the residuals of its axis demand."""
     problem, _ = simulated(24, [0, 2, 4, 8, 14, 20], separate_groups=True)
     n = len(problem.centres)
     std = np.linspace(2e-8, 8e-8, 3 * n).reshape(n, 3)
     trials = plate_trials(replace(problem, std=std))
     assert isinstance(trials, SolvedTrials)
     scale = trials.std / std
-    np.testing.assert_allclose(scale, scale[0, 0], rtol=1e-12)
+    np.testing.assert_allclose(scale, np.tile(scale[0, [0, 0, 2]], (n, 1)), rtol=1e-12)
     result = solve(replace(problem, std=std))
     values = trials(np.random.default_rng(5), 150)
     np.testing.assert_allclose(values.std(axis=0), stacked(result.std), rtol=0.3)

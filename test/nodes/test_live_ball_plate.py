@@ -51,7 +51,7 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     live = plate_cell()
     outcome = live.calibrate()
     assert outcome["error_code"] == 0, outcome["error_msg"]
-    assert outcome["n_used"] == 72
+    assert outcome["n_used"] == 78  # the first position again at the end
     assert outcome["skipped_steps"] == []
 
     recording = read_recording(live.bag)
@@ -66,7 +66,7 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
         error = (result.deviations[name] - truth[name]) / result.std[name]
         assert np.abs(error).max() < 5.0, name
     topics = recording.verdicts[0].topics
-    assert topics["/cell/probe_point"].messages >= 72 * 15
+    assert topics["/cell/probe_point"].messages >= 78 * 15
     assert "/cell/tracer_length" not in topics
 
 
@@ -74,20 +74,20 @@ def test_a_shifted_plate_is_told_at_every_ball_and_ends_without_a_result(plate_c
     live = plate_cell(
         "simulation.plate.azimuth_deg=10.0",
         "planner.max_attempts=1",
-        "plan.cmm_positions=[0, 3]",
+        "plan.cmm_positions=[0, 1, 2, 3, 4, 5]",
     )
     outcome = live.calibrate()
     assert outcome["error_code"] == 605  # too few observations
     assert outcome["n_used"] == 0
     recorded = read_recording(live.bag).recorded
-    assert len(recorded) == 12
+    assert len(recorded) == 40
     assert all("plate mounted shifted" in o.reason for o in recorded)
 
 
 def test_the_parameters_of_the_nodes_are_enough(plate_cell):
-    live = plate_cell("plan.cmm_positions=[0, 3, 6]")
+    live = plate_cell("plan.cmm_positions=[0, 1, 2, 3, 4, 5]")
     live.start(*SUITE, "simulated_cell")
     client = live.client(configuration=None)
-    assert client.wait_for_step(2)["total"] == 18
+    assert client.wait_for_step(2)["total"] == 40
     client.cancel()
     assert client.result()["error_code"] == 607

@@ -75,16 +75,16 @@ def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(c
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     assert outcome["verdict"] == "ok"
-    assert outcome["n_used"] == 6 + 6 + 6 + 6
+    assert outcome["n_used"] == 12 + 6 + 12 + 6
     assert outcome["skipped_steps"] == []
 
     recording = read_recording(live.bag)
     text = (live.session / "result.json").read_text()
     assert recording.same_as_recorded
     assert recording.solve().to_json() == text
-    # The nests of the second station were measured twice; what counts is the second time.
+    # The first nests of the second station were measured twice; what counts is the second time.
     nests = [o for o in recording.recorded if o.station == 1 and o.kind.name == "NEST"]
-    assert [o.target for o in nests] == [1, 2, 3, 4, 5, 6] * 2
+    assert [o.target for o in nests] == [1, 2, 3, 4, 5, 6] * 3
     assert "/cell/tracer_length" not in recording.verdicts[0].topics
 
     result = Result.from_dict(json.loads(text))
@@ -113,6 +113,32 @@ def test_a_nest_that_stays_displaced_is_named_in_the_result(cell):
     assert any("nest 2 moved between tracker stations 0 and 1" in w for w in result["warnings"])
 
 
+def test_a_station_at_which_the_tracker_drifts_is_measured_again(cell):
+    """A drift without end: asked once, then the calibration goes on and says what it saw."""
+    live, client = cell(
+        "planner.max_attempts=2",
+        "plan.drift_limit_arcsec=4.0",
+        "simulation.tracker.azimuth_drift_arcsec_per_h=6000.0",
+    )
+    for station in (0, 1):
+        assert paused(client).startswith(f"put the tracker at station {station}")
+        resume(live)
+        again = paused(client)
+        assert again.startswith("not as it should be: the tracker turned by ")
+        assert f"between two rounds of nests at station {station}, allowed 4" in again
+        assert "leave the tracker where it is; the station is measured again" in again
+        resume(live)
+    outcome = client.result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert outcome["verdict"] == "suspect"
+    result = json.loads((live.session / "result.json").read_text())
+    assert [d["station"] for d in result["details"]["drift"]] == ["0", "1"]
+    assert any("tracker station 1 moved between rounds of nests" in w for w in result["warnings"])
+    recording = read_recording(live.bag)
+    assert len([o for o in recording.recorded if o.station == 0]) == 2 * (12 + 6)
+    assert recording.same_as_recorded
+
+
 def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     # Without a configuration in the goal: the planner's own parameters are enough.
     live, client = cell("simulation.time_scale=2.0", configuration=None)
@@ -127,5 +153,5 @@ def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     client.cancel()
     outcome = client.result()
     assert outcome["error_code"] == CANCELED
-    assert "continue with start_index 12" in outcome["error_msg"]  # where it paused
+    assert "continue with start_index 18" in outcome["error_msg"]  # where it paused
     assert [v.state for v in read_recording(live.bag).verdicts] == ["complete"]

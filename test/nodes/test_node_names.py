@@ -70,16 +70,29 @@ def test_the_names_are_known_without_numpy():
     assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
 
 
-def test_the_launch_file_starts_what_is_listed(monkeypatch):
-    started = []
+@pytest.mark.parametrize("bridge", [True, False])
+@pytest.mark.parametrize("simulated", [True, False])
+def test_the_launch_file_starts_what_is_listed(monkeypatch, tmp_path, bridge, simulated):
+    text = (ROOT / "config" / "tracer_demo.yaml").read_text()
+    file = tmp_path / "cell.yaml"
+    file.write_text(text + ("    bridge: {controller: csv}\n" if bridge else ""))
+    values = {"configuration": str(file), "simulated": str(simulated).lower()}
+    started, later = [], []
     launch = MagicMock()
     launch.actions.Node.side_effect = lambda **options: started.append(options["executable"])
+    launch.actions.OpaqueFunction.side_effect = lambda function: later.append(function)
     for name in ("launch", "launch_ros"):
         for module in ("", ".actions", ".conditions", ".substitutions"):
-            stub = launch.actions if name + module == "launch_ros.actions" else MagicMock()
+            stub = launch.actions if module == ".actions" else MagicMock()
+            stub.LaunchConfiguration.side_effect = lambda name: MagicMock(
+                perform=lambda _context: values.get(name)
+            )
             monkeypatch.setitem(sys.modules, name + module, stub)
     runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
-    assert started == [*NODES, FURTHER_NODES["simulation"]]
+    for function in later:
+        function(None)
+    further = [FURTHER_NODES["bridge"]] * bridge + [FURTHER_NODES["simulation"]] * simulated
+    assert started == [*NODES, *further]
 
 
 def test_the_page_of_interfaces_has_a_row_for_every_node():

@@ -36,7 +36,7 @@ def mounted(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", ["recorder.writer.split_bytes=50000", "recorder.writer.split_duration_s=0.7"]
+    "change", ["recorder.writer.split_bytes=150000", "recorder.writer.split_duration_s=0.7"]
 )
 def test_a_split_session_is_one_to_the_solver(cell, change):
     live = cell(change)

@@ -12,6 +12,7 @@ import pytest
 from live_cell import DEADLINE_S, DEMO, SHORT, wait_until
 
 from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.sources import read_source
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -50,6 +51,8 @@ def test_run_ends_with_a_verdict_and_all_files(tmp_path):
     assert done.returncode == 0, done.stderr
     outcome = json.loads(done.stdout)
     assert outcome["verdict"] == "ok"
+    result = read_source(tmp_path / "out" / "result.json").result
+    assert outcome["verdict_line"] == result.verdict_line
     assert outcome["n_used"] == 59
     assert set(outcome["files"]) == {"bag", "result", "truth", "report", "compensation"}
     for path in map(Path, outcome["files"].values()):

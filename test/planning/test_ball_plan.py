@@ -9,11 +9,17 @@ from rotcal_ros.planning.ball_plan import Kinematics, plan_measurement
 PAPER_PLATE = [0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62]
 
 
-@pytest.mark.parametrize("order", ["table_once", "probe_rests"])
+ORDERS = ["interleaved", "table_once", "probe_rests"]
+
+
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("backlash", [True, False])
 @pytest.mark.parametrize("positions", [None, [0, 3, 7, 20, 41]])
 def test_every_centre_is_measured_once(order, backlash, positions):
-    plan = plan_measurement(72, PAPER_PLATE, positions=positions, order=order, backlash=backlash)
+    plan = plan_measurement(
+        72, PAPER_PLATE, positions=positions, order=order, backlash=backlash, closing=False
+    )
+    assert plan.closing == 0
     cells = set(zip(plan.cmm_index.tolist(), plan.ball_step.tolist(), strict=True))
     wanted = {(k, j) for k in (positions or range(72)) for j in PAPER_PLATE}
     assert cells == wanted
@@ -24,7 +30,7 @@ def test_every_centre_is_measured_once(order, backlash, positions):
     )
 
 
-@pytest.mark.parametrize("order", ["table_once", "probe_rests"])
+@pytest.mark.parametrize("order", ORDERS)
 def test_with_backlash_the_table_never_turns_back(order):
     plan = plan_measurement(72, PAPER_PLATE, order=order, backlash=True)
     assert plan.reversals == 0
@@ -33,10 +39,47 @@ def test_with_backlash_the_table_never_turns_back(order):
 
 
 def test_table_turns_once_around_in_all():
-    plan = plan_measurement(72, PAPER_PLATE)
+    once = {"order": "table_once", "closing": False}
+    plan = plan_measurement(72, PAPER_PLATE, **once)
     assert plan.table_travel == pytest.approx(2 * np.pi)  # with the lead-in of one step
-    still = plan_measurement(72, PAPER_PLATE, backlash=False)
+    still = plan_measurement(72, PAPER_PLATE, **once, backlash=False)
     assert still.table_travel == pytest.approx(2 * np.pi * 71 / 72)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("backlash", [True, False])
+def test_plans_close_with_the_first_table_position(order, backlash):
+    whole = plan_measurement(72, PAPER_PLATE, order=order, backlash=backlash)
+    open_plan = plan_measurement(72, PAPER_PLATE, order=order, backlash=backlash, closing=False)
+    n = len(open_plan.ball_step)
+    assert whole.closing == len(whole.ball_step) - n == 12
+    np.testing.assert_array_equal(whole.position[:n], open_plan.position)
+    assert set(whole.position[n:]) == {whole.position[0]}
+    assert sorted(whole.ball_step[n:]) == PAPER_PLATE
+    assert open_plan.duration < whole.duration < 1.02 * open_plan.duration
+    assert (np.diff(whole.table_angle)[n - 1 :] >= 0.0).all() or not backlash
+
+
+def test_a_position_with_few_balls_is_not_worth_closing():
+    plan = plan_measurement(72, PAPER_PLATE, positions=[0, 3])
+    assert plan.closing == 0
+
+
+@pytest.mark.parametrize("balls", [PAPER_PLATE, [0, 3, 22, 31, 48, 52], list(range(0, 72, 6))])
+def test_interleaved_rounds_share_balls_and_positions_evenly(balls):
+    """Each round meets every table position, and all balls and CMM positions about as often."""
+    plan = plan_measurement(72, balls, rounds=3, closing=False)
+    turn = np.round(plan.table_angle / (2 * np.pi / 72)).astype(int)
+    for number in range(3):
+        rows = turn // 72 == number
+        stops = np.bincount(plan.position[rows], minlength=72)
+        assert (stops == len(balls) // 3).all()
+        each = np.bincount(plan.ball_step[rows], minlength=72)[np.sort(balls)]
+        assert each.max() - each.min() <= 2
+        if len(balls) == 12:
+            cmm = np.bincount(plan.cmm_index[rows], minlength=72)
+            assert cmm.min() >= 1
+            assert cmm.max() <= 9
 
 
 def test_probe_rests_turns_less_to_and_fro():
@@ -54,7 +97,13 @@ def test_duration_is_that_of_the_moves():
         settle=10.0, touch=100.0, touches_per_ball=2, clearance=4.0,
     )  # fmt: skip
     plan = plan_measurement(
-        4, [0], positions=[0, 1, 2, 3], backlash=False, radius=2.0, kinematics=kinematics
+        4,
+        [0],
+        positions=[0, 1, 2, 3],
+        order="table_once",
+        backlash=False,
+        radius=2.0,
+        kinematics=kinematics,
     )
     quarter = np.pi / 2
     table = 3 * (quarter + 1.0 + 10.0)  # longer than the ramps: s/v + v/a, and settling
@@ -86,10 +135,11 @@ def test_impossible_plans_are_refused(balls, positions, order):
 
 
 def test_the_probe_sweeps_to_and_fro_and_never_crosses_the_largest_gap():
-    plan = plan_measurement(12, [0, 2, 11])
+    once = {"order": "table_once", "closing": False}
+    plan = plan_measurement(12, [0, 2, 11], **once)
     assert plan.ball_step.tolist() == [11, 0, 2, 2, 0, 11] * 6
     assert plan.position.tolist() == np.repeat(np.arange(12), 3).tolist()
-    few = plan_measurement(12, [0, 2, 11], positions=[3])
+    few = plan_measurement(12, [0, 2, 11], positions=[3], **once)
     # the probe rests at position 3, the table brings the balls: 11 at 4, 0 at 3, 2 at 1
     assert few.ball_step.tolist() == [2, 0, 11]
     assert few.position.tolist() == [1, 3, 4]

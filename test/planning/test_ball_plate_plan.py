@@ -24,12 +24,14 @@ def plan(**changes):
 
 
 @pytest.mark.parametrize(
-    "changes", [{}, {"order": "probe_rests"}, {"rounds": 3}, {"backlash": False}]
+    "changes",
+    [{}, {"order": "probe_rests"}, {"rounds": 3}, {"backlash": False}, {"order": "table_once"}],
 )
 def test_the_table_brings_each_ball_to_its_place(changes):
     """A ball at plate angle b stands at b plus the turn of the table from its start."""
     made = plan(**changes)
-    assert [step.index for step in made.steps] == list(range(4 * 12))
+    assert [step.index for step in made.steps] == list(range(4 * 12 + 4))
+    assert {step.table_position for step in made.steps[-4:]} == {made.steps[0].table_position}
     for step in made.steps:
         turn = step.table_angle - np.radians(40.0)
         angle = np.radians(30.0 * step.target) + turn
@@ -55,7 +57,7 @@ def test_angles_and_targets_are_those_of_the_grid():
 
 def test_only_the_wanted_positions_are_measured():
     made = plan(cmm_positions=(2, 7))
-    assert len(made.steps) == 8
+    assert len(made.steps) == 8  # no position has the three balls that closing needs
     wanted = {tuple(np.round(made.targets[k], 9)) for k in (2, 7)}
     assert {tuple(np.round(step.position, 9)) for step in made.steps} == wanted
 
@@ -67,8 +69,8 @@ def test_a_machine_that_computes_centres_gives_one_point():
 
 
 def test_the_probe_that_rests_lets_the_table_travel_more():
-    visiting = BallPlatePlanSettings(plate=PLATE)
-    resting = BallPlatePlanSettings(plate=PLATE, order="probe_rests")
+    visiting = BallPlatePlanSettings(plate=PLATE, order="table_once", closing=False)
+    resting = BallPlatePlanSettings(plate=PLATE, order="probe_rests", closing=False)
     assert measuring_order(visiting).table_travel == pytest.approx(2 * np.pi)
     assert measuring_order(resting).table_travel > 2 * np.pi
     assert measuring_order(visiting).duration < measuring_order(resting).duration

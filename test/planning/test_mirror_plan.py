@@ -24,13 +24,15 @@ def test_the_stations_of_the_paper() -> None:
     ]  # fmt: skip
 
 
-def test_each_station_measures_nests_first_then_reflector_and_image() -> None:
+def test_each_station_measures_nests_then_reflector_and_image_then_nests_again() -> None:
     plan = mirror_plan(replace(PAPER, reflectors=2))
-    assert [p.first for p in plan.pauses] == [0, 21, 42, 63, 84, 105]
-    assert len(plan.steps) == 6 * 5 + 22 * 2 * 2
-    block = plan.steps[21:42]
+    assert [p.first for p in plan.pauses if p.again_from is None] == [0, 26, 52, 78, 104, 130]
+    assert len(plan.steps) == 6 * 5 * 2 + 22 * 2 * 2
+    block = plan.steps[26:52]
     assert {s.station for s in block} == {1}
-    assert [(s.kind, s.target) for s in block[:5]] == [(PointKind.NEST, n) for n in range(1, 6)]
+    nests = [(PointKind.NEST, n) for n in range(1, 6)]
+    assert [(s.kind, s.target) for s in block[:5]] == nests
+    assert [(s.kind, s.target) for s in block[-5:]] == nests
     assert [(s.table_position, s.kind, s.target) for s in block[5:10]] == [
         (3, PointKind.DIRECT, 1),
         (3, PointKind.MIRRORED, 1),
@@ -38,16 +40,41 @@ def test_each_station_measures_nests_first_then_reflector_and_image() -> None:
         (3, PointKind.MIRRORED, 2),
         (4, PointKind.DIRECT, 1),
     ]
-    assert plan.pauses[1].last == 25
-    assert plan.pause_before(21) is plan.pauses[1]
-    assert plan.pause_before(22) is None
+    assert plan.pauses[2].last == 30
+    assert plan.pause_before(26) is plan.pauses[2]
+    assert plan.pause_before(27) is None
     assert block[0].command(0).station == 1
-    # The table stands where the station before left it.
-    assert block[0].table_angle == plan.steps[20].table_angle
+    # The table stands where the station before left it, and stays there for the closing nests.
+    assert block[0].table_angle == plan.steps[25].table_angle
+    assert {s.table_angle for s in block[-5:]} == {block[-6].table_angle}
+
+
+def test_closing_nests_are_judged_and_a_bad_station_is_measured_again_whole() -> None:
+    plan = mirror_plan(replace(PAPER, reflectors=2))
+    closing = plan.pauses[3]
+    assert (closing.first, closing.last, closing.again_from) == (47, 51, 26)
+    assert "leave the tracker where it is" in closing.instruction
+
+
+def test_nests_are_measured_in_between_where_a_station_takes_long() -> None:
+    plan = mirror_plan(replace(PAPER, nests_every=2))
+    block = [s for s in plan.steps if s.station == 0]
+    kinds = [s.kind == PointKind.NEST for s in block]
+    assert kinds == [True] * 5 + [False] * 4 + [True] * 5 + [False] * 4 + [True] * 5
+    assert {s.table_position for s in block[9:14]} == {1}
+    # The last station has two positions: there is nothing in between.
+    assert sum(s.kind == PointKind.NEST for s in plan.steps if s.station == 5) == 10
+
+
+def test_nests_measured_once_are_the_plan_of_earlier_versions() -> None:
+    once = mirror_plan(replace(PAPER, reflectors=2), nests_once=True)
+    assert len(once.steps) == 6 * 5 + 22 * 2 * 2
+    assert [p.first for p in once.pauses] == [0, 21, 42, 63, 84, 105]
+    assert once == mirror_plan(replace(PAPER, reflectors=2, closing_nests=False))
 
 
 def test_the_instruction_names_place_nests_and_positions() -> None:
-    text = mirror_plan(PAPER).pauses[1].instruction
+    text = mirror_plan(PAPER).pauses[2].instruction
     assert "station 1 (of 0 to 5)" in text
     # Middle of the positions 67.5 to 135 deg: the tracker faces the mirror there.
     assert f"x {2 * math.cos(101.25 * DEGREE):.2f}, y {2 * math.sin(101.25 * DEGREE):.2f}" in text
@@ -97,9 +124,14 @@ def test_impossible_plans_are_refused(changes: dict[str, object], text: str) -> 
 
 
 def test_one_station_needs_no_nests() -> None:
-    plan = mirror_plan(replace(PAPER, table_positions=4))
+    plan = mirror_plan(replace(PAPER, table_positions=4, nests_m=()))
     assert {s.kind for s in plan.steps} == {PointKind.DIRECT, PointKind.MIRRORED}
     assert (plan.pauses[0].first, plan.pauses[0].last) == (0, -1)
+
+
+def test_one_station_measures_nests_to_show_its_drift() -> None:
+    plan = mirror_plan(replace(PAPER, table_positions=4))
+    assert [(p.first, p.last) for p in plan.pauses] == [(0, 4), (13, 17)]
 
 
 def test_reflectors_on_the_table_turn_with_it() -> None:
@@ -108,6 +140,7 @@ def test_reflectors_on_the_table_turn_with_it() -> None:
             PAPER,
             carries="reflectors",
             positions_per_station=17,
+            nests_m=(),
             table_reflectors_m=(0.3, 0.0, 0.1, -0.2, 0.1, 0.1),
         )
     )

@@ -114,9 +114,11 @@ def test_the_verb_writes_table_and_overview(fleet, tmp_path):
     rows = [row for row in table.to_pylist() if "run_6" in row["source"]]
     assert [row["deviation"] for row in rows] == result.deviations["ECC"].tolist()
     assert [row["std"] for row in rows] == result.std["ECC"].tolist()
+    assert {row["verdict_line"] for row in rows} == {result.verdict_line}
     page = (tmp_path / "out" / "overview.html").read_text()
     assert page.count("<svg") == 1
     assert "is no MCAP file" in page
+    assert f">{result.verdict_line}</td>" in page
     assert not re.search(r'(src|href)="[^#]', page)
     again = CliRunner().invoke(rotcal, arguments)
     assert "3 solved (3 of them before)" in again.output

@@ -58,3 +58,19 @@ def test_the_map_shows_where_the_stations_stood(result: Result) -> None:
     cell = paper_cell()
     expected = np.linalg.norm(cell.nests[0] - cell.nests[3])
     assert np.linalg.norm(nests[1] - nests[4]) == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_drift_is_drawn_where_nests_were_measured_again(result: Result) -> None:
+    assert mirror_figures.drift(result.details) == ""
+    station = {
+        "station": "A",
+        "knots": [0.0, 4.0, 10.0],
+        "turn_rad": [[0.0, 1e-6, 5e-6], [1e-6, 0.0, -2e-6]],
+        "turn_std_rad": [[1e-6] * 3] * 2,
+        "range_m": [1e-6, 3e-6],
+        "range_std_m": [1e-6] * 2,
+    }
+    drawn = mirror_figures.drift({"drift": [station, {**station, "station": "B"}]})
+    assert drawn.startswith("<svg")
+    for text in ("azimuth", "tilt y", "tracker station", "range / µm"):
+        assert text in drawn

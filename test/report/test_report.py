@@ -1,8 +1,10 @@
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 
+from rotcal_ros.protection import Protection
 from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.results import Rejection, Residuals, Result
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -93,3 +95,32 @@ def test_figures_that_have_nothing_to_show_are_left_out() -> None:
     page = render_report(ReportInput(result=bare, title="t", method_title="m"))
     assert re.findall(r"<h2>(.*?)</h2>", page)[:2] == ["Summary", "Deviations"]
     assert page.count("<svg") == 1
+
+
+def trusting(*protections: Protection) -> str:
+    result = replace(tracer_result(), verdict="ok", warnings=(), protections=protections)
+    return render_report(replace(REPORT, result=result))
+
+
+def test_an_ok_that_does_not_cover_everything_is_neither_said_nor_painted_as_one() -> None:
+    bare = Protection("tilt", "not protected", "nothing sees <the table> lean")
+    late = Protection("drift", "tested", "closure", error=2.14)
+    whole = Protection("scale", "harmless", "a larger circle")
+    page = trusting(bare, late, whole)
+    assert '<span class="verdict partly">Verdict: ok, not protected against drift, tilt' in page
+    assert "What could be wrong, and would it show?" in page
+    assert (
+        '<tr class="bare"><td>tilt</td><td>not protected</td>'
+        "<td>nothing sees &lt;the table&gt; lean</td><td></td></tr>"
+    ) in page
+    assert (
+        '<tr class="bare"><td>drift</td><td>tested</td><td>closure</td><td>2.1</td></tr>' in page
+    )
+    assert "<tr><td>scale</td>" in page
+    assert '<span class="verdict ok">Verdict: ok</span>' in trusting(whole)
+
+
+def test_a_method_that_states_nothing_is_told_from_one_that_is_protected() -> None:
+    page = trusting()
+    assert '<span class="verdict partly">Verdict: ok, protection against drift' in page
+    assert "does not state what it does about drift" in page

@@ -9,6 +9,7 @@ import numpy as np
 
 from rotcal_polygon.adjustment import Adjustment, PolygonProblem, adjust
 from rotcal_polygon.plan import NAME
+from rotcal_polygon.protections import protections
 from rotcal_polygon.settings import PolygonPlanSettings
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.configuration import Configuration
@@ -85,6 +86,7 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
         ),
         verdict="suspect" if warnings else "ok",
         warnings=warnings,
+        protections=protections(problem),
         residuals=Residuals(
             table_position=np.array([o.table_position for o in observations], dtype=np.int64),
             target=problem.face,

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.ball_plate.plan import BallPlatePlanSettings
-from rotcal_ros.catalogue.ball_plate.solver_settings import BallPlateSolverSettings
+from rotcal_ros.catalogue.ball_plate.solver_settings import DRIFTS, BallPlateSolverSettings
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.errors import ConfigurationError, DataError
@@ -18,12 +18,16 @@ from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.results import Result
+from rotcal_ros.units import NANOSECOND
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
     """Solve the accepted observations of a ball plate plan; angles are those of the table."""
-    result = ball_plate.solve(_chosen(configuration, plan, observations))
-    return replace(result, angles=np.array(plan.table_angles)[:: configuration.solver.coarser])
+    chosen = _chosen(configuration, plan, observations)
+    result = ball_plate.solve(chosen)
+    solved = np.searchsorted(chosen.angles, result.angles)
+    table_angles = np.array(plan.table_angles)[:: configuration.solver.coarser]
+    return replace(result, angles=table_angles[solved])
 
 
 def trials(
@@ -60,23 +64,52 @@ def problem(
     """Return the problem that observations of a plan pose.
 
     The row numbers are the steps of the plan, so that messages and the search for a moved plate
-    follow the order of measurement. All centres weigh the same: the scatter of a few touches
-    says less about a centre than the residuals of all of them.
+    follow the order of measurement; the time of each counts where a drift is estimated. All
+    centres weigh the same unless ``own_std`` says otherwise: the scatter of a few touches says
+    less about a centre than the residuals of all.
     """
     if not observations:
         raise DataError("no ball was measured: there is nothing to solve")
     settings: BallPlatePlanSettings = configuration.plan
-    plate, sigma = settings.plate, configuration.solver.sigma_centre_m
+    plate, solver = settings.plate, configuration.solver
     return BallPlateProblem(
         grid=plate.grid,
         radius=plate.circle_radius_m,
         position=np.array([o.table_position for o in observations], dtype=np.int64),
         ball_step=np.array([o.target for o in observations], dtype=np.int64),
         centres=np.array([o.mean for o in observations]) - np.array(settings.centre_m),
-        sigma=sigma or None,
+        sigma=None if solver.own_std else solver.sigma_centre_m or None,
+        std=_std(solver, observations),
         row=np.array([o.step for o in observations], dtype=np.int64),
         separate_groups=plate.separate_groups,
+        time=_times(observations) if DRIFTS.index(solver.drift) else None,
+        drift=DRIFTS.index(solver.drift),
+        drift_allowance=solver.drift_allowance_m,
     )
+
+
+def _times(observations: Sequence[Observation]) -> Floats | None:
+    """Return when each was measured, s (n,); None for tables, whose rows have no time."""
+    ends = np.array([o.window_end_ns for o in observations], dtype=np.int64)
+    if len(np.unique(ends)) < len(ends):
+        return None
+    return np.asarray((ends - ends.min()) * NANOSECOND, dtype=np.float64)
+
+
+def _std(settings: BallPlateSolverSettings, observations: Sequence[Observation]) -> Floats | None:
+    """Return the standard deviations (n, 3) that the centres or the settings state, if any."""
+    if not settings.own_std:
+        axes = settings.sigma_axes_m
+        return np.tile(axes, (len(observations), 1)) if axes else None
+    std = np.array([o.std for o in observations])
+    bad = np.flatnonzero(~np.all(np.isfinite(std) & (std > 0.0), axis=1))
+    if len(bad):
+        o = observations[bad[0]]
+        raise DataError(
+            f"step {o.step} (ball step {o.target}, table position {o.table_position}): "
+            f"its standard deviations are {o.std} m, solver.own_std needs three positive lengths"
+        )
+    return std
 
 
 def gauge(angles: Floats, deviations: Mapping[str, Floats]) -> dict[str, Floats]:

@@ -7,8 +7,14 @@ from typing import Final
 from rotcal_ros.capture.points import points
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.ball_plate import calibration, table
+from rotcal_ros.catalogue.ball_plate.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.ball_plate.figures import figures
-from rotcal_ros.catalogue.ball_plate.plan import BallPlatePlanSettings, plan
+from rotcal_ros.catalogue.ball_plate.plan import (
+    BallPlatePlanSettings,
+    check_plan,
+    older_plan,
+    plan,
+)
 from rotcal_ros.catalogue.ball_plate.simulation_settings import PlateSimulationSettings
 from rotcal_ros.catalogue.ball_plate.solver_settings import BallPlateSolverSettings
 from rotcal_ros.catalogue.ball_plate.touched_ball import reported_centre, touched_centre
@@ -33,6 +39,8 @@ METHOD: Final = Method(
     solver_settings=BallPlateSolverSettings,
     simulation_settings=PlateSimulationSettings,
     plan=plan,
+    check_plan=check_plan,
+    older_plans=(older_plan,),
     capture=CaptureRules(
         {PointKind.SURFACE: points(touched_centre), PointKind.CENTRE: points(reported_centre)}
     ),
@@ -43,4 +51,5 @@ METHOD: Final = Method(
     table=TableReader(table.HEADERS, table.read),
     short_setup=table.short_setup,
     figures=figures,
+    disturbances=DISTURBANCES,
 )

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, cast, get_args
 
 import numpy as np
 
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.methods.ball_plate.plate import Plate, checked
+from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.methods.ball_plate.general import MIN_BALLS
+from rotcal_ros.methods.ball_plate.plate import Plate, checked, points_setting
+from rotcal_ros.methods.ball_plate.rejection import MOST_OPEN
 from rotcal_ros.methods.ball_plate.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
-from rotcal_ros.planning.ball_plan import BallPlan, Kinematics, plan_measurement
+from rotcal_ros.planning.ball_plan import (
+    DEFAULT_ORDER,
+    BallPlan,
+    Kinematics,
+    Order,
+    plan_measurement,
+)
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
@@ -36,23 +44,24 @@ class BallPlatePlanSettings:
         (), doc="grid steps at which balls are measured; empty: all", minimum=0
     )
     order: str = setting(
-        "table_once",
-        doc="the table goes around and the probe visits the balls, or the probe rests (paper)",
-        choices=("table_once", "probe_rests"),
+        DEFAULT_ORDER,
+        doc="a share of the balls at every stop in several turns, or all balls in one turn of "
+        "the table, or the probe rests (paper)",
+        choices=get_args(Order),
     )
     rounds: int = setting(
-        1,
-        doc="turns of the table, each for a share of the CMM positions: early results",
-        minimum=1,
+        0,
+        doc="turns of the table: interleaved, each for a share of the balls; table_once, each "
+        "for a share of the CMM positions; 0: as many as the order asks for (4 and 1)",
+        minimum=0,
         maximum=100,
     )
+    closing: bool = setting(True, doc="measure the first table position again at the end")
     backlash: bool = setting(True, doc="approach all angles in the positive direction")
     measure: str = setting(
         SURFACE, doc="touch points, or centres from the machine", choices=(SURFACE, CENTRE)
     )
-    points_per_ball: int = setting(
-        15, doc="touch points on the upper half of a ball", minimum=5, maximum=1000
-    )
+    points_per_ball: int = points_setting()
 
 
 def plan(configuration: Configuration) -> Plan:
@@ -78,6 +87,27 @@ def plan(configuration: Configuration) -> Plan:
             f"of {settings.plate.grid} steps"
         )
     return planned
+
+
+def check_plan(planned: Plan) -> None:
+    """Raise PlanError where too many table positions would have too few balls to be solved."""
+    seen = {(step.table_position, step.target) for step in planned.steps}
+    grid = len(planned.table_angles)
+    count = np.bincount([position for position, _ in seen], minlength=grid)
+    poor = np.flatnonzero(count < MIN_BALLS)
+    if len(poor) > MOST_OPEN * grid:
+        raise PlanError(
+            f"fewer than {MIN_BALLS} balls are measured at {len(poor)} of {grid} "
+            f"table positions, such as {poor[0]}, which leaves their errors open: name more "
+            "cmm_positions, or none for all"
+        )
+
+
+def older_plan(configuration: Configuration) -> Plan:
+    """Return the plan of versions that never closed, with ``table_once`` where none was stated."""
+    settings: BallPlatePlanSettings = configuration.plan
+    order = settings.order if "plan.order" in configuration.given else "table_once"
+    return ball_plate_plan(replace(settings, order=order, closing=False))
 
 
 def ball_plate_plan(settings: BallPlatePlanSettings) -> Plan:
@@ -123,8 +153,9 @@ def measuring_order(
         settings.plate.grid,
         list(settings.plate.ball_steps),
         positions=list(settings.cmm_positions) or None,
-        order="probe_rests" if settings.order == "probe_rests" else "table_once",
+        order=cast("Order", settings.order),
         rounds=settings.rounds,
+        closing=settings.closing,
         backlash=settings.backlash,
         radius=settings.plate.circle_radius_m,
         kinematics=kinematics,

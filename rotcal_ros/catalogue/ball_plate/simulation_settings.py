@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from rotcal_ros.methods.ball_plate.plate import grid_setting, points_setting
 from rotcal_ros.settings import group, setting
 from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.settings import SimulationSettings
@@ -17,7 +18,7 @@ TOUCH_PROBE: Final = "touch_probe"
 class SimulatedPlateSettings:
     """The ball plate as it really is: its balls, how well it is made, how it is clamped."""
 
-    grid: int = setting(72, doc="number of grid steps in a turn", minimum=3)
+    grid: int = grid_setting(72, doc="number of grid steps in a turn")
     ball_steps: tuple[int, ...] = setting(
         (0, 8, 12, 18, 21, 28, 32, 37, 42, 50, 58, 62), doc="grid steps of the balls", minimum=0
     )
@@ -44,9 +45,7 @@ class TouchProbeSettings:
     initial_position_m: tuple[float, float, float] = setting(
         (0.3, 0.0, 0.2), doc="m, place of the tip at the start"
     )
-    points_per_ball: int = setting(
-        15, doc="touch points on the upper half of a ball", minimum=1, maximum=1000
-    )
+    points_per_ball: int = points_setting()
     tip_radius_m: float = setting(0.0015, doc="m, radius of the probe tip", minimum=0.0)
     systematic_um: float = setting(
         1.0, doc="um, standard deviation of the machine's error along each axis", minimum=0.0

@@ -56,15 +56,18 @@ def solve_points(configuration: Configuration, problem: PlaneMirrorProblem) -> R
 def check(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> tuple[str, ...]:
-    """Return in words which nests do not stand where the stations before saw them.
+    """Return in words what the nests tell against the newest station.
 
-    Raises DataError or GeometryError when the newest station cannot be registered at all.
+    They do not stand where they were seen before, or the tracker turned by more than
+    ``plan.drift_limit_arcsec`` between two rounds of nests. Raises DataError or GeometryError when
+    the newest station cannot be registered at all.
     """
-    nests = [o for o in observations if o.kind == PointKind.NEST]
-    if not nests:
+    if not any(o.kind == PointKind.NEST for o in observations):
         return ()
-    problem = plane_mirror.problem_from_observations(nests, np.array(plan.table_angles))
-    return tuple(plane_mirror.check_nests(configured(problem, configuration)))
+    problem = plane_mirror.problem_from_observations(observations, np.array(plan.table_angles))
+    problem = configured(problem, configuration)
+    limit = configuration.plan.drift_limit_arcsec * ARCSEC
+    return tuple(plane_mirror.check_nests(problem, newest=True, drift_limit=limit))
 
 
 def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> PlaneMirrorProblem:
@@ -102,6 +105,7 @@ def _other_way(problem: PlaneMirrorProblem, way: Way) -> dict[str, Any]:
         "ecc_std_rad": result.std["ECC"],
         "sigma0": result.sigma0,
         "verdict": result.verdict,
+        "verdict_line": result.verdict_line,
     }
 
 

@@ -18,6 +18,8 @@ from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
+_TURNS = ((2, style.BLUE, "azimuth"), (0, style.ORANGE, "tilt x"), (1, style.GREEN, "tilt y"))
+
 
 def figures(result: Result, truth: Mapping[str, Any] | None = None) -> list[Figure]:
     """Return the figures that only this method can fill."""
@@ -43,9 +45,16 @@ def figures(result: Result, truth: Mapping[str, Any] | None = None) -> list[Figu
         ),
         Figure(
             "Nest residuals",
-            "Length of the residual in micrometres of each nest seen from each station; the "
-            "colour is the normalised residual, for which 1 is expected.",
+            "Length of the residual in micrometres of each nest seen from each station, the "
+            "largest of several rounds; the colour is the normalised residual, for which 1 is "
+            "expected.",
             nest_residuals(result.details),
+        ),
+        Figure(
+            "Drift of the tracker",
+            "What the nests measured again show at each station, from its first nest to its last: "
+            "taken away, with expanded uncertainties (k = 2).",
+            drift(result.details),
         ),
         *residual_figures(result),
     ]
@@ -136,10 +145,13 @@ def nest_residuals(details: Mapping[str, Any]) -> str:
     columns = list(dict.fromkeys(stand["station"] for stand in details["stations"]))
     test = np.full((len(rows), len(columns)), np.nan)
     (ax,) = style.grid(height=0.8 + 0.36 * len(rows))
+    longest: dict[tuple[int, int], float] = {}
     for nest in nests:
-        row, column = rows.index(nest["nest"]), columns.index(nest["station"])
-        test[row, column] = nest["test_value"]
+        at = rows.index(nest["nest"]), columns.index(nest["station"])
+        test[at] = np.fmax(test[at], nest["test_value"])
         length = float(np.linalg.norm(_array(nest["residual_m"]))) / MICROMETRE
+        longest[at] = max(longest.get(at, 0.0), length)
+    for (row, column), length in longest.items():
         ax.text(column, row, f"{length:.1f}", ha="center", va="center", fontsize=8)
     ax.grid(visible=False)
     ax.set_facecolor(style.MISSING)
@@ -150,6 +162,39 @@ def nest_residuals(details: Mapping[str, Any]) -> str:
     ax.set_ylabel("nest")
     ax.figure.colorbar(image, ax=ax, label="normalised residual")
     return style.svg(ax)
+
+
+@style.styled
+def drift(details: Mapping[str, Any]) -> str:
+    """Draw how the tracker turned and how its range grew at each station, from round to round."""
+    stations = details.get("drift", ())
+    if not _mappings(stations):
+        return ""
+    turned, ranged = style.grid(1, 2, height=2.8)
+    for number, station in enumerate(stations):
+        knots = _array(station["knots"])
+        x = number + 0.8 * (knots - knots[0]) / (knots[-1] - knots[0])
+        turn, turn_std = _array(station["turn_rad"]), _array(station["turn_std_rad"])
+        for axis, colour, label in _TURNS:
+            _draw_course(turned, x, turn[:, axis] / ARCSEC, turn_std[:, axis] / ARCSEC, colour,
+                         label if number == 0 else "")  # fmt: skip
+        _draw_course(ranged, x, _array(station["range_m"]) / MICROMETRE,
+                     _array(station["range_std_m"]) / MICROMETRE, style.BLUE, "")  # fmt: skip
+    for ax, unit in ((turned, "arcsec"), (ranged, "µm")):
+        ax.set_xticks(np.arange(len(stations)) + 0.4, [str(s["station"]) for s in stations])
+        ax.set_xlabel("tracker station")
+        ax.set_ylabel(("turn / " if ax is turned else "range / ") + unit)
+    turned.legend(loc="best", fontsize=8)
+    return style.svg(turned)
+
+
+def _draw_course(
+    ax: style.Axes, x: Floats, change: Floats, std: Floats, colour: str, label: str
+) -> None:
+    """Draw changes (R,) from knot to knot ``x`` (R + 1,), each with its own bar at its end."""
+    course = np.concatenate([[0.0], np.cumsum(change)])
+    ax.plot(x, course, "-", color=colour, linewidth=1.0, label=label or None)
+    ax.errorbar(x[1:], course[1:], COVERAGE_FACTOR * std, fmt=".", color=colour, capsize=2)
 
 
 def _draw_points(

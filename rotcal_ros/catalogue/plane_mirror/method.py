@@ -11,11 +11,13 @@ from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Method, See, TableReader
 from rotcal_ros.catalogue.plane_mirror import calibration, table
+from rotcal_ros.catalogue.plane_mirror.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.plane_mirror.figures import figures
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import TrackerStation
 from rotcal_ros.catalogue.plane_mirror.plan import (
     MirrorPlanSettings,
     nominal_mirror,
+    older_plan,
     plan,
     tracker_stands,
 )
@@ -53,6 +55,7 @@ METHOD: Final = Method(
     solver_settings=MirrorSolverSettings,
     simulation_settings=MirrorSimulationSettings,
     plan=plan,
+    older_plans=(older_plan,),
     capture=CaptureRules(
         {kind: points(mean_point) for kind in table.KINDS.values()},
         lambda _plan: (TrackerCheck(),),
@@ -61,6 +64,7 @@ METHOD: Final = Method(
     trials=calibration.trials,
     check=calibration.check,
     nominal=nominal,
-    table=TableReader((table.HEADER,), table.read),
+    table=TableReader((table.HEADER, table.TIMED), table.read),
     figures=figures,
+    disturbances=DISTURBANCES,
 )

@@ -1,7 +1,8 @@
 """The plan of the plane-mirror method: table positions, tracker stations, nests.
 
-Each tracker station measures the nests first, then its table positions; neighbouring stations
-share positions. Before each station a person moves the tracker.
+Each tracker station measures the nests first, then its table positions, then the nests again,
+which shows how the tracker drifted; neighbouring stations share positions. Before each station a
+person moves the tracker.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from rotcal_ros.units import DEGREE
 
 MIRROR: Final = "mirror"
 REFLECTORS: Final = "reflectors"
+_CLOSING: Final = "leave the tracker where it is; the station is measured again"
 _MIN_TRIANGLE: Final = 0.1
 """Nests reach at least this far (m) to the side of the line through them."""
 
@@ -67,6 +69,24 @@ class MirrorPlanSettings(TableAngleSettings):
     nests_m: tuple[float, ...] = setting(
         (), doc="m, x y z of fixed nest 1, then of nest 2 and so on", minimum=-30.0, maximum=30.0
     )
+    closing_nests: bool = setting(
+        True,
+        doc="measure the nests again before the tracker leaves a station; without that its drift "
+        "is in the deviations and nothing tells",
+    )
+    nests_every: int = setting(
+        0,
+        doc="table positions between two rounds of nests at a station; 0: only before and after "
+        "its positions",
+        minimum=0,
+        maximum=3600,
+    )
+    drift_limit_arcsec: float = setting(
+        5.0,
+        doc="arcsec, turn of the tracker between two rounds of nests beyond which its station is "
+        "measured again",
+        minimum=0.01,
+    )
     reflectors: int = setting(
         1, doc="reflectors put up at each position and seen twice", minimum=1, maximum=20
     )
@@ -100,6 +120,15 @@ def plan(configuration: Configuration) -> Plan:
     Raises ConfigurationError when the way does not fit what the table carries, PlanError when
     the way lacks nests or shared positions.
     """
+    return _plan(configuration, nests_once=False)
+
+
+def older_plan(configuration: Configuration) -> Plan:
+    """Return the plan of versions that measured the nests of a station once."""
+    return _plan(configuration, nests_once=True)
+
+
+def _plan(configuration: Configuration, *, nests_once: bool) -> Plan:
     settings: MirrorPlanSettings = configuration.plan
     way = configuration.solver.way
     if (way == DIRECT) == (settings.carries == MIRROR):
@@ -108,15 +137,16 @@ def plan(configuration: Configuration) -> Plan:
             f"{settings.carries}: the direct way needs reflectors on the table, all others a "
             "mirror"
         )
-    result = mirror_plan(settings)
-    if way == STITCHING and len(result.pauses) > 1 and not settings.shared_positions:
+    result = mirror_plan(settings, nests_once=nests_once)
+    n_stations = len(tracker_stands(settings, result.table_angles))
+    if way == STITCHING and n_stations > 1 and not settings.shared_positions:
         raise PlanError(
             f"{configuration.source}: stitching carries the zero on through shared positions; "
             "station 1 shares none with station 0: set plan.shared_positions to at least 1"
         )
-    if way != STITCHING and len(result.pauses) > 1 and not result.targets:
+    if way != STITCHING and n_stations > 1 and not result.targets:
         raise PlanError(
-            f"{configuration.source}: the way {way} joins {len(result.pauses)} tracker stations "
+            f"{configuration.source}: the way {way} joins {n_stations} tracker stations "
             "through nests: name at least three in plan.nests_m"
         )
     return result
@@ -132,27 +162,31 @@ class Stand:
     visit: range
 
 
-def mirror_plan(settings: MirrorPlanSettings) -> Plan:
+def mirror_plan(settings: MirrorPlanSettings, *, nests_once: bool = False) -> Plan:
     """Return the plan of one plane-mirror calibration.
 
-    Raises PlanError when a station sees the mirror beyond the incidence limit, or when nests,
-    stations and positions do not fit together.
+    ``nests_once``: as earlier versions did it, each station measures the nests once, a single one
+    not at all. Raises PlanError when a station sees the mirror beyond the incidence limit, or when
+    nests, stations and positions do not fit together.
     """
     angles = table_angles(settings)
     stands = tracker_stands(settings, angles)
-    nests = triples(settings.nests_m, "nests_m") if len(stands) > 1 else ()
+    again = settings.closing_nests and not nests_once
+    nests = triples(settings.nests_m, "nests_m") if len(stands) > 1 or again else ()
     _check_nests(nests)
-    blocks = [_steps_of(settings, angles, stand, nests) for stand in stands]
+    blocks = [_steps_of(settings, angles, stand, nests, again) for stand in stands]
     starts = np.cumsum([0, *map(len, blocks)]).tolist()
     steps = tuple(
         Step(index, position, angles[position], Approach.POSITIVE, kind, target, place, station)
         for index, (station, position, kind, target, place) in enumerate(chain(*blocks))
     )
-    pauses = tuple(
-        Pause(start, start + len(nests) - 1, _instruction(stand, stands, angles, len(nests)))
-        for start, stand in zip(starts, stands, strict=False)
-    )
-    return Plan(METHOD, angles, nests, steps, pauses)
+    pauses: list[Pause] = []
+    for start, end, stand in zip(starts[:-1], starts[1:], stands, strict=True):
+        instruction = _instruction(stand, stands, angles, len(nests))
+        pauses.append(Pause(start, start + len(nests) - 1, instruction))
+        if nests and again:
+            pauses.append(Pause(end - len(nests), end - 1, _CLOSING, again_from=start))
+    return Plan(METHOD, angles, nests, steps, tuple(pauses))
 
 
 def tracker_stands(settings: MirrorPlanSettings, angles: tuple[float, ...]) -> tuple[Stand, ...]:
@@ -213,21 +247,32 @@ Row = tuple[int, int, PointKind, int, Point]
 
 
 def _steps_of(
-    settings: MirrorPlanSettings, angles: tuple[float, ...], stand: Stand, nests: tuple[Point, ...]
+    settings: MirrorPlanSettings,
+    angles: tuple[float, ...],
+    stand: Stand,
+    nests: tuple[Point, ...],
+    again: bool,
 ) -> list[Row]:
-    """Return what is measured from one station: the nests, then position by position."""
+    """Return what is measured from one station: nests, position by position, nests ``again``."""
     mirrored = [PointKind.MIRRORED] if settings.carries == MIRROR else []
-    rows: list[Row] = [
-        (stand.number, stand.visit[0], PointKind.NEST, number, place)
-        for number, place in enumerate(nests, start=1)
-    ]
-    for position in stand.visit:
+    rows = _round(stand, stand.visit[0], nests)
+    for count, position in enumerate(stand.visit):
+        if again and count and settings.nests_every and count % settings.nests_every == 0:
+            rows += _round(stand, stand.visit[count - 1], nests)
         rows += [
             (stand.number, position, kind, number, place)
             for number, place in enumerate(_reflectors(settings, angles[position], stand), start=1)
             for kind in (PointKind.DIRECT, *mirrored)
         ]
-    return rows
+    return rows + _round(stand, stand.visit[-1], nests) if again else rows
+
+
+def _round(stand: Stand, position: int, nests: tuple[Point, ...]) -> list[Row]:
+    """Return one round of nests; the table stays at ``position``."""
+    return [
+        (stand.number, position, PointKind.NEST, number, place)
+        for number, place in enumerate(nests, start=1)
+    ]
 
 
 def _reflectors(settings: MirrorPlanSettings, angle: float, stand: Stand) -> tuple[Point, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -19,7 +20,9 @@ from rotcal_ros.methods.plane_mirror.problem import TrackerNoise
 from rotcal_ros.observations import Command, PointKind, ProbeSample
 from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.noise import IndexedNoise, Source
-from rotcal_ros.units import DEGREE, MICROMETRE, MILLIMETRE, NANOSECOND
+from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE, MILLIMETRE, NANOSECOND
+
+_HOUR_S: Final = 3600.0
 
 
 class SimulatedTracker(Instrument):
@@ -54,6 +57,8 @@ class SimulatedTracker(Instrument):
         self._nest_noise = IndexedNoise(seed, Source.NEST)
         self._reflector_noise = IndexedNoise(seed, Source.REFLECTOR)
         self._put_up: Command | None = None
+        self._start_ns = start_ns
+        self._wrong: dict[tuple[int, int], int] = {}
         self._arrivals = self._points = 0
 
     def order(self, now_ns: int, command: Command) -> None:
@@ -95,7 +100,7 @@ class SimulatedTracker(Instrument):
         place = self._place(command, stamp_ns)
         if command.kind == PointKind.MIRRORED:
             place = self._image(stand, place, stamp_ns)
-        seen = stand.seen(place)
+        seen = self._drifted(stand.seen(place), stamp_ns)
         if not np.all(np.isfinite(seen)):
             return self.point(stamp_ns, command, seen, 0.0)
         covariance = self._noise.covariance(seen)
@@ -103,6 +108,14 @@ class SimulatedTracker(Instrument):
         self._points += 1
         measured = seen + np.linalg.cholesky(covariance) @ normal
         return self.point(stamp_ns, command, measured, np.sqrt(np.diag(covariance)))
+
+    def _drifted(self, seen: Floats, stamp_ns: int) -> Floats:
+        """Return where the drifting axes of the tracker show a point in its frame."""
+        hours = (stamp_ns - self._start_ns) * NANOSECOND / _HOUR_S
+        turn = rotation_about_z(self.settings.azimuth_drift_arcsec_per_h * ARCSEC * hours)
+        longer = self.settings.range_drift_um_per_h * MICROMETRE * hours
+        drifted: Floats = turn @ seen * (1.0 + longer / np.linalg.norm(seen))
+        return drifted
 
     def _place(self, command: Command, stamp_ns: int) -> Floats:
         """Return where the reflector of an order really is, machine frame."""
@@ -122,11 +135,14 @@ class SimulatedTracker(Instrument):
     def _displaced(self, command: Command) -> Floats:
         """Return by how many millimetres a nest stands, or a reflector sits, wrong."""
         settings = self.settings
-        wrong = (
+        concerned = (
             command.target == settings.displaced_nest != 0
             and command.station in settings.displaced_at_stations
-            and command.attempt < settings.displaced_attempts
         )
+        if not concerned:
+            return np.zeros(3)
+        attempt = self._wrong.setdefault((command.step, command.attempt), len(self._wrong))
+        wrong = attempt < settings.displaced_attempts
         return np.array([0.6, -0.8, 0.0]) * settings.displaced_mm * wrong
 
     def _image(self, stand: TrackerStation, place: Floats, stamp_ns: int) -> Floats:

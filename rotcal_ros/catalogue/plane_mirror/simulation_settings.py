@@ -61,6 +61,10 @@ class TrackerSettings:
     measure_time_s: float = setting(
         1.0, doc="s, from the table at rest to the point", minimum=1e-3
     )
+    azimuth_drift_arcsec_per_h: float = setting(
+        0.0, doc="arcsec/h, drift of the tracker's azimuth, at all stations"
+    )
+    range_drift_um_per_h: float = setting(0.0, doc="um/h, drift of the tracker's range")
     displaced_nest: int = setting(
         0, doc="number of a nest that is displaced or badly seated; 0: none", minimum=0
     )

@@ -1,4 +1,8 @@
-"""Tracker points as a plain table: ``position,tracker_station,kind,nest,x_m,y_m,z_m``."""
+"""Tracker points as a plain table: ``position,tracker_station,kind,nest,x_m,y_m,z_m``.
+
+A last column ``time_s`` may tell when each row was measured; without it the rows stand in the
+order in which they were measured.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,10 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.plane_mirror.calibration import solve_points
+from rotcal_ros.catalogue.method import Trials
+from rotcal_ros.catalogue.plane_mirror.calibration import configured, solve_points
 from rotcal_ros.errors import DataError
+from rotcal_ros.methods.plane_mirror import mirror_trials
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.table_angles import table_angles
@@ -20,6 +26,7 @@ from rotcal_ros.results import Result
 from rotcal_ros.tables import Header, Row, Table, hashes
 
 HEADER: Final[Header] = ("position", "tracker_station", "kind", "nest", "x_m", "y_m", "z_m")
+TIMED: Final[Header] = (*HEADER, "time_s")
 KINDS: Final = {
     "direct": PointKind.DIRECT,
     "mirrored": PointKind.MIRRORED,
@@ -39,8 +46,14 @@ class TrackerPoints:
 
     def solve(self) -> Result:
         """Return the result."""
-        angles = np.array(table_angles(self.configuration.plan))
-        return solve_points(self.configuration, read_points(self.table, angles))
+        return solve_points(self.configuration, self._points())
+
+    def trials(self) -> Trials:
+        """Prepare Monte Carlo trials about the points."""
+        return mirror_trials(configured(self._points(), self.configuration))
+
+    def _points(self) -> PlaneMirrorProblem:
+        return read_points(self.table, np.array(table_angles(self.configuration.plan)))
 
 
 def read(configuration: Configuration, table: Table, _targets: Path | None) -> TrackerPoints:
@@ -52,17 +65,20 @@ def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
     """Return the problem in a table for commanded ``angles`` (N,) in rad.
 
     Positions count from 0 into ``angles``; nest rows may leave theirs empty. Tracker stations are
-    any labels, in the order of their first row: the order in which the tracker was moved.
+    any labels, in the order of their first row: the order in which the tracker was moved. The
+    order of the rows of a station is that of measuring, unless ``time_s`` tells.
     Coordinates are metres in the tracker's own frame. DataError names the row.
     """
     stations: dict[str, int] = {}
-    rows, points = [], []
+    rows, points, seconds = [], [], []
     for row in table.rows():
         kind, station = _kind_and_station(row)
         position = -1 if kind is PointKind.NEST else row.index("position")
         number = stations.setdefault(station, len(stations))
         rows.append((position, number, kind, row.index("nest")))
         points.append(row.point(_FARTHEST))
+        if table.header == TIMED:
+            seconds.append(row.number("time_s"))
     position_of, station_of, kind_of, nest_of = np.array(rows, dtype=np.int64).T
     return PlaneMirrorProblem(
         angles=angles,
@@ -74,6 +90,7 @@ def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
         station_names=tuple(stations),
         source=str(table.path),
         lines=tuple(line for line, _ in table.lines),
+        time=np.array(seconds) if seconds else None,
     )
 
 

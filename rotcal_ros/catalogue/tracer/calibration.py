@@ -162,6 +162,8 @@ def problem(
         target=target,
         length=np.array([o.mean[0] for o in observations]),
         length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
+        distance_std=relative_std,
+        order=_order(observations),
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),
@@ -171,6 +173,14 @@ def problem(
         settings=settings,
         repeated_runs=configuration.plan.repeated,
     )
+
+
+def _order(observations: Sequence[Observation]) -> Ints:
+    """Return the rank (k,) in time of each observation: by run, then by step of the plan."""
+    keys = ([o.step for o in observations], [o.run for o in observations])
+    rank = np.empty(len(observations), dtype=np.int64)
+    rank[np.lexsort(keys)] = np.arange(len(observations))
+    return rank
 
 
 def _positions(observations: Sequence[Observation]) -> Floats:

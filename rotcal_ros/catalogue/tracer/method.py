@@ -12,8 +12,9 @@ from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Method, See, TableReader
 from rotcal_ros.catalogue.tracer import calibration, table
+from rotcal_ros.catalogue.tracer.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.tracer.figures import figures
-from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, tracer_plan
+from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, check_plan, tracer_plan
 from rotcal_ros.catalogue.tracer.plausibility import LengthCheck
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -43,6 +44,7 @@ METHOD: Final = Method(
     solver_settings=TracerSolverSettings,
     simulation_settings=TracerSimulationSettings,
     plan=lambda configuration: tracer_plan(configuration.plan),
+    check_plan=check_plan,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=calibration.solve,
     joins_runs=True,
@@ -50,4 +52,5 @@ METHOD: Final = Method(
     nominal=nominal,
     table=TableReader(table.HEADERS, table.read),
     figures=figures,
+    disturbances=DISTURBANCES,
 )

@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from rotcal_ros.errors import PlanError
+from rotcal_ros.methods.tracer.observability import what_is_missing
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
@@ -23,6 +24,8 @@ from rotcal_ros.settings import setting
 
 STATIONS_PER_TARGET = "stations_per_target"
 TARGETS_PER_STATION = "targets_per_station"
+LEAST_ANGLES = 3
+"""Different table angles below which the stations show no axis, however often they return."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,18 @@ class TracerPlanSettings(TableAngleSettings):
     def repeated(self) -> bool:
         """Whether the table comes to an angle more than once."""
         return self.runs > 1 or self.bidirectional
+
+
+def check_plan(planned: Plan) -> None:
+    """Raise PlanError for a plan whose lengths could never be solved."""
+    m, n = len(planned.table_angles), len(planned.targets)
+    missing = what_is_missing(m, n, m * n)
+    if (places := len(set(planned.targets))) < n:
+        missing = f"{n} targets at {places} places: box_size_m is 0 where box_points are several"
+    if (angles := len(set(planned.table_angles))) < LEAST_ANGLES:
+        missing = missing or f"{angles} table angles: a circle needs at least {LEAST_ANGLES}"
+    if missing:
+        raise PlanError(missing)
 
 
 def tracer_plan(settings: TracerPlanSettings) -> Plan:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.methods.ball_plate import gaps, general, model
-from rotcal_ros.methods.ball_plate.general import solve_general
-from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate import drift, gaps, general, model, rigorous, spectral
+from rotcal_ros.methods.ball_plate.model import LinearFit, Parameters, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.methods.ball_plate.spectral import solve_spectral
 
 FEW_GAPS = 20
 """Gaps up to which correcting the spectral solution is quicker than the elimination."""
@@ -19,35 +18,79 @@ MANY_GAPS = 300
 
 
 def least_squares(problem: BallPlateProblem) -> Solution:
-    """Solve complete, equally weighted data harmonic by harmonic, all others by elimination.
+    """Solve the exact model: the linear one, iterated until the neglected products are gone.
 
-    A few gaps are corrected for exactly; see :mod:`gaps`. Raises ObservabilityError when the
-    centres do not determine all parameters.
+    Raises ObservabilityError when the centres do not determine all parameters, DataError when
+    plate or frame are too far off for the iteration to settle.
     """
+    return solved(problem)[1]
+
+
+def solved(problem: BallPlateProblem) -> tuple[LinearFit, Solution]:
+    """Return the factored linear model and the solution of the exact one; a drift is estimated.
+
+    Raises what :func:`least_squares` does.
+    """
+    plain = factored(problem)
+    if not problem.drift:
+        return plain, rigorous.settle(problem, plain)
+    border = drift.Border(problem, plain.fit)
+    return border.fit(plain), border.settled(problem, plain, rigorous.settle)
+
+
+def factored(problem: BallPlateProblem) -> LinearFit:
+    """Factor complete, equally weighted data harmonic by harmonic, all others by elimination.
+
+    This is the model of Eq. 12 alone, without a drift. A few gaps are corrected for exactly; see
+    :mod:`gaps`. Raises ObservabilityError when the centres do not determine all parameters.
+    """
+    axes = _same_everywhere(problem)
+    if axes is not None:
+        return _scaled(factored(replace(problem, std=None)), axes)
     if problem.complete and problem.std is None:
-        return solve_spectral(problem)
+        return spectral.factored(problem)
     cells = _few_gaps(problem)
-    return solve_general(problem) if cells is None else gaps.solve_with_gaps(problem, cells)
+    return general.factored(problem) if cells is None else gaps.factored(problem, cells)
 
 
-def residual_operator(problem: BallPlateProblem) -> Callable[[Floats], Floats]:
-    """Return the function that takes deviations (n, 3) of these rows to their residuals."""
-    cells = _few_gaps(problem)
-    if cells is not None and len(cells):
-        return gaps.residual_operator(problem, cells)
-    if cells is None:
-        return general.residual_operator(problem)
-    nominal = problem.centres - problem.deviations
+def _same_everywhere(problem: BallPlateProblem) -> Floats | None:
+    """Return the standard deviations (3,) of all rows when x and y have the same one.
 
-    def residuals(observed: Floats) -> Floats:
-        return solve_spectral(replace(problem, centres=nominal + observed)).residuals
+    The linear model keeps z apart from x and y, so such weights change no estimate.
+    """
+    if problem.std is None or np.ptp(problem.std, axis=0).any():
+        return None
+    axes: Floats = problem.std[0]
+    return axes if axes[0] == axes[1] else None
 
-    return residuals
+
+def _scaled(linear: LinearFit, axes: Floats) -> LinearFit:
+    """Return the fit whose unit covariances belong to noise of ``axes`` (3,)."""
+
+    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+        unit = linear.solution(estimate, residuals)
+
+        def covariance(first: str, second: str) -> Floats:
+            scale = model.of_component(axes, first) * model.of_component(axes, second)
+            scaled: Floats = scale * unit.unit_covariance(first, second)
+            return scaled
+
+        return replace(
+            unit,
+            unit_std=model.scaled(unit.unit_std, axes),
+            unit_covariance=covariance,
+            cofactor=lambda: unit.cofactor() * np.outer(axes, axes),
+            weighted_square_sum=float(np.sum((residuals / axes) ** 2)),
+        )
+
+    return LinearFit(linear.fit, solution)
 
 
 def _few_gaps(problem: BallPlateProblem) -> Ints | None:
     """Return the missing cells when correcting for them is the better way, else None."""
-    cells = None if problem.std is not None else gaps.gap_cells(problem)
+    if problem.std is not None or len(problem.table_positions) < problem.grid:
+        return None
+    cells = gaps.gap_cells(problem)
     large = model.offsets(problem).total > general.MAX_UNKNOWNS
     if cells is None or len(cells) > (MANY_GAPS if large else FEW_GAPS):
         return None

@@ -8,18 +8,15 @@ covariances. Works for any grid, where the general solution would not fit into m
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ObservabilityError
-from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.model import FIELDS, Parameters, Solution
+from rotcal_ros.methods.ball_plate import model, spectral
+from rotcal_ros.methods.ball_plate.model import FIELDS, LinearFit, Parameters, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, on_circle
-from rotcal_ros.methods.ball_plate.spectral import solve_spectral
 
 DETERMINED = 1e-7
 """Smallest accepted eigenvalue of the residual cofactor at the gaps."""
@@ -39,46 +36,53 @@ def solve_with_gaps(problem: BallPlateProblem, gaps: Ints) -> Solution:
 
     Raises ObservabilityError when the remaining centres do not determine all parameters.
     """
+    linear = factored(problem, gaps)
+    return linear.solution(*linear.fit(problem.deviations))
+
+
+def factored(problem: BallPlateProblem, gaps: Ints) -> LinearFit:
+    """Factor such a problem; raises what :func:`solve_with_gaps` does."""
     complete, measured = _complete(problem, gaps)
-    responses, inverse = _correction(complete, gaps)
-    start = solve_spectral(complete)
-    filled = complete.centres.copy()
-    filled[gaps] -= (inverse @ start.residuals[gaps].ravel()).reshape(-1, 3)
-    final = solve_spectral(replace(complete, centres=filled))
-    residuals = final.residuals[measured]
-    estimates = tuple(response.estimate for response in responses)
-    return Solution(
-        estimate=final.estimate,
-        unit_std=_corrected_std(start.unit_std, estimates, inverse),
-        unit_covariance=partial(_table_covariance, start, estimates, inverse),
-        residuals=residuals,
-        cofactor=partial(_cofactor, start, measured, _moved(responses, measured), inverse),
-        weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
-        dof=model.degrees_of_freedom(problem),
-        way="spectral with gaps",
-    )
+    linear = spectral.factored(complete)
+    responses, inverse = _correction(complete, linear, gaps)
+
+    def fit(observed: Floats) -> tuple[Parameters, Floats]:
+        filled = np.zeros((len(complete.centres), 3))
+        filled[measured] = observed
+        _, start = linear.fit(filled)
+        filled[gaps] = -(inverse @ start[gaps].ravel()).reshape(-1, 3)
+        estimate, residuals = linear.fit(filled)
+        return estimate, residuals[measured]
+
+    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+        start = linear.solution(estimate, np.zeros((len(complete.centres), 3)))
+        estimates = tuple(response for response, _ in responses)
+        moved = np.stack([left[measured] for _, left in responses], axis=2)
+        return Solution(
+            estimate=estimate,
+            unit_std=_corrected_std(start.unit_std, estimates, inverse),
+            unit_covariance=partial(_table_covariance, start, estimates, inverse),
+            residuals=residuals,
+            cofactor=partial(_cofactor, start, measured, moved, inverse),
+            weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
+            dof=model.degrees_of_freedom(problem),
+            way="spectral with gaps",
+        )
+
+    return LinearFit(fit, solution)
 
 
-def residual_operator(problem: BallPlateProblem, gaps: Ints) -> Callable[[Floats], Floats]:
-    """Return the function that takes deviations (n, 3) of the measured rows to residuals."""
-    complete, measured = _complete(problem, gaps)
-    responses, inverse = _correction(complete, gaps)
-    moved = _moved(responses, measured)
-    nominal = complete.centres - complete.deviations
-
-    def residuals(observed: Floats) -> Floats:
-        centres = nominal.copy()
-        centres[measured] += observed
-        start = solve_spectral(replace(complete, centres=centres)).residuals
-        return start[measured] - moved @ (inverse @ start[gaps].ravel())
-
-    return residuals
-
-
-def _correction(complete: BallPlateProblem, gaps: Ints) -> tuple[list[Solution], Floats]:
+def _correction(
+    complete: BallPlateProblem, linear: LinearFit, gaps: Ints
+) -> tuple[list[tuple[Parameters, Floats]], Floats]:
     """Return the responses (3m) to unit deviations at the gaps, and the inverse at the gaps."""
-    responses = [_response(complete, int(cell), axis) for cell in gaps for axis in range(3)]
-    at_gaps = np.array([response.residuals[gaps].ravel() for response in responses])
+    responses = []
+    for cell in gaps:
+        for axis in range(3):
+            unit = np.zeros((len(complete.centres), 3))
+            unit[cell, axis] = 1.0
+            responses.append(linear.fit(unit))
+    at_gaps = np.array([residuals[gaps].ravel() for _, residuals in responses])
     at_gaps = 0.5 * (at_gaps + at_gaps.T)
     if np.linalg.eigvalsh(at_gaps)[0] < DETERMINED:
         raise ObservabilityError(
@@ -86,11 +90,6 @@ def _correction(complete: BallPlateProblem, gaps: Ints) -> tuple[list[Solution],
             "determined: measure more balls at the table positions of the gaps"
         )
     return responses, np.linalg.inv(at_gaps)
-
-
-def _moved(responses: list[Solution], measured: Ints) -> Floats:
-    """Return how the residuals of the measured rows follow the gaps, (n, 3, 3m)."""
-    return np.stack([response.residuals[measured] for response in responses], axis=2)
 
 
 def _complete(problem: BallPlateProblem, gaps: Ints) -> tuple[BallPlateProblem, Ints]:
@@ -101,13 +100,6 @@ def _complete(problem: BallPlateProblem, gaps: Ints) -> tuple[BallPlateProblem, 
     centres = problem.radius * on_circle(problem.angles[(table + ball) % grid])
     centres[measured] = problem.centres
     return BallPlateProblem(grid, problem.radius, table, ball, centres), measured
-
-
-def _response(complete: BallPlateProblem, cell: int, axis: int) -> Solution:
-    """Solve for a unit deviation of one coordinate: a column of the solution operator."""
-    centres = complete.centres - complete.deviations
-    centres[cell, axis] += 1.0
-    return solve_spectral(replace(complete, centres=centres))
 
 
 def _corrected_std(

@@ -8,7 +8,6 @@ the constraints of Eq. 15 to 19. Result and covariances equal the dense form (Eq
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -18,7 +17,7 @@ from scipy.sparse import csr_array
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.model import LinearFit, Parameters, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 
 MIN_BALLS = 3
@@ -34,43 +33,42 @@ def solve_general(problem: BallPlateProblem) -> Solution:
     Raises ObservabilityError when a table position has too few balls, or when the centres do
     not determine all parameters; DataError when the problem is too large for this way.
     """
+    linear = factored(problem)
+    return linear.solution(*linear.fit(problem.deviations))
+
+
+def factored(problem: BallPlateProblem) -> LinearFit:
+    """Factor any set of centres; raises what :func:`solve_general` does."""
     _check(problem)
     system = _Eliminated(problem)
-    vector = system.solve(problem.deviations)
-    vector += system.solve(model.residuals_of(problem, vector))  # iterative refinement
     mover = _to_constraints(problem, system.invisible)
-    vector = mover @ vector
-    covariance = mover @ system.covariance() @ mover.T
-    residuals = model.residuals_of(problem, vector)
-    return Solution(
-        estimate=model.unpack(problem, vector),
-        unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(covariance), 0.0))),
-        unit_covariance=model.table_covariance(problem, covariance),
-        residuals=residuals,
-        cofactor=partial(model.residual_cofactor, problem, covariance),
-        weighted_square_sum=model.weighted_square_sum(problem, residuals),
-        dof=model.degrees_of_freedom(problem),
-        way="general",
-    )
 
+    def fit(observed: Floats) -> tuple[Parameters, Floats]:
+        vector = system.solve(observed)
+        vector += system.solve(observed - system.fitted(vector))  # iterative refinement
+        vector = mover @ vector
+        return model.unpack(problem, vector), observed - system.fitted(vector)
 
-def residual_operator(problem: BallPlateProblem) -> Callable[[Floats], Floats]:
-    """Return the function that takes deviations (n, 3) to their residuals (n, 3)."""
-    _check(problem)
-    system = _Eliminated(problem)
+    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+        covariance = mover @ system.covariance() @ mover.T
+        return Solution(
+            estimate=estimate,
+            unit_std=model.unpack(problem, np.sqrt(np.maximum(np.diag(covariance), 0.0))),
+            unit_covariance=model.table_covariance(problem, covariance),
+            residuals=residuals,
+            cofactor=partial(model.residual_cofactor, problem, covariance),
+            weighted_square_sum=model.weighted_square_sum(problem, residuals),
+            dof=model.degrees_of_freedom(problem),
+            way="general",
+        )
 
-    def residuals(observed: Floats) -> Floats:
-        fitted = system.solve(observed)[system.columns]
-        left: Floats = observed - np.einsum("nij,nj->ni", system.local, fitted)
-        return left
-
-    return residuals
+    return LinearFit(fit, solution)
 
 
 def table_gain(problem: BallPlateProblem) -> Floats:
-    """Return d deviations / d centres (6 N, 3 n): the estimate itself, it is linear.
+    """Return d deviations / d centres (6 M, 3 n) of the linear model.
 
-    Rows: the components in the order of ``COMPONENTS``, N values each, in metres and radians;
+    Rows: the components in the order of ``COMPONENTS``, M values each, in metres and radians;
     columns: the coordinates of the rows of ``problem``, metres.
     """
     _check(problem)
@@ -81,7 +79,8 @@ def table_gain(problem: BallPlateProblem) -> Floats:
     length = {"rotation": problem.radius, "translation": 1.0}
     table = np.concatenate(
         [
-            spread[start[field] + axis + 3 * np.arange(problem.grid)] / length[field]
+            spread[start[field] + axis + 3 * np.arange(len(problem.table_positions))]
+            / length[field]
             for field, axis in model.TABLE_COMPONENTS.values()
         ]
     )
@@ -113,19 +112,20 @@ class _Eliminated:
 
     def _eliminate(self) -> None:
         problem, n_rest = self.problem, len(self.rest_index)
+        turned = len(problem.table_positions)
         weighted = self.weight[:, :, None] * self.table
-        own = np.zeros((problem.grid, 6, 6))
-        np.add.at(own, problem.position, weighted.swapaxes(1, 2) @ self.table)
+        own = np.zeros((turned, 6, 6))
+        np.add.at(own, problem.table_index, weighted.swapaxes(1, 2) @ self.table)
         self.own_inverse = np.linalg.inv(own)
-        mixed = np.zeros((problem.grid, 6, n_rest))
+        mixed = np.zeros((turned, 6, n_rest))
         cross = weighted.swapaxes(1, 2) @ self.rest
-        where = (problem.position[:, None, None], np.arange(6)[None, :, None])
+        where = (problem.table_index[:, None, None], np.arange(6)[None, :, None])
         np.add.at(mixed, (*where, self.rest_columns[:, None, :]), cross)
         normal = np.zeros((n_rest, n_rest))
         local = (self.weight[:, :, None] * self.rest).swapaxes(1, 2) @ self.rest
         np.add.at(normal, (self.rest_columns[:, :, None], self.rest_columns[:, None, :]), local)
-        self.back = (self.own_inverse @ mixed).reshape(6 * problem.grid, n_rest)
-        normal -= mixed.reshape(6 * problem.grid, n_rest).T @ self.back
+        self.back = (self.own_inverse @ mixed).reshape(6 * turned, n_rest)
+        normal -= mixed.reshape(6 * turned, n_rest).T @ self.back
         self.invisible = model.null_space(problem)
         gauge, _ = np.linalg.qr(self.invisible[self.rest_index])
         size = np.trace(normal) / n_rest
@@ -135,8 +135,8 @@ class _Eliminated:
         """Return the unknowns (P,) for observations (n, 3), in the gauge of smallest norm."""
         problem = self.problem
         weighted = self.weight * observed
-        table = np.zeros((problem.grid, 6))
-        np.add.at(table, problem.position, np.einsum("nij,ni->nj", self.table, weighted))
+        table = np.zeros((len(problem.table_positions), 6))
+        np.add.at(table, problem.table_index, np.einsum("nij,ni->nj", self.table, weighted))
         rest = np.zeros(len(self.rest_index))
         np.add.at(rest, self.rest_columns, np.einsum("nij,ni->nj", self.rest, weighted))
         unknown = cho_solve(self.factor, rest - self.back.T @ table.ravel())
@@ -146,14 +146,19 @@ class _Eliminated:
         vector[self.table_position] = own
         return vector
 
+    def fitted(self, vector: Floats) -> Floats:
+        """Return the deviations (n, 3) that the unknowns (P,) cause."""
+        fitted: Floats = np.einsum("nij,nj->ni", self.local, vector[self.columns])
+        return fitted
+
     def covariance(self) -> Floats:
         """Return the covariance (P, P) of the unknowns in the same gauge."""
-        n_rest, grid = len(self.rest_index), self.problem.grid
+        n_rest, turned = len(self.rest_index), len(self.problem.table_positions)
         rest = cho_solve(self.factor, np.eye(n_rest))
         mixed = -self.back @ rest
         own = -mixed @ self.back.T
-        blocks = own.reshape(grid, 6, grid, 6)
-        every = np.arange(grid)
+        blocks = own.reshape(turned, 6, turned, 6)
+        every = np.arange(turned)
         blocks[every, :, every, :] += self.own_inverse
         covariance = np.empty((self.at.total,) * 2)
         covariance[np.ix_(self.rest_index, self.rest_index)] = rest
@@ -168,16 +173,17 @@ def _rest_columns(at: model.Offsets, columns: Ints) -> tuple[Ints, Ints]:
     """Return where a, b, u, v of every row stand among themselves, and in the full vector."""
     index = np.concatenate([np.arange(at.rotation), np.arange(at.axis_rotation, at.total)])
     local = np.concatenate([columns[:, :6], columns[:, 12:]], axis=1)
-    return np.where(local < at.rotation, local, local - 6 * _grid(at)), index
+    return np.where(local < at.rotation, local, local - 6 * _turned(at)), index
 
 
-def _grid(at: model.Offsets) -> int:
+def _turned(at: model.Offsets) -> int:
+    """Return the number of table positions in use."""
     return (at.translation - at.rotation) // 3
 
 
 def _table_columns(at: model.Offsets) -> Ints:
     """Return where c_i, d_i stand in the full vector, position by position, (6 N,)."""
-    own = np.arange(3 * _grid(at)).reshape(-1, 3)
+    own = np.arange(3 * _turned(at)).reshape(-1, 3)
     return np.concatenate([at.rotation + own, at.translation + own], axis=1).ravel()
 
 
@@ -214,11 +220,19 @@ def _check(problem: BallPlateProblem) -> None:
     require_balls(problem)
 
 
-def require_balls(problem: BallPlateProblem) -> None:
-    """Raise ObservabilityError that names the table positions with fewer than three balls."""
+def balls_at_positions(problem: BallPlateProblem) -> Ints:
+    """Return how many balls were measured at every table position, (N,)."""
     cells = np.unique(problem.position * problem.grid + problem.ball_step)
-    count = np.bincount(cells // problem.grid, minlength=problem.grid)
-    poor = np.flatnonzero(count < MIN_BALLS)
+    return np.bincount(cells // problem.grid, minlength=problem.grid)
+
+
+def require_balls(problem: BallPlateProblem, *, everywhere: bool = False) -> None:
+    """Raise ObservabilityError that names the table positions with fewer than three balls.
+
+    ``everywhere`` includes those without any; else they are no part of the problem.
+    """
+    count = balls_at_positions(problem)
+    poor = np.flatnonzero((count < MIN_BALLS) & ((count > 0) | everywhere))
     if len(poor):
         shown = ", ".join(f"{i} ({count[i]})" for i in poor[:10])
         raise ObservabilityError(

@@ -205,15 +205,19 @@ def cmm_covariance(system: Harmonics) -> tuple[Complexes, Floats]:
     )
     for i, block in POSE:
         carried[i, :, block, 0] = adjoint[i, :, block, 0] = 0.0
-    carried *= _multiplicity(grid) / grid
+    carried *= multiplicity(grid) / grid
     lag = np.einsum("ikbq,jkbq->bij", carried, adjoint)
+    # N - 1 harmonics of both signs have no mean. The w- and z of q = 1 went to the pose, counted
+    # twice as all are: N - 3. For z these are q = 1 and q = -1. For w- it is q = 1 alone, but as
+    # w-(q) is the conjugate of w+(-q), w+ and w- lack one harmonic each: x and y get the mean
+    # of both entries, N - 2 (real_basis).
     lag[PLANE, 0, 0] += noise * (grid - 1) / grid
     lag[PLANE, 1, 1] += noise * (grid - 3) / grid
     lag[AXIS, 0, 0] += noise * (grid - 3) / grid
     return lag, pose
 
 
-def _multiplicity(grid: int) -> Floats:
+def multiplicity(grid: int) -> Floats:
     """How often the harmonics q = 1..N//2 occur with both signs; Nyquist has no twin."""
     twice = np.full(grid // 2, 2.0)
     twice[-1] = 1.0 + grid % 2
@@ -256,7 +260,7 @@ def zero_lag(spectrum: Complexes, grid: int) -> Complexes:
 
     Its real part is the covariance at lag 0 once the basis is real (:func:`real_basis`).
     """
-    mean: Complexes = np.einsum("bq...,q->b...", spectrum, _multiplicity(grid) / grid)
+    mean: Complexes = np.einsum("bq...,q->b...", spectrum, multiplicity(grid) / grid)
     return mean
 
 

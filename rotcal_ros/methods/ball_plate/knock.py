@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +9,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
-from rotcal_ros.methods.ball_plate.estimate import residual_operator
-from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.model import LinearFit, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.distributions import f_isf
 from rotcal_ros.units import ARCSEC, MICROMETRE
@@ -26,7 +24,8 @@ class Knock:
     """The plate moved between the rows ``last`` and ``first`` (row numbers).
 
     ``shift`` (3,) metres and ``rotation`` (3,) radians are its motion on the table, in the
-    table's frame at position 0, ``gain`` what it explains of w'w. Motions that the CMM's own
+    table's frame at position 0, ``gain`` what it explains of w'w, ``scatter`` the variance it was
+    tested against. Motions that the CMM's own
     errors can imitate are found as zero: they do no harm either.
     """
 
@@ -37,6 +36,7 @@ class Knock:
     shift: Floats
     rotation: Floats
     gain: float
+    scatter: float
 
     def sentence(self) -> str:
         """Say in words what happened and when."""
@@ -50,30 +50,31 @@ class Knock:
         )
 
 
-def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
+def find_knock(
+    problem: BallPlateProblem, linear: LinearFit, solution: Solution, sigma: float | None
+) -> Knock | None:
     """Look along the rows in their order of measurement for a moment when the plate moved.
 
     The motion has six parameters from the moment on; the gain of w'w is tested against the
-    remaining scatter. None when no moment stands out.
+    remaining scatter, or the stated ``sigma`` (of unit weight) where that is larger. None when no
+    moment stands out.
     """
     order = np.argsort(problem.rows, kind="stable")
     motion = _motion_design(problem)[order]
     weight = np.ones_like(problem.centres) if problem.std is None else problem.std**-2
     weighted = (weight * solution.residuals)[order]
     later = np.cumsum(np.einsum("nij,ni->nj", motion, weighted)[::-1], axis=0)[::-1]
-    residuals = residual_operator(problem)
     best: tuple[float, int, Floats] | None = None
     for start in _candidates(later, motion, weight[order]):
-        gain, amount = _fit_motion(problem, residuals, order[start:], later[start])
+        gain, amount = _fit_motion(problem, linear, order[start:], later[start])
         if best is None or gain > best[0]:
             best = (gain, start, amount)
     if best is None or solution.dof <= 12:
         return None
     gain, start, amount = best
-    rest = max(solution.weighted_square_sum - gain, np.finfo(float).tiny)
-    if (gain / 6.0) / (rest / (solution.dof - 6)) < f_isf(
-        FALSE_ALARM / len(order), 6, solution.dof - 6
-    ):
+    rest = (solution.weighted_square_sum - gain) / (solution.dof - 6)
+    scatter = max(rest, (sigma or 0.0) ** 2, model.rounding_variance(problem))
+    if gain / 6.0 < scatter * f_isf(FALSE_ALARM / len(order), 6, solution.dof - 6):
         return None
     row = order[start]
     return Knock(
@@ -84,6 +85,7 @@ def find_knock(problem: BallPlateProblem, solution: Solution) -> Knock | None:
         shift=amount[:3],
         rotation=amount[3:] / problem.radius,
         gain=gain,
+        scatter=scatter,
     )
 
 
@@ -119,14 +121,14 @@ def _candidates(later: Floats, motion: Floats, weight: Floats) -> list[int]:
 
 def _fit_motion(
     problem: BallPlateProblem,
-    residuals: Callable[[Floats], Floats],
+    linear: LinearFit,
     rows: Ints,
     right: Floats,
 ) -> tuple[float, Floats]:
     """Return gain of w'w and the motion (6,) when the rows from a moment on have moved."""
     moved = np.zeros((len(problem.centres), 3, 6))
     moved[rows] = _motion_design(problem)[rows]
-    remains = np.stack([residuals(moved[:, :, c]) for c in range(6)], axis=2)
+    remains = np.stack([linear.fit(moved[:, :, c])[1] for c in range(6)], axis=2)
     weight = np.ones_like(problem.centres) if problem.std is None else problem.std**-2
     information = np.einsum("nij,ni,nik->jk", moved, weight, remains)
     information = 0.5 * (information + information.T)

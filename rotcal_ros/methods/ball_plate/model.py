@@ -18,6 +18,8 @@ from rotcal_ros.geometry.rotations import cross_matrix, rotation_about_z
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, on_circle
 
 N_CONSTRAINTS = 19
+ROUNDING = 4.0 * np.finfo(np.float64).eps
+"""Smallest error of a coordinate that means anything, as part of the radius."""
 FIELDS = ("plate", "cmm", "rotation", "translation", "axis_rotation", "axis_shift")
 TABLE_COMPONENTS = {
     "EXC": ("translation", 0),
@@ -34,8 +36,9 @@ class Parameters:
     """Everything the method finds, or its standard deviations.
 
     ``plate`` (R, 3) are the errors a_j of the balls at table position 0, ``cmm`` (S, 3) those
-    b_k of the CMM, ``rotation`` (N, 3) and ``translation`` (N, 3) the table's c_i and d_i,
-    ``axis_rotation`` (3,) and ``axis_shift`` (3,) the pose u, v of the axis. Radians and metres.
+    b_k of the CMM, ``rotation`` (M, 3) and ``translation`` (M, 3) the table's c_i and d_i at the
+    table positions in use, ``axis_rotation`` (3,) and ``axis_shift`` (3,) the pose u, v of the
+    axis. Radians and metres.
     """
 
     plate: Floats
@@ -46,17 +49,29 @@ class Parameters:
     axis_shift: Floats
 
     def component(self, name: str) -> Floats:
-        """Return the table's component of the ISO 230-1 ``name`` (N,)."""
+        """Return the table's component of the ISO 230-1 ``name`` (M,)."""
         field, axis = TABLE_COMPONENTS[name]
         column: Floats = getattr(self, field)[:, axis]
         return column
 
 
 @dataclass(frozen=True)
+class Drift:
+    """An estimated drift of the CMM's origin, metres over the run, (degree, 3) in x, y, z.
+
+    The first row is the linear part, the second the bow: what it adds at both ends of the run to
+    the middle. ``unit_covariance`` (3 degree, 3 degree) is for unit standard deviation.
+    """
+
+    amount: Floats
+    unit_covariance: Floats
+
+
+@dataclass(frozen=True)
 class Solution:
     """Least squares solution of one problem; covariances are for unit standard deviation.
 
-    ``unit_std`` and ``unit_covariance(first, second)`` (N, N), the covariance of two of the
+    ``unit_std`` and ``unit_covariance(first, second)`` (M, M), the covariance of two of the
     table's components, belong to sigma = 1 m (or to sigma0 = 1 when the rows have their own
     ``std``): multiply by sigma and sigma^2. ``residuals`` (n, 3), metres, are observed -
     computed; ``cofactor()`` (n, 3, 3) is their unit covariance. ``weighted_square_sum`` is w'w.
@@ -70,6 +85,40 @@ class Solution:
     weighted_square_sum: float
     dof: int
     way: str
+    drift: Drift | None = None
+
+
+@dataclass(frozen=True)
+class LinearFit:
+    """The factored linear model of a problem, ready for any number of right-hand sides.
+
+    ``fit`` takes deviations (n, 3) of the rows of the problem, metres, to the parameters and to
+    the residuals (n, 3); ``solution`` joins parameters and residuals with their covariances.
+    """
+
+    fit: Callable[[Floats], tuple[Parameters, Floats]]
+    solution: Callable[[Parameters, Floats], Solution]
+
+
+def scaled(unit: Parameters, axes: Floats) -> Parameters:
+    """Scale standard deviations: ``axes`` (3,) belong to x, y (the same) and z of a centre.
+
+    Rotations about x and y are measured along z, the one about z in the plane.
+    """
+    turned = axes[[2, 2, 0]]
+    return Parameters(
+        plate=unit.plate * axes,
+        cmm=unit.cmm * axes,
+        rotation=unit.rotation * turned,
+        translation=unit.translation * axes,
+        axis_rotation=unit.axis_rotation * turned,
+        axis_shift=unit.axis_shift * axes,
+    )
+
+
+def of_component(axes: Floats, name: str) -> float:
+    """Return that of ``axes`` (3,), x, y (the same) and z, which a component follows."""
+    return float(axes[2] if name in ("EZC", "EAC", "EBC") else axes[0])
 
 
 def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
@@ -78,9 +127,19 @@ def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
     return float(np.sum(scaled**2))
 
 
+def rounding_variance(problem: BallPlateProblem) -> float:
+    """Return the variance that rounding alone gives a centre, in units of ``std`` if there is one.
+
+    Tests divide by no less, so that exact data are not judged by their last bits.
+    """
+    own = 1.0 if problem.std is None else float(problem.std.min())
+    return float((ROUNDING * problem.radius / own) ** 2)
+
+
 def degrees_of_freedom(problem: BallPlateProblem) -> int:
     """Return observations - unknowns + constraints."""
-    unknowns = 3 * len(problem.balls) + 3 * len(problem.cmm_positions) + 6 * problem.grid + 6
+    unknowns = 3 * len(problem.balls) + 3 * len(problem.cmm_positions) + 6
+    unknowns += 6 * len(problem.table_positions)
     return 3 * len(problem.centres) - unknowns + N_CONSTRAINTS
 
 
@@ -104,7 +163,8 @@ class Offsets:
 
 def offsets(problem: BallPlateProblem) -> Offsets:
     """Return the offsets of the blocks of unknowns."""
-    sizes = (len(problem.balls), len(problem.cmm_positions), problem.grid, problem.grid, 1, 1)
+    turned = len(problem.table_positions)
+    sizes = (len(problem.balls), len(problem.cmm_positions), turned, turned, 1, 1)
     starts = np.concatenate([[0], np.cumsum(3 * np.array(sizes))])
     return Offsets(*(int(start) for start in starts))
 
@@ -121,8 +181,8 @@ def local_design(problem: BallPlateProblem) -> tuple[Floats, Ints]:
         [
             at.plate + 3 * np.searchsorted(problem.balls, problem.ball_step),
             at.cmm + 3 * np.searchsorted(problem.cmm_positions, problem.cmm_index),
-            at.rotation + 3 * problem.position,
-            at.translation + 3 * problem.position,
+            at.rotation + 3 * problem.table_index,
+            at.translation + 3 * problem.table_index,
             np.full(n, at.axis_rotation),
             np.full(n, at.axis_shift),
         ],
@@ -149,7 +209,7 @@ def constraint_matrix(problem: BallPlateProblem) -> Floats:
     matrix = np.zeros((N_CONSTRAINTS, at.total))
     identity = np.eye(3)
     across = angles[problem.cmm_positions]
-    back = rotation_about_z(angles).transpose(0, 2, 1)
+    back = rotation_about_z(angles[problem.table_positions]).transpose(0, 2, 1)
     ball = rotation_about_z(angles[problem.balls])
     cmm = slice(at.cmm, at.rotation)
     rotation = slice(at.rotation, at.translation)
@@ -157,7 +217,7 @@ def constraint_matrix(problem: BallPlateProblem) -> Floats:
     matrix[0:3, cmm] = np.tile(identity, len(problem.cmm_positions))  # Eq. 15, left
     matrix[3:6, cmm] = -np.hstack(list(cross_unit(across)))  # Eq. 15, right
     matrix[6, cmm] = on_circle(across).ravel()  # Eq. 16
-    matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, problem.grid)  # Eq. 17
+    matrix[7:10, rotation] = matrix[10:13, translation] = np.tile(identity, len(back))  # Eq. 17
     matrix[13:15, rotation] = matrix[15:17, translation] = np.hstack(list(back[:, :2]))  # Eq. 18
     matrix[17, : at.cmm] = ball[:, :, 1].ravel()  # Eq. 19, tangential
     matrix[18, 2 : at.cmm : 3] = 1.0  # Eq. 19, axial
@@ -174,7 +234,8 @@ def null_space(problem: BallPlateProblem) -> Floats:
     at = offsets(problem)
     space = np.zeros((at.total, N_CONSTRAINTS))
     identity = np.eye(3)
-    turn = rotation_about_z(problem.angles).reshape(-1, 3)
+    turn = rotation_about_z(problem.angles[problem.table_positions]).reshape(-1, 3)
+    constant = np.tile(identity, (len(problem.table_positions), 1))
     all_cmm = np.tile(identity, (len(problem.cmm_positions), 1))
     ball_angles, cmm_angles = problem.angles[problem.balls], problem.angles[problem.cmm_positions]
     cross_ball = cross_unit(ball_angles).reshape(-1, 3)
@@ -183,8 +244,8 @@ def null_space(problem: BallPlateProblem) -> Floats:
     rotation, translation = slice(at.rotation, at.translation), slice(at.translation, -6)
     space[translation, 0:3], space[plate, 0:3] = turn, -np.tile(identity, (len(ball_angles), 1))
     space[rotation, 3:6], space[plate, 3:6] = turn, -cross_ball
-    space[translation, 6:9], space[cmm, 6:9] = np.tile(identity, (problem.grid, 1)), -all_cmm
-    space[rotation, 9:12], space[cmm, 9:12] = np.tile(identity, (problem.grid, 1)), -cross_cmm
+    space[translation, 6:9], space[cmm, 6:9] = constant, -all_cmm
+    space[rotation, 9:12], space[cmm, 9:12] = constant, -cross_cmm
     space[at.axis_shift :, 12:15], space[cmm, 12:15] = identity, -all_cmm
     space[at.axis_rotation : at.axis_shift, 15:18], space[cmm, 15:18] = identity, -cross_cmm
     space[plate, 18] = -rotation_about_z(ball_angles)[:, :, 0].ravel()
@@ -217,19 +278,12 @@ def table_covariance(
         for name in (first, second):
             field, axis = TABLE_COMPONENTS[name]
             start = getattr(at, field) + axis
-            pick.append(np.arange(start, start + 3 * problem.grid, 3))
+            pick.append(start + 3 * np.arange(len(problem.table_positions)))
             factor /= problem.radius if field == "rotation" else 1.0
         block: Floats = covariance[np.ix_(*pick)] * factor
         return block
 
     return cut
-
-
-def residuals_of(problem: BallPlateProblem, vector: Floats) -> Floats:
-    """Return observed - computed (n, 3) for a vector (P,) of unknowns."""
-    coefficients, columns = local_design(problem)
-    residuals: Floats = problem.deviations - np.einsum("nij,nj->ni", coefficients, vector[columns])
-    return residuals
 
 
 def residual_cofactor(problem: BallPlateProblem, covariance: Floats) -> Floats:

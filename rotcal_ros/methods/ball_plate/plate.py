@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,16 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.methods.ball_plate.problem import grid_angles, on_circle
 from rotcal_ros.settings import load, setting
+
+
+def grid_setting(default: Any = MISSING, *, doc: str) -> Any:
+    """Declare the number of grid steps of a plate, planned or simulated."""
+    return setting(default, doc=doc, minimum=3, maximum=36_000)
+
+
+def points_setting() -> Any:
+    """Declare how many touch points a ball gets: a sphere has four unknowns, and needs a check."""
+    return setting(15, doc="touch points on the upper half of a ball", minimum=5, maximum=1000)
 
 
 @dataclass(frozen=True)
@@ -23,7 +33,7 @@ class Plate:
     positions without a connection). :func:`checked` refuses a plate that cannot be.
     """
 
-    grid: int = setting(doc="number of table positions in a turn", minimum=3, maximum=36_000)
+    grid: int = grid_setting(doc="number of table positions in a turn")
     ball_steps: tuple[int, ...] = setting(doc="grid steps on which balls stand, from 0", minimum=0)
     circle_radius_m: float = setting(doc="m, radius of the circle of ball centres", minimum=1e-3)
     ball_diameter_m: float = setting(doc="m, diameter of the balls", minimum=1e-4)

@@ -25,8 +25,12 @@ class BallPlateProblem:
     taken from the residuals. ``std`` (n, 3), in metres, gives every coordinate its own standard
     deviation instead. ``row`` (n,) numbers the rows in the order of measurement: the numbers
     appear in every message, and a plate that moved is looked for along them.
-    ``separate_groups`` accepts a plate whose ball steps share a factor with the grid: the groups
-    of table positions are then solved separately, each with its own zero.
+    ``time`` (n,), s, says when each was measured; without it the rows count as equally long. A
+    drift of the CMM's origin, ``drift`` of 0 (none), 1 (linear) or 2 (quadratic in time), is
+    estimated along; a drift within +- ``drift_allowance``, m over the run along each axis, is
+    covered by the uncertainty. ``separate_groups`` accepts a plate whose ball steps share a
+    factor with the grid: the groups of table positions are then solved separately, each with its
+    own zero.
 
     Rows are kept in a canonical order (ball step, table position, row number), so that the
     order of the table cannot change a bit of the result. Raises DataError for wrong shapes and
@@ -42,6 +46,9 @@ class BallPlateProblem:
     std: Floats | None = None
     row: Ints | None = None
     separate_groups: bool = False
+    time: Floats | None = None
+    drift: int = 0
+    drift_allowance: float = 0.0
 
     def __post_init__(self) -> None:
         table = np.asarray(self.position, dtype=np.int64)
@@ -50,6 +57,7 @@ class BallPlateProblem:
         row = np.arange(len(table)) if self.row is None else np.asarray(self.row, dtype=np.int64)
         std = None if self.std is None else np.asarray(self.std, dtype=np.float64)
         _check_constants(self.grid, self.radius, self.sigma)
+        _check_drift(self.drift, self.drift_allowance)
         _check_shapes(table, ball, centres, row, std)
         _check_indices(table, ball, row, self.grid)
         order = np.lexsort((row, table, ball))
@@ -58,11 +66,27 @@ class BallPlateProblem:
         object.__setattr__(self, "centres", centres[order])
         object.__setattr__(self, "row", row[order])
         object.__setattr__(self, "std", None if std is None else std[order])
+        if self.time is not None:
+            time = np.asarray(self.time, dtype=np.float64)
+            _check_time(time, len(table))
+            object.__setattr__(self, "time", time[order])
 
     @cached_property
     def rows(self) -> Ints:
         """Row numbers (n,) in the order of measurement."""
         return np.asarray(self.row, dtype=np.int64)
+
+    @cached_property
+    def run_time(self) -> Floats:
+        """When each row was measured, -0.5 at the first and 0.5 at the last, (n,)."""
+        return self.run_time_on(self)
+
+    def run_time_on(self, reference: BallPlateProblem) -> Floats:
+        """When each row was measured (n,), on the scale of the run time of ``reference``."""
+        own = self.rows if self.time is None else self.time
+        scale = reference.rows if reference.time is None else reference.time
+        first, span = float(scale.min()), float(scale.max() - scale.min()) or 1.0
+        return np.asarray((own - first) / span - 0.5, dtype=np.float64)
 
     @cached_property
     def cmm_index(self) -> Ints:
@@ -78,6 +102,16 @@ class BallPlateProblem:
     def cmm_positions(self) -> Ints:
         """The CMM positions in use, ascending, (S,)."""
         return np.unique(self.cmm_index)
+
+    @cached_property
+    def table_positions(self) -> Ints:
+        """The table positions in use, ascending, (M,); all N of them unless some are missing."""
+        return np.unique(self.position)
+
+    @cached_property
+    def table_index(self) -> Ints:
+        """Where the table position of every row stands in ``table_positions``, (n,)."""
+        return np.searchsorted(self.table_positions, self.position)
 
     @cached_property
     def angles(self) -> Floats:
@@ -111,6 +145,7 @@ class BallPlateProblem:
             centres=self.centres[keep],
             row=self.rows[keep],
             std=None if self.std is None else self.std[keep],
+            time=None if self.time is None else self.time[keep],
         )
 
 
@@ -180,6 +215,18 @@ def _check_shapes(table: Ints, ball: Ints, centres: Floats, row: Ints, std: Floa
         raise DataError(f"std must hold {n} x 3 positive lengths, found {std.shape}")
     if wrong or n == 0:
         raise DataError(f"columns do not fit together: {', '.join(wrong) or 'no rows at all'}")
+
+
+def _check_drift(degree: int, allowance: float) -> None:
+    if degree not in (0, 1, 2):
+        raise DataError(f"drift of degree {degree}: 0 (none), 1 (linear) or 2 (quadratic)")
+    if not (np.isfinite(allowance) and allowance >= 0.0):
+        raise DataError(f"drift allowance is {allowance} m: a length is needed, 0 for none")
+
+
+def _check_time(time: Floats, n: int) -> None:
+    if time.shape != (n,) or not np.isfinite(time).all():
+        raise DataError(f"time must hold {n} finite seconds, found {time.shape}")
 
 
 def _check_indices(table: Ints, ball: Ints, row: Ints, grid: int) -> None:

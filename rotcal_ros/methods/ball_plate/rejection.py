@@ -8,9 +8,15 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError, ObservabilityError
-from rotcal_ros.methods.ball_plate.estimate import least_squares
+from rotcal_ros.methods.ball_plate import model
+from rotcal_ros.methods.ball_plate.estimate import solved
+from rotcal_ros.methods.ball_plate.general import (
+    MIN_BALLS,
+    balls_at_positions,
+    require_balls,
+)
 from rotcal_ros.methods.ball_plate.knock import Knock, find_knock
-from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.model import LinearFit, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.separability import require_separable
 from rotcal_ros.methods.distributions import f_isf
@@ -21,8 +27,12 @@ MOST = 0.1
 
 FALSE_ALARM = 0.01
 """Probability that good data lose any centre at all."""
+MISNAMED = 1e-4
+"""Probability that one bad centre, where it looks like a jump, is called one."""
 LEAK = 0.3
 """Part of the worst normalised residual below which a row may only follow a worse one."""
+MOST_OPEN = 0.25
+"""Part of the table positions that may be left out for want of balls."""
 DETERMINED = 1e-8
 """Residual cofactors below this part of the largest belong to coordinates without a check."""
 
@@ -43,9 +53,13 @@ class CentreTest:
 
 @dataclass(frozen=True)
 class Fitted:
-    """The rows that were kept, their solution and tests, the rejected ones and why."""
+    """The rows that were kept, their solution and tests, the rejected ones and why.
+
+    Table positions that are not among those of ``problem`` were left out.
+    """
 
     problem: BallPlateProblem
+    linear: LinearFit
     solution: Solution
     test: CentreTest
     rejected: tuple[Rejection, ...]
@@ -59,9 +73,11 @@ def fit_and_reject(problem: BallPlateProblem) -> Fitted:
     rows are not wrong one by one. Raises ObservabilityError when too little is left, DataError
     when more than a tenth of the centres would have to go.
     """
-    whole, rejected = problem, list[Rejection]()
+    whole, rejected, left_out = problem, list[Rejection](), list[Rejection]()
     while True:
-        solution = _solve(problem)
+        problem, poor = _without_poor_positions(problem)
+        left_out += poor
+        linear, solution = _solve(problem)
         if solution.dof < 1:
             raise DataError(
                 f"{len(problem.centres)} centres leave no redundancy: nothing can be checked; "
@@ -69,12 +85,12 @@ def fit_and_reject(problem: BallPlateProblem) -> Fitted:
             )
         sigma = 1.0 if problem.std is not None else problem.sigma
         test = judge_centres(problem, solution, sigma)
-        knock = find_knock(problem, solution)
-        if knock is not None and knock.gain > test.gain.max():
-            return Fitted(problem, solution, test, tuple(rejected), knock)
+        knock = find_knock(problem, linear, solution, sigma)
+        if knock is not None and _more_than_one_centre(knock, test, solution.dof):
+            return Fitted(problem, linear, solution, test, tuple(rejected + left_out), knock)
         bad = choose(problem, test)
         if not len(bad):
-            return Fitted(problem, solution, test, tuple(rejected), None)
+            return Fitted(problem, linear, solution, test, tuple(rejected + left_out), None)
         rejected += [
             Rejection(int(problem.rows[r]), _reason(problem, solution.residuals[r], test, int(r)))
             for r in bad
@@ -83,10 +99,44 @@ def fit_and_reject(problem: BallPlateProblem) -> Fitted:
         problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), bad))
 
 
-def _solve(problem: BallPlateProblem) -> Solution:
+def _without_poor_positions(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]]:
+    """Leave out the table positions with fewer than three balls: their six errors are open.
+
+    Their balls connect nothing, so the others lose nothing. Raises ObservabilityError that names
+    them when they are too many.
+    """
+    count = balls_at_positions(problem)
+    poor = np.flatnonzero(count < MIN_BALLS)
+    if len(poor) > MOST_OPEN * problem.grid:
+        require_balls(problem, everywhere=True)
+    rows = np.flatnonzero(np.isin(problem.position, poor))
+    left_out = [
+        Rejection(
+            int(problem.rows[r]),
+            f"{problem.row_name(r)}: only {count[problem.position[r]]} balls are left at this "
+            "table position, which leaves its six errors open: the angle is left out",
+        )
+        for r in rows
+    ]
+    if not len(rows):
+        return problem, left_out
+    return problem.take(np.setdiff1d(np.arange(len(problem.centres)), rows)), left_out
+
+
+def _more_than_one_centre(knock: Knock, test: CentreTest, dof: int) -> bool:
+    """Tell whether a jump (six parameters) explains more than the worst centre alone (three).
+
+    One bad centre at the end of a series looks like a jump of its own row, and the jump takes some
+    noise of a second row on top: the difference is tested by F with three parameters.
+    """
+    more = (knock.gain - float(test.gain.max())) / 3.0
+    return more > knock.scatter * float(f_isf(MISNAMED, 3, dof - 6))
+
+
+def _solve(problem: BallPlateProblem) -> tuple[LinearFit, Solution]:
     """Solve, or say in words which harmonics of which component cannot be separated."""
     try:
-        return least_squares(problem)
+        return solved(problem)
     except ObservabilityError:
         require_separable(problem)  # names the harmonics, where it is the harmonics
         raise
@@ -130,10 +180,9 @@ def judge_centres(
     if sigma is not None:
         variance = np.maximum(variance, sigma**2)
     critical = np.sqrt(f_isf(FALSE_ALARM / len(gain), rank, others))
-    floor = np.finfo(np.float64).eps ** 2 * problem.radius**2 / own.max(axis=1)
     return CentreTest(
         gain=gain,
-        value=np.sqrt(gain / rank / np.maximum(variance, floor)),
+        value=np.sqrt(gain / rank / np.maximum(variance, model.rounding_variance(problem))),
         critical=critical,
         redundancy=np.einsum("nii,ni->n", cofactor, 1.0 / own) / 3.0,
     )

@@ -1,10 +1,13 @@
 """Gross mistakes of set-up and table, found before any fit: refused or flagged with the reason.
 
-Every centre must lie near the place that its ball and its table position give it. Where most do
-not, the pattern tells the mistake; where a few do not, those rows are set aside.
+Every centre must lie near the place that its ball and its table position give it, once the plate's
+place on the table and the axis's place in the frame are allowed for: the fit takes them exactly.
+Where most do not, the pattern tells the mistake; where a few do not, those rows are set aside.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,12 +20,16 @@ from rotcal_ros.units import DEGREE, MILLIMETRE
 
 RADIUS_TOLERANCE = 0.002
 """Largest accepted relative difference between measured and stated ball circle."""
-CENTRE_TOLERANCE = 0.02
-"""Largest accepted offset of the circle's centre from the origin, as part of the radius."""
+CENTRE_TOLERANCE = 0.03
+"""Largest accepted distance of axis and origin, and of plate and axis, as part of the radius."""
 PLACE_TOLERANCE = 0.25
 """Largest accepted angle between a centre and its place, in grid steps."""
 HEIGHT_TOLERANCE = 0.05
 """Largest accepted distance of a centre from the middle height, as part of the radius."""
+FITS = 0.01
+"""Largest typical distance of a centre from its place for the shifts to be believed."""
+ROUNDS = 10
+"""Rounds of the robust fit of the two shifts."""
 FEW = 0.2
 """Part of the rows that may be misplaced before the whole table is refused."""
 
@@ -44,15 +51,51 @@ def screen(problem: BallPlateProblem) -> tuple[BallPlateProblem, list[Rejection]
     if not finite.any():
         raise DataError("no centre is finite: check the columns x_m, y_m, z_m of the table")
     problem = problem.take(finite)
-    _check_circle(problem)
+    there = _centred(problem)
+    _check_circle(there)
     for step in (_displaced, _off_height, _doubled):
-        bad, reasons = step(problem)
+        bad, reasons = step(there)
         rejected += [
             Rejection(int(problem.rows[r]), f"{problem.row_name(r)}: {why}")
             for r, why in zip(bad, reasons, strict=True)
         ]
-        problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), bad))
+        good = np.setdiff1d(np.arange(len(problem.centres)), bad)
+        problem, there = problem.take(good), there.take(good)
     return problem, rejected
+
+
+def _centred(problem: BallPlateProblem) -> BallPlateProblem:
+    """Take the shifts of axis and plate off the centres, where they explain them.
+
+    x + i y is the sum of a constant, the axis; a part that turns with the table, the plate; and
+    the nominal place times a factor. The fit is robust (least absolute distances, by weights), so
+    that a ball in another's place does not pull. Raises DataError for a shift that is too large.
+    """
+    plane = problem.centres[:, 0] + 1j * problem.centres[:, 1]
+    turn = np.exp(1j * problem.angles)
+    design = np.column_stack(
+        [np.ones_like(plane), turn[problem.position], problem.radius * turn[problem.cmm_index]]
+    )
+    weight, distance = np.ones(len(plane)), np.zeros(len(plane))
+    found = np.zeros(3, dtype=np.complex128)
+    for _ in range(ROUNDS):
+        found = np.linalg.lstsq(weight[:, None] * design, weight * plane, rcond=1e-6)[0]
+        distance = np.abs(plane - design @ found)
+        weight = 1.0 / np.sqrt(np.maximum(distance, 1e-6 * problem.radius))
+    if np.median(distance) > FITS * problem.radius:
+        return problem  # another mistake, named by the steps that follow
+    for shift, what in (
+        (found[0], "the table's axis lies {} mm off the origin: put the origin of the CMM's frame "
+         "on the table's axis"),
+        (found[1], "the plate lies {} mm off the table's axis: centre it"),
+    ):  # fmt: skip
+        if abs(shift) > CENTRE_TOLERANCE * problem.radius:
+            place = f"({shift.real / MILLIMETRE:.3f}, {shift.imag / MILLIMETRE:.3f})"
+            raise DataError(what.format(place))
+    off = design[:, :2] @ found[:2]
+    return replace(
+        problem, centres=problem.centres - np.column_stack([off.real, off.imag, 0 * off.real])
+    )
 
 
 def _check_circle(problem: BallPlateProblem) -> None:

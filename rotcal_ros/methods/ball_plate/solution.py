@@ -9,6 +9,7 @@ measured.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -16,17 +17,15 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods.ball_plate import model
+from rotcal_ros.methods.ball_plate import general, model
+from rotcal_ros.methods.ball_plate.closure import split as closing_apart
 from rotcal_ros.methods.ball_plate.model import Solution
+from rotcal_ros.methods.ball_plate.noise import AXIS_SIGNIFICANCE, Noise, assess
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.rejection import Fitted, fit_and_reject
 from rotcal_ros.methods.ball_plate.screening import screen
 from rotcal_ros.methods.ball_plate.separability import common_divisor
-from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.results import Rejection
-
-SIGNIFICANCE = 0.01
-"""Level of the chi-square test of the stated noise."""
 
 
 @dataclass(frozen=True)
@@ -34,31 +33,13 @@ class Group:
     """One group: the table positions (M,) of the whole grid, and the problem of the group.
 
     The problem lives on the group's own grid, in a frame turned by ``turn`` radians about z.
+    ``closing`` are rows measured again at the end, which the fit does without.
     """
 
     positions: Ints
     turn: float
     problem: BallPlateProblem
-
-
-@dataclass(frozen=True)
-class Noise:
-    """Standard deviation of a centre: ``used`` (m, or of unit weight), stated or estimated.
-
-    ``sigma0`` is estimate / statement, 1 when nothing was stated; ``p_value`` belongs to the
-    two-sided chi-square test of the statement, None when nothing was stated.
-    """
-
-    used: float
-    estimated: float
-    sigma0: float
-    p_value: float | None
-    dof: int
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether the residuals contradict the stated noise."""
-        return self.p_value is not None and self.p_value < SIGNIFICANCE
+    closing: BallPlateProblem | None = None
 
 
 @dataclass(frozen=True)
@@ -75,59 +56,99 @@ class PlateSolution:
     noise: Noise
     rejected: tuple[Rejection, ...]
 
+    @cached_property
+    def table_positions(self) -> Ints:
+        """The table positions that could be solved, ascending, (M,); the others were left out."""
+        return np.sort(np.concatenate([*self._positions()]))
+
+    def _positions(self) -> tuple[Ints, ...]:
+        """Return the solved table positions of every group, on the whole grid."""
+        return tuple(
+            group.positions[fit.problem.table_positions]
+            for group, fit in zip(self.groups, self.fits, strict=True)
+        )
+
     def deviations(self) -> dict[str, Floats]:
-        """Return the table's six deviations (N,), metres and radians."""
+        """Return the table's six deviations (M,), metres and radians."""
         fields = {name: np.empty((self.problem.grid, 3)) for name in ("translation", "rotation")}
-        for group, fit in zip(self.groups, self.fits, strict=True):
+        for group, fit, positions in zip(self.groups, self.fits, self._positions(), strict=True):
             for name, field in fields.items():
-                field[group.positions] = turned_back(group, getattr(fit.solution.estimate, name))
-        return {name: fields[f][:, axis] for name, (f, axis) in model.TABLE_COMPONENTS.items()}
+                field[positions] = turned_back(group, getattr(fit.solution.estimate, name))
+        kept = self.table_positions
+        return {n: fields[f][kept, axis] for n, (f, axis) in model.TABLE_COMPONENTS.items()}
 
     def std(self) -> dict[str, Floats]:
-        """Return the standard deviations (N,) of the six deviations."""
-        scale = self.noise.used
+        """Return the standard deviations (M,) of the six deviations."""
         if len(self.groups) == 1:
-            unit = self.fits[0].solution.unit_std
-            return {name: scale * unit.component(name) for name in COMPONENTS}
-        return {name: scale * np.sqrt(np.diag(self.unit_covariance(name))) for name in COMPONENTS}
+            std = model.scaled(self.fits[0].solution.unit_std, self.noise.scale)
+            return {name: std.component(name) for name in COMPONENTS}
+        return {name: np.sqrt(np.diag(self.covariance(name))) for name in COMPONENTS}
 
-    def unit_covariance(self, name: str) -> Floats:
-        """Return the (N, N) unit covariance of a component; zero between groups."""
+    def covariance(self, name: str) -> Floats:
+        """Return the (M, M) covariance of a component; zero between groups."""
+        scale = model.of_component(self.noise.scale, name)
+        covariance: Floats = scale * scale * self._unit_covariance(name)
+        return covariance
+
+    def _unit_covariance(self, name: str) -> Floats:
         if len(self.groups) == 1:
             return turned_covariance(self.groups[0], self.fits[0].solution, name)
-        covariance = np.zeros((self.problem.grid, self.problem.grid))
-        for group, fit in zip(self.groups, self.fits, strict=True):
-            place = np.ix_(group.positions, group.positions)
+        covariance = np.zeros((len(self.table_positions),) * 2)
+        for group, fit, positions in zip(self.groups, self.fits, self._positions(), strict=True):
+            at = np.searchsorted(self.table_positions, positions)
+            place = np.ix_(at, at)
             covariance[place] = turned_covariance(group, fit.solution, name)
         return covariance
 
 
 def adjust(problem: BallPlateProblem) -> PlateSolution:
-    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
-    whole, unusable = screen(problem)
-    alone = Group(np.arange(whole.grid), 0.0, whole)
-    groups = split(whole) if problem.separate_groups else (alone,)
-    fits = tuple(fit_and_reject(group.problem) for group in groups)
+    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises.
+
+    Where one axis proves noisier than another, all is done again with the weights found; not after
+    a knock, whose residuals are no noise.
+    """
+    once, closing = closing_apart(problem)
+    whole, unusable = screen(once)
+    stated = problem.sigma if problem.std is None else 1.0
+    groups, fits = _fitted(whole, closing)
+    noise = assess(_turned(groups, fits), stated)
+    if noise.unequal and all(fit.knock is None for fit in fits):
+        weights = _weights(whole, len(groups), noise)
+        own = np.ones_like(whole.centres) if whole.std is None else whole.std
+        groups, fits = _fitted(replace(whole, sigma=None, std=own * weights), closing)
+        noise = assess(_turned(groups, fits), stated, first=noise, weights=weights)
     rejected = unusable + [r for fit in fits for r in fit.rejected]
     in_order = tuple(sorted(rejected, key=lambda r: r.index))
-    return PlateSolution(problem, whole, groups, fits, _noise(problem, fits), in_order)
+    return PlateSolution(problem, whole, groups, fits, noise, in_order)
 
 
-def _noise(problem: BallPlateProblem, fits: tuple[Fitted, ...]) -> Noise:
-    """Pool the residuals of all groups and test the stated noise."""
-    total = sum(fit.solution.weighted_square_sum for fit in fits)
-    dof = sum(fit.solution.dof for fit in fits)
-    estimated = float(np.sqrt(total / dof))
-    stated = 1.0 if problem.std is not None else problem.sigma
-    if stated is None:
-        return Noise(estimated, estimated, 1.0, None, dof)
-    tail = chi2_sf(total / stated**2, dof)
-    p_value = 2.0 * min(tail, 1.0 - tail)
-    used = estimated if p_value < SIGNIFICANCE and estimated > stated else stated
-    return Noise(used, estimated, estimated / stated, p_value, dof)
+def _fitted(
+    whole: BallPlateProblem, closing: BallPlateProblem | None
+) -> tuple[tuple[Group, ...], tuple[Fitted, ...]]:
+    """Cut a problem into its groups, if it has any, and fit each."""
+    alone = Group(np.arange(whole.grid), 0.0, whole, closing)
+    groups = split(whole, closing) if whole.separate_groups else (alone,)
+    return groups, tuple(fit_and_reject(group.problem) for group in groups)
 
 
-def split(problem: BallPlateProblem) -> tuple[Group, ...]:
+def _turned(groups: tuple[Group, ...], fits: tuple[Fitted, ...]) -> list[tuple[Fitted, float]]:
+    return [(fit, group.turn) for group, fit in zip(groups, fits, strict=True)]
+
+
+def _weights(whole: BallPlateProblem, n_groups: int, noise: Noise) -> Floats:
+    """Return the standard deviations (3,) to weigh with.
+
+    x and y count as one where nothing speaks against it; also for groups, whose frames are turned,
+    and where the elimination would not fit into memory: then the larger one is stated.
+    """
+    weights: Floats = noise.estimated.copy()
+    large = model.offsets(whole).total > general.MAX_UNKNOWNS
+    if noise.plane >= AXIS_SIGNIFICANCE or n_groups > 1 or large:
+        weights[:2] = np.hypot(weights[0], weights[1]) / np.sqrt(2.0)
+    return weights
+
+
+def split(problem: BallPlateProblem, closing: BallPlateProblem | None = None) -> tuple[Group, ...]:
     """Cut a problem into its groups of table positions.
 
     The number of groups is the common divisor of the ball steps and the grid (Eq. 22), 2 in the
@@ -135,10 +156,15 @@ def split(problem: BallPlateProblem) -> tuple[Group, ...]:
     not measured at all.
     """
     count = common_divisor(problem.grid, problem.balls)
-    return tuple(_group(problem, first, count) for first in range(count))
+    groups = [_group(problem, first, count) for first in range(count)]
+    if closing is not None:
+        for first in np.unique(closing.position % count).tolist():
+            again = _group(closing, first, count, int(problem.balls[0] % count)).problem
+            groups[first] = replace(groups[first], closing=again)
+    return tuple(groups)
 
 
-def _group(problem: BallPlateProblem, first: int, count: int) -> Group:
+def _group(problem: BallPlateProblem, first: int, count: int, start: int | None = None) -> Group:
     """Cut out the table positions first, first + count, ... and turn them to start at zero."""
     rows = np.flatnonzero(problem.position % count == first)
     if not len(rows):
@@ -147,7 +173,8 @@ def _group(problem: BallPlateProblem, first: int, count: int) -> Group:
             "one group is missing altogether"
         )
     part = problem.take(rows)
-    start = int(problem.balls[0] % count)  # ball steps are start + multiples of count
+    if start is None:
+        start = int(problem.balls[0] % count)  # ball steps are start + multiples of count
     turn = float(problem.angles[(first + start) % problem.grid])
     back = rotation_about_z(-turn)
     std = part.std
@@ -179,7 +206,7 @@ def turned_covariance(group: Group, solution: Solution, name: str) -> Floats:
         return solution.unit_covariance(name, name)
     weights = rotation_about_z(group.turn)[axis]
     names = [n for n, (f, _) in model.TABLE_COMPONENTS.items() if f == field]
-    total = np.zeros((len(group.positions),) * 2)
+    total = np.zeros((len(solution.estimate.rotation),) * 2)
     for first, weight in zip(names, weights, strict=True):
         for second, other in zip(names, weights, strict=True):
             if weight and other:

@@ -15,7 +15,7 @@ from rotcal_ros.components import ROTATIONS
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import harmonics, model
 from rotcal_ros.methods.ball_plate.harmonics import AXIS, PLANE, Harmonics
-from rotcal_ros.methods.ball_plate.model import Parameters, Solution
+from rotcal_ros.methods.ball_plate.model import LinearFit, Parameters, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 
 
@@ -25,28 +25,44 @@ def solve_spectral(problem: BallPlateProblem) -> Solution:
     For ``problem.complete`` without ``std`` only; the general solution takes all others. Raises
     ObservabilityError when the balls do not separate all harmonics.
     """
+    linear = factored(problem)
+    return linear.solution(*linear.fit(problem.deviations))
+
+
+def factored(problem: BallPlateProblem) -> LinearFit:
+    """Factor a complete measurement with equal weights; raises what :func:`solve_spectral` does.
+
+    Its centres play no part, only grid, balls and radius.
+    """
     system = harmonics.factor(problem.grid, problem.balls)
     turn = np.exp(1j * problem.angles)
-    spectrum, mean = harmonics.to_harmonics(_in_table_frame(problem, turn))
-    table, cmm, rest = harmonics.fit(system, spectrum)
-    pose = _axis_pose(problem, cmm)
-    fields, residuals = _back(problem, turn, table, cmm, rest)
-    return Solution(
-        estimate=_estimate(problem, turn, fields, mean, pose),
-        unit_std=_unit_std(problem, turn, system),
-        unit_covariance=partial(_table_covariance, problem.radius, system),
-        residuals=residuals,
-        cofactor=partial(_residual_cofactor, problem.cmm_index, system),
-        weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
-        dof=model.degrees_of_freedom(problem),
-        way="spectral",
-    )
+
+    def fit(observed: Floats) -> tuple[Parameters, Floats]:
+        spectrum, mean = harmonics.to_harmonics(_in_table_frame(problem, observed, turn))
+        table, cmm, rest = harmonics.fit(system, spectrum)
+        pose = _axis_pose(problem, cmm)
+        fields, residuals = _back(problem, turn, table, cmm, rest)
+        return _estimate(problem, turn, fields, mean, pose), residuals
+
+    def solution(estimate: Parameters, residuals: Floats) -> Solution:
+        return Solution(
+            estimate=estimate,
+            unit_std=_unit_std(problem, turn, system),
+            unit_covariance=partial(_table_covariance, problem.radius, system),
+            residuals=residuals,
+            cofactor=partial(_residual_cofactor, problem.cmm_index, system),
+            weighted_square_sum=float(residuals.ravel() @ residuals.ravel()),
+            dof=model.degrees_of_freedom(problem),
+            way="spectral",
+        )
+
+    return LinearFit(fit, solution)
 
 
-def _in_table_frame(problem: BallPlateProblem, turn: Complexes) -> Complexes:
-    """Return x + i y in the frame that turns with the table, then z, (2 R, N)."""
+def _in_table_frame(problem: BallPlateProblem, observed: Floats, turn: Complexes) -> Complexes:
+    """Return x + i y of deviations (n, 3) in the table's turning frame, then z, (2 R, N)."""
     n_balls = len(problem.balls)
-    x, y, z = problem.deviations.T.reshape(3, n_balls, problem.grid)
+    x, y, z = observed.T.reshape(3, n_balls, problem.grid)
     sequences = np.zeros((2 * n_balls, problem.grid), dtype=np.complex128)
     sequences[:n_balls].real, sequences[:n_balls].imag = x, y
     sequences[:n_balls] *= turn.conj()

@@ -32,7 +32,7 @@ class LinearTrials:
 
 @dataclass(frozen=True, eq=False)
 class SolvedTrials:
-    """Trials by solving each; for separate groups, and grids too large for the linear map."""
+    """Trials by solving each; for separate groups, an estimated drift, and too large grids."""
 
     problem: BallPlateProblem
     std: Floats
@@ -54,9 +54,10 @@ def plate_trials(problem: BallPlateProblem) -> LinearTrials | SolvedTrials:
     """
     solution = adjust(problem)
     large = model.offsets(problem).total > general.MAX_UNKNOWNS
-    alone = problem.separate_groups or large
+    alone = problem.separate_groups or large or problem.drift > 0
     used = problem if alone else solution.fits[0].problem
-    std = solution.noise.used * (np.ones_like(used.centres) if used.std is None else used.std)
+    factor = solution.noise.used if alone else solution.noise.scale
+    std = factor * (np.ones_like(used.centres) if used.std is None else used.std)
     if alone:
         return SolvedTrials(used, std)
     return LinearTrials(_in_order(solution), general.table_gain(used).T, std.ravel())

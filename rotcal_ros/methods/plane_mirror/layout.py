@@ -57,11 +57,13 @@ class Pairs:
 class Nests:
     """Nest rows (Q,) sorted by ``point`` (Q,), the index of the fixed nest; see ``name`` (K,).
 
-    A nest that was moved in between counts as two points of the same name.
+    A nest that was moved in between counts as two points of the same name. ``round`` (Q,) counts
+    the rounds of nests of all stations in the order in which they were measured.
     """
 
     row: Ints
     station: Ints
+    round: Ints
     point: Ints
     start: Ints
     name: Ints
@@ -75,7 +77,7 @@ class Nests:
         """Return nests in which the rows (Q,) marked as moved belong to a new point."""
         point = np.where(moved, self.n_points, self.point)
         name = np.append(self.name, self.name[self.point[moved][0]])
-        return _nests(self.row, self.station, point, name)
+        return _nests(self.row, self.station, self.round, point, name)
 
 
 @dataclass(frozen=True)
@@ -127,16 +129,34 @@ def find_pairs(problem: PlaneMirrorProblem) -> Pairs:
 
 
 def find_nests(problem: PlaneMirrorProblem) -> Nests:
-    """Collect the nest rows; a nest that only one station sees joins nothing and is left out."""
-    rows = np.flatnonzero(problem.kind == PointKind.NEST)
+    """Collect the nest rows; a nest of one round only joins nothing and is left out."""
+    rows, rounds = np.flatnonzero(problem.kind == PointKind.NEST), nest_rounds(problem)
     seen = {
-        int(name): set(problem.station[rows[problem.nest[rows] == name]].tolist())
+        int(name): set(rounds[rows[problem.nest[rows] == name]].tolist())
         for name in np.unique(problem.nest[rows])
     }
     joined = [len(seen[int(name)]) > 1 for name in problem.nest[rows]]
     rows = rows[np.array(joined, dtype=np.bool_)]
     names, point = np.unique(problem.nest[rows], return_inverse=True)
-    return _nests(rows, problem.station[rows], point, names)
+    return _nests(rows, problem.station[rows], rounds[rows], point, names)
+
+
+def nest_rounds(problem: PlaneMirrorProblem) -> Ints:
+    """Return the number (n,) of the round of nests that each row belongs to, -1 if to none.
+
+    Rounds count from 0 over all stations. Nests of one station with nothing else measured in
+    between are one round.
+    """
+    rounds = np.full(len(problem.xyz), -1, dtype=np.int64)
+    begun = 0
+    for station in range(int(problem.station.max()) + 1):
+        rows = np.flatnonzero(problem.station == station)
+        rows = rows[np.argsort(problem.moment[rows], kind="stable")]
+        is_nest = problem.kind[rows] == PointKind.NEST
+        begins = is_nest & ~np.append(False, is_nest[:-1])
+        rounds[rows[is_nest]] = begun + np.cumsum(begins)[is_nest] - 1
+        begun += int(begins.sum())
+    return rounds
 
 
 def find_reflectors(problem: PlaneMirrorProblem) -> Reflectors:
@@ -160,11 +180,18 @@ def find_reflectors(problem: PlaneMirrorProblem) -> Reflectors:
     return Reflectors(rows, problem.position[rows], problem.station[rows], reflector, names)
 
 
-def _nests(row: Ints, station: Ints, point: Ints, name: Ints) -> Nests:
+def _nests(row: Ints, station: Ints, rounds: Ints, point: Ints, name: Ints) -> Nests:
     used, point = np.unique(point, return_inverse=True)
     order = np.lexsort([row, station, point])
     point = point[order].astype(np.int64)
-    return Nests(row[order], station[order], point, _starts(point, len(used)), name[used])
+    return Nests(
+        row=row[order],
+        station=station[order],
+        round=rounds[order],
+        point=point,
+        start=_starts(point, len(used)),
+        name=name[used],
+    )
 
 
 def _starts(sorted_index: Ints, count: int) -> Ints:

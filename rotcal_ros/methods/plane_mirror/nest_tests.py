@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
 from typing import Final
 
 import numpy as np
@@ -12,7 +12,8 @@ from scipy.linalg import block_diag
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.distributions import chi2_isf
-from rotcal_ros.methods.plane_mirror.layout import Nests, find_nests
+from rotcal_ros.methods.plane_mirror.drift import displaced_nests, find_drift
+from rotcal_ros.methods.plane_mirror.layout import Nests, find_nests, nest_rounds
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.registration import (
     Poses,
@@ -21,6 +22,7 @@ from rotcal_ros.methods.plane_mirror.registration import (
     place_stations,
     pose_jacobian,
 )
+from rotcal_ros.units import ARCSEC
 
 MIN_APART: Final = 5e-3
 """Two nests are never closer than this (m): it is less than any reflector."""
@@ -58,40 +60,75 @@ class NestFit:
         return value
 
 
-def register(problem: PlaneMirrorProblem, nests: Nests) -> tuple[Poses, Nests, list[str]]:
-    """Place and adjust all stations; returns them, the nests used, and what moved, in words.
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Observations (Q,) that show a nest elsewhere, the first round of them, and a text."""
 
-    A nest that moved counts as a new nest after the move. Exchanged nests and nests that stand in
-    one place are refused with DataError; GeometryError as in
+    members: Bools
+    round: int
+    text: str
+
+
+def register(
+    problem: PlaneMirrorProblem, nests: Nests, taken: int = 0
+) -> tuple[Poses, Nests, list[Moved]]:
+    """Place and adjust all stations; returns them, the nests used, and what moved.
+
+    ``taken`` degrees of freedom went into the drift that the points are freed of. A nest that
+    moved counts as a new nest after the move. Exchanged nests and nests that stand in one place
+    are refused with DataError; GeometryError as in
     :func:`~rotcal_ros.methods.plane_mirror.registration.place_stations`.
     """
     _check_apart(problem, nests)
     _check_exchanged(problem, nests)
-    moved: list[str] = []
+    moved: list[Moved] = []
     while True:
         weight = problem.noise.weight(problem.xyz[nests.row])
         poses = adjust_stations(problem.xyz, nests, weight, place_stations(problem, nests))
-        found = _moved_nest(problem, nests, nest_fit(problem.xyz, nests, weight, poses))
+        found = _moved_nest(problem, nests, nest_fit(problem.xyz, nests, weight, poses, taken))
         if found is None or len(moved) >= len(nests.name):
             return poses, nests, moved
-        members, text = found
-        moved.append(text)
-        nests = nests.split(members)
+        moved.append(found)
+        nests = nests.split(found.members)
 
 
-def check_nests(problem: PlaneMirrorProblem) -> list[str]:
+def check_nests(
+    problem: PlaneMirrorProblem, *, newest: bool = False, drift_limit: float = np.inf
+) -> list[str]:
     """Return what moved among the nests measured so far, in words; empty when all is well.
 
-    For use while measuring, after the tracker was moved: ``problem`` needs NEST rows only. Raises
-    DataError and GeometryError as :func:`register`.
+    For use while measuring: ``problem`` needs NEST rows only, and the others where nests were
+    measured again to show the drift. ``newest``: only what the newest station shows, in its rounds
+    behind the first if there are any. ``drift_limit`` (rad) is how far the tracker may turn there
+    between two rounds of nests. Raises DataError and GeometryError as :func:`register`.
     """
-    if problem.station.max() == 0:
-        return []
-    return register(problem, find_nests(problem))[2]
+    drift, last = find_drift(problem), int(problem.station.max())
+    turned = [
+        f"the tracker turned by {turn / ARCSEC:.1f} arcsec between two rounds of nests at station "
+        f"{problem.station_name(station.station)}, allowed {drift_limit / ARCSEC:g}: let it settle"
+        for station in drift.stations
+        if station.station == last
+        and (turn := float(np.linalg.norm(station.change[:, :3], axis=1).max())) > drift_limit
+        and station.probability(problem.significance) < problem.significance
+    ]
+    if last == 0:
+        return displaced_nests(problem, drift) + turned
+    if drift.size:
+        problem = replace(problem, xyz=drift.corrected(problem.xyz))
+    moved = register(problem, find_nests(problem), drift.size)[2]
+    own = np.unique(nest_rounds(problem)[problem.station == last])
+    own = own[own >= 0]
+    asked = own[-max(len(own) - 1, 1) :]
+    return [m.text for m in moved if not newest or m.round in asked] + turned
 
 
-def nest_fit(points: Floats, nests: Nests, weight: Floats, poses: Poses) -> NestFit:
-    """Return residuals, cofactors and chi square of the registration at its solution."""
+def nest_fit(
+    points: Floats, nests: Nests, weight: Floats, poses: Poses, taken: int = 0
+) -> NestFit:
+    """Return residuals, cofactors and chi square of the registration at its solution.
+
+    ``taken`` as in :func:`register`.
+    """
     _, _, residual = nest_equations(points, nests, weight, poses)
     rotation = poses.rotation[nests.station]
     n, n_stations = len(nests.row), len(poses.rotation)
@@ -105,47 +142,49 @@ def nest_fit(points: Floats, nests: Nests, weight: Floats, poses: Poses) -> Nest
     normal = jacobian.T @ full @ jacobian
     cofactor = np.linalg.inv(full) - jacobian @ np.linalg.solve(normal, jacobian.T)
     v = residual.ravel()
-    return NestFit(residual, full, cofactor, float(v @ full @ v), 3 * n - jacobian.shape[1])
+    dof = max(3 * n - jacobian.shape[1] - taken, 0)
+    return NestFit(residual, full, cofactor, float(v @ full @ v), dof)
 
 
-def _moved_nest(
-    problem: PlaneMirrorProblem, nests: Nests, fit: NestFit
-) -> tuple[Bools, str] | None:
+def _moved_nest(problem: PlaneMirrorProblem, nests: Nests, fit: NestFit) -> Moved | None:
     """Return the most likely move, if one explains what noise cannot; else None."""
     if fit.dof == 0 or fit.chi_square <= chi2_isf(problem.significance, fit.dof):
         return None
-    hypotheses = _hypotheses(nests)
-    best: tuple[float, Bools, str] | None = None
-    for members, when in hypotheses:
+    hypotheses = _hypotheses(problem, nests)
+    best: tuple[float, Moved] | None = None
+    for members, number, where in hypotheses:
         drop, shift = _gain(fit, members)
         rest = max(1.0, (fit.chi_square - drop) / max(fit.dof - 3, 1))
         if drop / rest > chi2_isf(problem.significance / len(hypotheses), 3) and (
             best is None or drop > best[0]
         ):
             name = nests.name[nests.point[members][0]]
-            where = when.format(*(problem.station_name(s) for s in _stations(nests, members)))
             text = f"nest {name} {where} (by {np.linalg.norm(shift) * 1e3:.3f} mm)"
-            best = drop, members, f"{text}; it counts as another nest there"
-    return None if best is None else best[1:]
+            best = drop, Moved(members, number, f"{text}; it counts as another nest there")
+    return None if best is None else best[1]
 
 
-def _hypotheses(nests: Nests) -> list[tuple[Bools, str]]:
-    """Each nest moved for good between two stations, or stood elsewhere at one station only."""
+def _hypotheses(problem: PlaneMirrorProblem, nests: Nests) -> list[tuple[Bools, int, str]]:
+    """Each nest moved for good between two rounds of nests, or stood elsewhere in one round.
+
+    Returns the members, the first round of them, and what happened in words.
+    """
+    station_of = dict(zip(nests.round.tolist(), nests.station.tolist(), strict=True))
     found = []
     for point in range(nests.n_points):
         own = nests.point == point
-        seen = np.unique(nests.station[own])
-        moved, aside = "moved between tracker stations {} and {}", "stood elsewhere at station {1}"
-        found += [(own & (nests.station >= station), moved) for station in seen[1:]]
-        found += [(own & (nests.station == station), aside) for station in seen[1:-1]]
+        seen = np.unique(nests.round[own]).tolist()
+        at = [problem.station_name(station_of[number]) for number in seen]
+        for before, now in pairwise(range(len(seen))):
+            text = f"moved between tracker stations {at[before]} and {at[now]}"
+            if at[before] == at[now]:
+                text = f"moved while the tracker was at station {at[now]}"
+            found.append((own & (nests.round >= seen[now]), seen[now], text))
+        for now in range(1, len(seen) - 1):
+            once = " in one of its rounds" if at.count(at[now]) > 1 else ""
+            text = f"stood elsewhere at station {at[now]}{once}"
+            found.append((own & (nests.round == seen[now]), seen[now], text))
     return found
-
-
-def _stations(nests: Nests, members: Bools) -> tuple[int, int]:
-    """Return the last station before the move that saw the nest, and the first after it."""
-    first = int(nests.station[members].min())
-    own = nests.station[nests.point == nests.point[members][0]]
-    return int(own[own < first].max()), first
 
 
 def _gain(fit: NestFit, members: Bools) -> tuple[float, Floats]:

@@ -79,6 +79,8 @@ def empty_residuals(problem: PlaneMirrorProblem) -> Residuals:
         redundancy=np.zeros(n),
         test_value=np.zeros(n),
         used=np.zeros(n, dtype=np.bool_),
+        std=np.sqrt(np.trace(problem.noise.covariance(problem.xyz), axis1=1, axis2=2) / 3.0),
+        coordinates=3,
     )
 
 
@@ -132,7 +134,7 @@ def _joined(prepared: PreparedJoint, residuals: Residuals) -> Outcome:
     normals, groups = _groups(prepared, residuals)
     nests = _nests(prepared, residuals)
     equations = joint.joint_equations(problem.xyz, normals, prepared.adjusted_together, mirror)
-    n = len(prepared.angles)
+    n, taken = len(prepared.angles), prepared.drift.size if len(prepared.nests.row) else 0
     contrast = np.eye(n)
     contrast[:, 0] -= 1.0
     covariance = contrast @ joint.angle_covariance(equations) @ contrast.T
@@ -141,7 +143,7 @@ def _joined(prepared: PreparedJoint, residuals: Residuals) -> Outcome:
         deviations=cone.deviation(mirror.psi, prepared.angles),
         covariance=covariance + unc.tilt_crosstalk(problem, float(np.sin(mirror.beta)), n),
         chi_square=float(equations.chi_square) + groups.chi_square,
-        dof=3 * n_known - equations.shared.shape[0] - 2 * n,
+        dof=3 * n_known - equations.shared.shape[0] - 2 * n - taken,
         details={
             "axis": mirror.frame[:, 2],
             "lean_rad": float(mirror.beta),
@@ -247,7 +249,8 @@ def _nests(prepared: Prepared, residuals: Residuals) -> _Fit:
     nests, problem = prepared.nests, prepared.problem
     if not len(nests.row):
         return _Fit()
-    fit = nest_fit(problem.xyz, nests, prepared.nest_weight, prepared.poses)
+    taken = prepared.drift.size
+    fit = nest_fit(problem.xyz, nests, prepared.nest_weight, prepared.poses, taken)
     length = np.linalg.norm(fit.residual, axis=1)
     _enter(residuals, nests.row, length, fit.redundancy, fit.test_value)
     return _Fit(fit.chi_square, fit.dof, {"nests": _nest_entries(prepared, fit)})

@@ -16,6 +16,7 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror import cone, joint, screening
 from rotcal_ros.methods.plane_mirror.direct import direct_readings, fit_circle, require_circles
+from rotcal_ros.methods.plane_mirror.drift import Drift, displaced_nests, find_drift
 from rotcal_ros.methods.plane_mirror.layout import (
     Nests,
     Pairs,
@@ -37,6 +38,8 @@ from rotcal_ros.methods.plane_mirror.stitching import (
 )
 from rotcal_ros.results import Rejection
 
+DRIFT_STEP: Final = 1e-6
+"""Turn (rad), shift and range (m) that the response to a drift is found with."""
 _TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared, then rounding
 
 
@@ -44,12 +47,14 @@ _TRIAL_STEPS: Final = 2  # Gauss-Newton from the nominal solution: noise squared
 class Prepared(ABC):
     """A screened problem with all that does not change from trial to trial.
 
-    ``angles`` (N,) are those of the positions that were measured; the positions of pairs and
-    reflectors count in them. ``poses`` are the nominal stations, or all at the origin where the
-    way needs none. ``joining`` (N, readings) makes deviations of readings.
+    ``problem`` has its points without the ``drift`` of the tracker. ``angles`` (N,) are those of
+    the positions that were measured; the positions of pairs and reflectors count in them.
+    ``poses`` are the nominal stations, or all at the origin where the way needs none. ``joining``
+    (N, readings) makes deviations of readings.
     """
 
     problem: PlaneMirrorProblem
+    drift: Drift
     angles: Floats
     nests: Nests
     poses: Poses
@@ -60,9 +65,27 @@ class Prepared(ABC):
         """Inverse covariances (Q, 3, 3) of the nests, along the axes of each station."""
         return self.problem.noise.weight(self.problem.xyz[self.nests.row])
 
-    @abstractmethod
     def estimate(self, points: Floats) -> Floats:
-        """Return deviations (..., N) in rad, from the first position, of points (..., n, 3)."""
+        """Return deviations (..., N) in rad, from the first position, of points (..., n, 3).
+
+        The drift of each trial is estimated from its own points.
+        """
+        return self.deviations(self.drift.corrected(points))
+
+    @abstractmethod
+    def deviations(self, points: Floats) -> Floats:
+        """Return the deviations (..., N) of points (..., n, 3) that have no drift."""
+
+    def drift_response(self) -> Floats:
+        """Return the derivative (N, size) of the deviations by the changes that the drift made.
+
+        By central differences of the estimate itself, so that it is the same for every way; a
+        step moves points by micrometres, where the estimate is linear to 1e-6.
+        """
+        steps = DRIFT_STEP * np.eye(self.drift.size)
+        moved = self.drift.displacement(self.problem.xyz, np.concatenate([steps, -steps]))
+        ahead, behind = np.split(self.deviations(self.problem.xyz - moved), 2)
+        return np.asarray((ahead - behind).T / (2.0 * DRIFT_STEP), dtype=np.float64)
 
     def stations_of(self, points: Floats) -> Poses:
         """Return the adjusted stations for points (..., n, 3)."""
@@ -77,7 +100,7 @@ class PreparedPoints(Prepared):
 
     reflectors: Reflectors
 
-    def estimate(self, points: Floats) -> Floats:
+    def deviations(self, points: Floats) -> Floats:
         """Return the deviations about the circles of the reflectors."""
         own = points[..., self.reflectors.row, :]
         placed = self.stations_of(points).placed(own, self.reflectors.station)
@@ -96,7 +119,7 @@ class PreparedNormals(Prepared):
         """Return the mirror's planes that points (..., n, 3) show."""
         return fit_normals(points, self.pairs, self.pair_weight)
 
-    def estimate(self, points: Floats) -> Floats:
+    def deviations(self, points: Floats) -> Floats:
         """Return the deviations of the normals, each in its station or all in the first one's."""
         normal = self.normals(points).normal
         if self.problem.way == STITCHING:
@@ -118,7 +141,7 @@ class PreparedJoint(PreparedNormals):
 
     mirror: joint.Mirror
 
-    def estimate(self, points: Floats) -> Floats:
+    def deviations(self, points: Floats) -> Floats:
         """Return the deviations by the least squares of everything at once."""
         mirror = joint.adjust_joint(
             points, self.normals(points), self.adjusted_together, self.mirror, _TRIAL_STEPS
@@ -148,10 +171,15 @@ class Screened:
 
 def prepare(problem: PlaneMirrorProblem) -> Screened:
     """Screen and lay out a problem; raises DataError or GeometryError when it has no solution."""
-    return _prepare_direct(problem) if problem.way == "direct" else _prepare_mirror(problem)
+    drift = find_drift(problem)
+    if drift.size:
+        problem = replace(problem, xyz=drift.corrected(problem.xyz))
+    if problem.way == "direct":
+        return _prepare_direct(problem, drift)
+    return _prepare_mirror(problem, drift)
 
 
-def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
+def _prepare_mirror(problem: PlaneMirrorProblem, drift: Drift) -> Screened:
     pairs = find_pairs(problem)
     screening.check_pairs(problem, pairs)
     weight = pair_weights(problem.xyz, pairs, problem.noise)
@@ -166,17 +194,19 @@ def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
     angles = problem.angles[used]
     if problem.way == STITCHING:
         poses, nests = _one_station()
+        warnings += displaced_nests(problem, drift)
         require_overlap(problem, pairs)
         require_cone(problem, pairs, angles)
         _, zero = np.unique(pairs.station, return_inverse=True)
     else:
-        poses, nests, moved = _stations(problem)
+        poses, nests, moved = _stations(problem, drift)
         warnings += moved
         zero = np.zeros_like(pairs.station)
         _require_three(problem, angles)
     joining = joining_map(pairs.position, zero, 1.0 / np.bincount(pairs.group), len(angles))
     prepared = PreparedNormals(
         problem=problem,
+        drift=drift,
         angles=angles,
         nests=nests,
         poses=poses,
@@ -189,10 +219,10 @@ def _prepare_mirror(problem: PlaneMirrorProblem) -> Screened:
     return Screened(prepared, (*rejected, *inconsistent), tuple(warnings))
 
 
-def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
+def _prepare_direct(problem: PlaneMirrorProblem, drift: Drift) -> Screened:
     reflectors = find_reflectors(problem)
     require_circles(problem, reflectors)
-    poses, nests, warnings = _stations(problem)
+    poses, nests, warnings = _stations(problem, drift)
     used, position = np.unique(reflectors.position, return_inverse=True)
     warnings += _absent(problem, used)
     reflectors = replace(reflectors, position=position.astype(np.int64))
@@ -204,6 +234,7 @@ def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
     joining = joining_map(reflectors.position, reflectors.reflector, variance, len(angles))
     prepared = PreparedPoints(
         problem=problem,
+        drift=drift,
         angles=angles,
         nests=nests,
         poses=poses,
@@ -213,15 +244,16 @@ def _prepare_direct(problem: PlaneMirrorProblem) -> Screened:
     return Screened(prepared, (), tuple(warnings))
 
 
-def _stations(problem: PlaneMirrorProblem) -> tuple[Poses, Nests, list[str]]:
+def _stations(problem: PlaneMirrorProblem, drift: Drift) -> tuple[Poses, Nests, list[str]]:
     if problem.station.max() == 0:
-        return *_one_station(), []
-    return register(problem, find_nests(problem))
+        return *_one_station(), displaced_nests(problem, drift)
+    poses, nests, moved = register(problem, find_nests(problem), drift.size)
+    return poses, nests, [m.text for m in moved]
 
 
 def _one_station() -> tuple[Poses, Nests]:
     none = np.zeros(0, dtype=np.int64)
-    return Poses(np.eye(3)[None], np.zeros((1, 3))), Nests(none, none, none, none, none)
+    return Poses(np.eye(3)[None], np.zeros((1, 3))), Nests(none, none, none, none, none, none)
 
 
 def _with_mirror(prepared: PreparedNormals) -> PreparedJoint:

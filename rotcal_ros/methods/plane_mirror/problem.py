@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, field
 
@@ -16,7 +17,7 @@ from rotcal_ros.methods.plane_mirror.settings import (
     Way,
 )
 from rotcal_ros.observations import Observation, PointKind
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 _DEFAULTS = MirrorSolverSettings()
 KINDS = (PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST)
@@ -85,7 +86,9 @@ class PlaneMirrorProblem:
     DIRECT and MIRRORED rows with the same position, station and nest are a pair; these nests
     may be moved between positions. NEST rows are the fixed nests of the registration, known
     by the same number from every station. For the way "direct" the DIRECT rows are reflectors
-    carried by the table.
+    carried by the table. ``time`` (n,) tells when each row was measured, in any unit; without it
+    the rows stand in the order in which they were measured. Nests that are measured again before
+    the tracker leaves a station show how it drifted there.
 
     ``tilt_std`` (rad) is how far the table may tilt (EAC, EBC), that is, how exactly the normals
     stand on one cone. ``incidence_limit`` (rad) is the greatest angle between beam and mirror
@@ -107,14 +110,22 @@ class PlaneMirrorProblem:
     station_names: tuple[str, ...] = ()
     source: str = "the data"
     lines: tuple[int, ...] = ()
+    time: Floats | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angles", np.asarray(self.angles, dtype=np.float64))
         object.__setattr__(self, "xyz", np.asarray(self.xyz, dtype=np.float64))
         for name in ("position", "station", "kind", "nest"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.int64))
+        if self.time is not None:
+            object.__setattr__(self, "time", np.asarray(self.time, dtype=np.float64))
         _require_shapes(self)
         _require_values(self)
+
+    @property
+    def moment(self) -> Floats:
+        """When each row (n,) was measured: ``time``, else the number of the row."""
+        return np.arange(float(len(self.xyz))) if self.time is None else self.time
 
     def station_name(self, index: int) -> str:
         """Return the name of a tracker station as the data give it."""
@@ -154,7 +165,16 @@ def problem_from_observations(
         nest=np.array([o.target for o in used], dtype=np.int64),
         xyz=np.array([o.mean for o in used], dtype=np.float64).reshape(-1, 3),
         station_names=tuple(str(s) for s in stations),
+        time=_stamps(used),
     )
+
+
+def _stamps(observations: list[Observation]) -> Floats | None:
+    """Return when each was measured, in seconds after the first; None where nothing tells."""
+    stamps = np.array([o.window_start_ns for o in observations], dtype=np.int64)
+    if not len(stamps) or np.all(stamps == stamps[0]):
+        return None
+    return np.asarray((stamps - stamps.min()) * NANOSECOND, dtype=np.float64)
 
 
 def _require_shapes(problem: PlaneMirrorProblem) -> None:
@@ -167,6 +187,8 @@ def _require_shapes(problem: PlaneMirrorProblem) -> None:
         shape = getattr(problem, name).shape
         if shape != (n,):
             raise DataError(f"{problem.source}: {name} has shape {shape}, expected ({n},)")
+    if problem.moment.shape != (n,) or not np.all(np.isfinite(problem.moment)):
+        raise DataError(f"{problem.source}: time must be {n} finite numbers")
 
 
 def _require_values(problem: PlaneMirrorProblem) -> None:
@@ -202,8 +224,17 @@ def _require_values(problem: PlaneMirrorProblem) -> None:
 
 
 def _require_distinct(problem: PlaneMirrorProblem) -> None:
-    """Two rows of one station that agree to the last digit are one measurement copied."""
-    keyed = np.column_stack([problem.station, problem.xyz])
+    """Two rows of one station that agree to the last digit are one measurement copied.
+
+    Only a nest that is measured again may come out the same: it is the same point.
+    """
+    times: Counter[tuple[int, int]] = Counter()
+    again = np.zeros(len(problem.xyz))
+    for at in np.flatnonzero(problem.kind == PointKind.NEST):
+        nest = int(problem.station[at]), int(problem.nest[at])
+        again[at] = times[nest]
+        times[nest] += 1
+    keyed = np.column_stack([problem.station, again, problem.xyz])
     _, first, inverse = np.unique(keyed, axis=0, return_index=True, return_inverse=True)
     copies = np.flatnonzero(first[inverse.ravel()] != np.arange(len(keyed)))
     if len(copies):

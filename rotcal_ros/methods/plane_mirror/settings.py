@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import setting
 
 Way = Literal["direct", "stitching", "registration", "joint"]
@@ -47,3 +48,11 @@ class MirrorSolverSettings:
     significance: float = setting(
         1e-3, doc="probability of a false alarm of each test", minimum=1e-9, maximum=0.5
     )
+
+    def __post_init__(self) -> None:
+        """Refuse a tracker without noise along or across the beam: its weight has no end."""
+        for name in ("range_std", "transverse_std"):
+            if getattr(self, f"{name}_m") + getattr(self, f"{name}_relative") <= 0.0:
+                raise ConfigurationError(
+                    f"{name}_m and {name}_relative are both 0: state the tracker's noise"
+                )

@@ -9,10 +9,12 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror import screening
+from rotcal_ros.methods.plane_mirror.correction import correct, drift_details, large_drifts
 from rotcal_ros.methods.plane_mirror.normals import incidence
 from rotcal_ros.methods.plane_mirror.outcomes import Outcome, empty_residuals, outcome_of
 from rotcal_ros.methods.plane_mirror.prepare import PreparedNormals, PreparedWay, prepare
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
+from rotcal_ros.methods.plane_mirror.protections import Facts, protections
 from rotcal_ros.results import Result
 
 METHOD: Final = "plane_mirror"
@@ -32,20 +34,23 @@ def solve(problem: PlaneMirrorProblem) -> Result:
     """
     screened, residuals = prepare(problem), empty_residuals(problem)
     prepared = screened.prepared
-    outcome = outcome_of(prepared, residuals)
+    outcome, correction = correct(prepared, outcome_of(prepared, residuals))
     screening.check_size(problem, prepared.angles, outcome.deviations)
     sigma0 = float(np.sqrt(outcome.chi_square / outcome.dof)) if outcome.dof else 1.0
     covariance, warnings = _judge(problem, outcome, sigma0)
     curve = prepared.angles, outcome.deviations, covariance
     repeats, differing = screening.repeats(*curve, problem.significance)
-    warnings = [*screened.warnings, *warnings, *differing]
+    std, closure = _std(covariance), _closure(prepared.angles, repeats)
+    drifted = large_drifts(prepared, correction, std)
+    warnings = [*screened.warnings, *warnings, *drifted, *differing]
+    facts = Facts(prepared, correction, std, outcome.dof, closure.get("closure_std_rad"))
+    details = {**_details(prepared, outcome), "repeats": repeats, **closure}
     steps = np.diff(np.eye(len(prepared.angles)), axis=0)
-    step_covariance = steps @ covariance @ steps.T
     return Result(
         method=METHOD,
         angles=prepared.angles,
         deviations={"ECC": outcome.deviations},
-        std={"ECC": np.sqrt(np.maximum(np.diag(covariance), 0.0))},
+        std={"ECC": std},
         covariance={"ECC": covariance},
         sigma0=sigma0,
         dof=outcome.dof,
@@ -54,23 +59,24 @@ def solve(problem: PlaneMirrorProblem) -> Result:
         verdict="suspect" if warnings else "ok",
         warnings=tuple(warnings),
         adjacent_deviations=np.diff(outcome.deviations),
-        adjacent_std=np.sqrt(np.maximum(np.diag(step_covariance), 0.0)),
+        adjacent_std=_std(steps @ covariance @ steps.T),
         residuals=residuals,
-        details=_details(prepared, outcome, repeats),
+        details={**details, **drift_details(prepared, correction, std)},
+        protections=protections(facts),
     )
 
 
-def _details(
-    prepared: PreparedWay, outcome: Outcome, repeats: list[dict[str, float | int]]
-) -> dict[str, Any]:
+def _std(covariance: Floats) -> Floats:
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))
+
+
+def _details(prepared: PreparedWay, outcome: Outcome) -> dict[str, Any]:
     """Return the method's own part of the result; SI, plain arrays and numbers."""
     return {
         "way": prepared.problem.way,
         **outcome.details,
         **_stations(prepared),
         **_normals(prepared),
-        "repeats": repeats,
-        **_closure(prepared.angles, repeats),
     }
 
 

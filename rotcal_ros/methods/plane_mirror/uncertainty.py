@@ -111,7 +111,7 @@ def misfit(values: Floats, design: Floats, covariance: Floats) -> tuple[float, i
     chi-square distributed although the fit is not weighted.
     """
     basis, size, _ = np.linalg.svd(design, full_matrices=True)
-    rank = int((size > 1e-9 * size[0]).sum())
+    rank = int((size > 1e-9 * size.max()).sum())
     rest = basis[:, rank:]
     if rest.shape[1] == 0:
         return 0.0, 0

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.methods.tracer.grid import Grid
+
+if TYPE_CHECKING:
+    from rotcal_ros.methods.tracer.network import Network
 
 MINIMAL_REDUNDANCY: Final = 1e-6
 """Below this share a length is checked by nothing: its test value is zero."""
@@ -22,8 +26,12 @@ class Adjustment:
     of lengths that were not used. ``std`` (m, n): standard deviation of a length as this
     variant sees it; ``redundancy`` (m, n): share of a length that the others check, zero if
     unused. ``chi2`` has mean ``dof``. ``unknowns`` counts the columns of the design matrix,
-    ``rank`` those that the data determine. ``target_test`` (n,): largest normalised correction of
-    a target's coordinates, where these are observations, else zero.
+    ``rank`` those that the data determine.
+
+    Where the targets' coordinates are observations too: ``corrections`` (n, 3) in their standard
+    deviations, ``target_redundancy`` (n, 3), ``coupling`` (3, 3): squared sums of the redundancy
+    matrix by pairs of axes, and ``target_test`` (n,): the largest normalised correction of a
+    target. Else all zero. ``network``: the linearisation at this very place, if there is one.
     """
 
     stations: Floats
@@ -37,6 +45,10 @@ class Adjustment:
     unknowns: int
     rank: int
     target_test: Floats
+    corrections: Floats
+    target_redundancy: Floats
+    coupling: Floats
+    network: Network | None = None
 
     @property
     def state(self) -> Floats:
@@ -51,17 +63,26 @@ class Adjustment:
         return np.where(checked, self.residual / spread, 0.0)
 
 
+class Adjuster(Protocol):
+    """An adjustment of a grid from stations and distances (m, 4)."""
+
+    def __call__(self, grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
+        """Adjust ``grid``; ``targets`` (n, 3) of a network that was solved nearly so before."""
+
+
 @dataclass(frozen=True, eq=False)
 class StationCovariance:
     """Covariance (3 m, 3 m) of the stations in m^2, by source.
 
     ``lengths``: noise of the lengths, ``targets``: errors of the machine's coordinates, common to
-    all stations. ``dof_effective``: the chi-squared sum is distributed like
+    all stations; ``felt`` (3 m, n, 3): what a standard error of each coordinate does to the
+    stations, m. ``dof_effective``: the chi-squared sum is distributed like
     ``dof / dof_effective`` times chi-squared of that many degrees of freedom.
     """
 
     lengths: Floats
     targets: Floats
+    felt: Floats
     dof_effective: float
 
     def position_blocks(self) -> Floats:

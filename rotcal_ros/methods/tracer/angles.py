@@ -101,7 +101,7 @@ def bearing_jacobian(stations: Floats, motion: TableMotion) -> Floats:
     # by the circle's Jacobian, because bearings feel flat_i - centre only.
     d_flat = -height[:, None, None, None] * d_normal.transpose(1, 0, 2)
     d_flat[np.arange(m), :, np.arange(m)] += basis
-    d_centre = np.tensordot(circle_centre_jacobian(flat), d_flat, axes=([1, 2], [0, 1]))
+    d_centre = np.tensordot(circle_centre_jacobian(flat), d_flat)  # over stations and x, y
     arm = motion.in_plane
     tangent = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / (arm**2).sum(axis=1)[:, None]
     d_bearing = np.matmul(tangent[:, None, :], (d_flat - d_centre).reshape(m, 2, 3 * m))

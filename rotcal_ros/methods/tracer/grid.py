@@ -33,7 +33,8 @@ class Grid:
 
     ``position_ids`` (m,), ``target_ids`` (n,): indices in the problem. ``row`` (m, n): row of the
     problem that fills the place, -1 for none. ``used`` (m, n): the length takes part.
-    ``length``, ``length_std`` (m, n): metres, 0 and 1 where there is none.
+    ``length``, ``length_std`` (m, n): metres, 0 and 1 where there is none. ``distance_std``
+    (m, n): the part of ``length_std`` that grows with the distance, m.
     ``targets``, ``target_std`` (n, 3): metres. ``free``: the targets carry no prior.
     """
 
@@ -43,6 +44,7 @@ class Grid:
     used: Bools
     length: Floats
     length_std: Floats
+    distance_std: Floats
     targets: Floats
     target_std: Floats
     free: bool
@@ -53,20 +55,31 @@ class Grid:
         return self.used / self.length_std**2
 
 
-def arrange(problem: TracerProblem) -> tuple[Grid, dict[int, str], dict[int, str]]:
-    """Return the grid of ``problem``, identical repetitions, and other lengths that do not fit.
+@dataclass(frozen=True, eq=False)
+class Absent:
+    """Why lengths have no place on a grid, by row of the problem.
 
-    Both dictionaries say by row why a length has no place on the grid. The second holds lengths
-    that contradict the triangle inequality, and those of stations or targets with too few
-    lengths left. Raises DataError for contradictory repetitions and for lengths that seem to be
-    in another unit than the targets.
+    ``repeated``: identical repetitions. ``unfit``: they contradict the triangle inequality, or
+    their station has too few lengths left. ``spare``: of targets of a free network with too few
+    lengths to place them; nothing speaks against these.
     """
-    repeated: dict[int, str] = {}
-    why: dict[int, str] = {}
-    row = _place_rows(problem, repeated)
+
+    repeated: dict[int, str]
+    unfit: dict[int, str]
+    spare: dict[int, str]
+
+
+def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
+    """Return the grid of ``problem``, and what has no place on it.
+
+    Raises DataError for contradictory repetitions and for lengths that seem to be in another unit
+    than the targets.
+    """
+    absent = Absent({}, {}, {})
+    row = _place_rows(problem, absent.repeated)
     _check_unit_of_targets(problem)
-    _drop_impossible(problem, row, why)
-    _drop_undetermined(problem, row, why)
+    _drop_impossible(problem, row, absent.unfit)
+    _drop_undetermined(problem, row, absent)
     positions, targets = (np.flatnonzero((row >= 0).any(axis=axis)) for axis in (1, 0))
     row = row[np.ix_(positions, targets)]
     used = row >= 0
@@ -77,11 +90,12 @@ def arrange(problem: TracerProblem) -> tuple[Grid, dict[int, str], dict[int, str
         used=used,
         length=np.where(used, problem.length[row], 0.0),
         length_std=np.where(used, problem.length_std[row], 1.0),
+        distance_std=np.where(used, problem.distance_std[row], 0.0),
         targets=problem.targets[targets],
         target_std=problem.target_std[targets],
         free=problem.variant == "joint" and problem.datum == "free",
     )
-    return grid, repeated, why
+    return grid, absent
 
 
 def _place_rows(problem: TracerProblem, why: dict[int, str]) -> Ints:
@@ -155,13 +169,14 @@ def _check_unit_of_lengths(excess: Floats, span: float) -> None:
         )
 
 
-def _drop_undetermined(problem: TracerProblem, row: Ints, why: dict[int, str]) -> None:
+def _drop_undetermined(problem: TracerProblem, row: Ints, absent: Absent) -> None:
     """Drop targets, then stations, that too few lengths reach; again until nothing changes."""
     free = problem.variant == "joint" and problem.datum == "free"
     minima = {"target": FREE_TARGET_MINIMUM if free else 1, "station": STATION_MINIMUM}
     before = -1
     while before != (before := int((row >= 0).sum())):
         for name, minimum in minima.items():
+            why = absent.unfit if name == "station" else absent.spare
             table = row if name == "station" else row.T
             count = (table >= 0).sum(axis=1)
             for index in np.flatnonzero((count > 0) & (count < minimum)):

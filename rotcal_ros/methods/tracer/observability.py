@@ -25,18 +25,28 @@ CURE: Final = (
 def check_counts(grid: Grid) -> None:
     """Raise ObservabilityError unless m >= 4 and lengths >= 4 m + 3 n (Eq. 2)."""
     m, n = grid.used.shape
-    lengths, unknowns = int(grid.used.sum()), 4 * m + 3 * n
+    if missing := what_is_missing(m, n, int(grid.used.sum())):
+        raise ObservabilityError(missing)
+
+
+def what_is_missing(m: int, n: int, lengths: int) -> str:
+    """Return what m stations and n targets lack; empty for m >= 4, lengths >= 4 m + 3 n (Eq. 2).
+
+    A station is one with at least 5 usable lengths.
+    """
+    unknowns = 4 * m + 3 * n
     if m < 4:
-        raise ObservabilityError(
-            f"{m} stations with at least 5 usable lengths each were found, at least 4 are needed "
-            "(Eq. 2): measure at more table angles"
+        return (
+            f"{m} stations with at least 5 usable lengths each, at least 4 are needed (Eq. 2): "
+            "measure at more table angles"
         )
     if lengths < unknowns:
-        raise ObservabilityError(
+        return (
             f"{lengths} usable lengths from {m} stations to {n} targets are fewer than the "
             f"4 m + 3 n = {unknowns} unknowns (Eq. 2): measure more targets (with 4 stations at "
             "least 16) or more stations"
         )
+    return ""
 
 
 def check_station_rank(design: Floats, position_ids: Ints) -> None:

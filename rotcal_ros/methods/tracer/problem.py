@@ -13,6 +13,7 @@ from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.methods.tracer.settings import Datum, TracerLimits, TracerSolverSettings, Variant
 
 _DEFAULTS = TracerSolverSettings()
+_LATEST = 2**62
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +24,8 @@ class TracerProblem:
     At each position of the table the tracer has one station, whose place is unknown.
     ``length`` (k,): tracer readings in metres, growing with distance, relative to an unknown zero
     that is common to each station; ``length_std`` (k,) or one number: their standard deviation.
+    ``distance_std`` (k,) or one number, below ``length_std``: the part of it that grows with the
+    distance, m; it joins the rest in squares.
     ``targets``: positions of the reflector in the machine's frame, metres; ``target_std``: their
     standard deviation, one number or (n, 3). ``table_angles``: commanded angles, radians,
     counter-clockwise about +z; unequal steps, arcs and a full circle with its first angle
@@ -34,11 +37,16 @@ class TracerProblem:
     fixes position and attitude of the network by inner constraints on the targets.
 
     ``error_motion_std``: standard deviation, per direction in the plane, of the table's own
-    radial error motion (EXC, EYC) in metres. One tracer position cannot tell it from the
-    angle; it enters the uncertainty as a type B component.
+    radial error motion (EXC, EYC, and tilts times the tracer's height) in metres. One tracer
+    position cannot tell it from the angle; it enters the uncertainty as a type B component. Zero
+    is known to be none; None: it is estimated from what the stations leave their circle by.
 
     ``repeated_runs``: equal table angles are separate arrivals, whose differences are the table's
     repeatability and reversal and no closure of the measurement.
+
+    ``order`` (k,), optional: when each length was taken, in any growing numbers. It tells the
+    arrivals of the table and what a drift does; without it the stations are held to be measured
+    one after the other, each at one arrival.
 
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
@@ -60,8 +68,10 @@ class TracerProblem:
     table_angles: Floats
     variant: Variant = _DEFAULTS.variant
     datum: Datum = _DEFAULTS.datum
-    error_motion_std: float = _DEFAULTS.error_motion_std_m
+    error_motion_std: float | None = _DEFAULTS.error_motion_std_m
     repeated_runs: bool = False
+    distance_std: Floats = 0.0  # type: ignore[assignment]
+    order: Ints | None = None
     start_stations: Floats | None = None
     settings: TracerLimits = _DEFAULTS
 
@@ -74,8 +84,13 @@ class TracerProblem:
         self._store("target", _indices("target", self.target, len(targets), len(position)))
         std = _broadcast("length_std", self.length_std, length.shape)
         self._store("length_std", _require(std > 0.0, std, "length_std", "a positive number"))
+        std = _broadcast("distance_std", self.distance_std, length.shape)
+        inside = (std >= 0.0) & (std < self.length_std)
+        self._store("distance_std", _require(inside, std, "distance_std", "0 to below length_std"))
         std = _broadcast("target_std", self.target_std, targets.shape)
         self._store("target_std", _require(std >= 0.0, std, "target_std", "zero or more"))
+        if self.order is not None:
+            self._store("order", _indices("order", self.order, _LATEST, len(position)))
         if self.start_stations is not None:
             start = _matrix("start_stations", self.start_stations)
             if start.shape != (len(angles), 3):
@@ -97,9 +112,10 @@ class TracerProblem:
                 raise ConfigurationError(
                     f"tracer {name} {getattr(self, name)!r} is unknown: expected one of {known}"
                 )
-        if not (np.isfinite(self.error_motion_std) and self.error_motion_std >= 0.0):
+        motion = self.error_motion_std
+        if motion is not None and not (np.isfinite(motion) and motion >= 0.0):
             raise ConfigurationError(
-                f"error_motion_std is {self.error_motion_std}, expected zero or more metres"
+                f"error_motion_std is {motion}, expected zero or more metres, or None"
             )
 
     def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:

@@ -10,6 +10,7 @@ leaves p s unknowns (Schur complement); all covariances follow from its inverse.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -59,6 +60,10 @@ class Reduced:
 
     def covariance(self) -> Floats:
         """Return the covariance (p s, p s) of the kept side, under the constraints."""
+        return self._covariance
+
+    @cached_property
+    def _covariance(self) -> Floats:
         inverse: Floats = np.asarray(np.linalg.inv(self.regular()), dtype=np.float64)
         inverse -= self._violation(inverse @ self.constraints, inverse)
         inverse *= self.scale * self.scale[:, None]

@@ -1,5 +1,9 @@
 """Which lengths are believed: data snooping with a stated chance of a false alarm.
 
+Nothing is rejected before the noise is consistent (:mod:`.noise`): where the statements are
+contradicted, the components are estimated first, with large residuals bent so that outliers do
+not pass for noise, and estimated again after every round.
+
 Rule: the normalised residual (residual over its own standard deviation, after Baarda) of every
 length is compared with the two-sided normal quantile at ``rejection_significance`` shared among
 all lengths. While any exceeds it, the largest of each station is rejected - in the joint variant
@@ -10,29 +14,41 @@ lengths keep their residual against the final solution, and are flagged.
 Where the machine's coordinates are observations too, they are tested by the same rule: a target
 whose correction stands out more than any of its lengths loses all of them.
 
-The joint variant is preceded by a coarse round of the same rule, station by station: a free
+A network is preceded by a coarse round of the same rule, station by station: a free
 network is too limber to be bent by gross errors and still converge.
+
+The variant "station" sees the targets' errors as noise, five times that of a length or more, and
+would miss what its angles feel: they owe their accuracy to errors that are common to all
+stations. So its lengths are screened as a joint network too. A length that goes at one station
+takes its target's error out of what is common; see :func:`without_targets`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.methods.distributions import normal_isf
-from rotcal_ros.methods.tracer.adjustment import Adjustment
+from rotcal_ros.methods.tracer.adjustment import Adjuster, Adjustment
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM, STATION_MINIMUM, Grid
+from rotcal_ros.methods.tracer.noise import (
+    LEAST_FACTOR,
+    Noise,
+    NoiseEvidence,
+    as_stated,
+    estimate_noise,
+    noise_evidence,
+    scaled,
+)
+from rotcal_ros.methods.tracer.settings import TracerLimits
 
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
-
-Adjust = Callable[[Grid, Floats], Adjustment]
 
 
 def critical_value(significance: float, n_tests: int) -> float:
@@ -49,23 +65,78 @@ def rejection_limit(grid: Grid, significance: float) -> float:
     return critical_value(significance, n_lengths + (0 if grid.free else grid.targets.size))
 
 
-def adjust_and_screen(
-    adjust: Adjust, grid: Grid, start: Floats, significance: float
-) -> tuple[Grid, Adjustment, dict[int, str]]:
-    """Adjust ``grid`` from ``start`` (m, 4) until no length stands out.
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """A grid without outliers, as stated; its noise, and the adjustment with that noise.
 
-    Returns the grid with the rejected lengths unused, the last adjustment, and why each was
-    rejected, by row of the problem.
+    ``why`` says by row of the problem why a length was rejected.
     """
+
+    grid: Grid
+    noise: Noise
+    fit: Adjustment
+    why: dict[int, str]
+
+    @property
+    def evidence(self) -> NoiseEvidence:
+        """What the residuals say about the noise that was used."""
+        return noise_evidence(scaled(self.grid, self.noise.factors), self.fit)
+
+
+def adjust_and_screen(
+    adjust: Adjuster, grid: Grid, start: Floats, limits: TracerLimits
+) -> Screened:
+    """Adjust ``grid`` from ``start`` (m, 4) until noise and residuals fit, and none stands out."""
+    limit = rejection_limit(grid, limits.rejection_significance)
+    why: dict[int, str] = {}
+    stated, noise, bent = adjust(grid, start), as_stated(grid), True
+    while True:
+        noise, fit = _settled(adjust, grid, stated, noise, limits.noise_significance, bent)
+        rejected = _outliers(grid, fit, limit)
+        if rejected.any():
+            why |= _reasons(grid, fit, rejected, limit)
+            grid = replace(grid, used=grid.used & ~rejected)
+            stated = adjust(grid, fit.state)
+        elif bent:
+            bent = False
+        else:
+            return Screened(grid, noise, fit, why)
+
+
+def _settled(
+    adjust: Adjuster,
+    grid: Grid,
+    stated: Adjustment,
+    before: Noise,
+    significance: float,
+    bent: bool,
+) -> tuple[Noise, Adjustment]:
+    """Return the noise as stated, or estimated where that is contradicted, and its fit."""
+    chance = noise_evidence(grid, stated, bent).probabilities()
+    if chance.min() >= significance / len(chance):
+        return as_stated(grid), stated
+    noise, fit = estimate_noise(adjust, grid, stated, before.factors, bent)
+    if noise.factors[0] <= LEAST_FACTOR:
+        return as_stated(grid), stated
+    return noise, fit
+
+
+def reject(
+    adjust: Adjuster, grid: Grid, start: Floats, significance: float
+) -> tuple[Grid, dict[int, str]]:
+    """Return ``grid`` without what stands out from the noise as stated, and why, by row."""
     limit = rejection_limit(grid, significance)
     why: dict[int, str] = {}
     fit = adjust(grid, start)
     while (rejected := _outliers(grid, fit, limit)).any():
-        for j, i in np.argwhere(rejected):
-            why[int(grid.row[j, i])] = _reason(grid, fit, j, i, limit)
+        why |= _reasons(grid, fit, rejected, limit)
         grid = replace(grid, used=grid.used & ~rejected)
         fit = adjust(grid, fit.state)
-    return grid, fit, why
+    return grid, why
+
+
+def _reasons(grid: Grid, fit: Adjustment, rejected: Bools, limit: float) -> dict[int, str]:
+    return {int(grid.row[j, i]): _reason(grid, fit, j, i, limit) for j, i in np.argwhere(rejected)}
 
 
 def _reason(grid: Grid, fit: Adjustment, j: int, i: int, limit: float) -> str:
@@ -82,7 +153,7 @@ def _reason(grid: Grid, fit: Adjustment, j: int, i: int, limit: float) -> str:
 
 
 def reject_gross(
-    adjust: Adjust, grid: Grid, start: Floats, significance: float
+    adjust: Adjuster, grid: Grid, start: Floats, significance: float
 ) -> tuple[Grid, dict[int, str]]:
     """Return ``grid`` without gross errors, and why those were rejected, by row.
 
@@ -95,7 +166,7 @@ def reject_gross(
         residual = np.abs(adjust(grid, start).residual[grid.used])
         usual = GROSS * max(float(np.median(residual)) / NORMAL_QUARTILE, 1e-9)
         coarse = replace(grid, target_std=np.full_like(grid.target_std, usual))
-        coarse, _, found = adjust_and_screen(adjust, coarse, start, significance)
+        coarse, found = reject(adjust, coarse, start, significance)
         if not found:
             return grid, why
         why |= found
@@ -115,3 +186,20 @@ def _outliers(grid: Grid, fit: Adjustment, limit: float) -> Bools:
     if fit.target_test[worst] > max(limit, size[:, worst].max()):
         outliers[:, worst] = grid.used[:, worst]
     return np.asarray(outliers, dtype=np.bool_)
+
+
+def without_targets(grid: Grid, screened: Grid) -> tuple[Grid, dict[int, str]]:
+    """Return ``screened`` without the targets that lost some of the lengths of ``grid``, and why.
+
+    By row, for the lengths that go with the rejected ones: a target in use everywhere or nowhere
+    keeps its error common to all stations, and that cancels in the angle.
+    """
+    lost = (grid.used & ~screened.used).any(axis=0)
+    why = {
+        int(grid.row[j, i]): (
+            f"station {grid.position_ids[j]}, target {grid.target_ids[i]}: left out with the "
+            "target's rejected lengths, so that its error stays common to all stations"
+        )
+        for j, i in np.argwhere(screened.used & lost)
+    }
+    return replace(screened, used=screened.used & ~lost), why

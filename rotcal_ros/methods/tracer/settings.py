@@ -26,6 +26,12 @@ class TracerLimits:
         minimum=1e-9,
         maximum=0.5,
     )
+    noise_significance: float = setting(
+        0.01,
+        doc="probability of estimating the noise from the residuals when it is as stated",
+        minimum=1e-9,
+        maximum=0.5,
+    )
     test_significance: float = setting(
         0.001,
         doc="probability of a false alarm of each global test (chi-squared, closure, motion)",
@@ -83,9 +89,10 @@ class TracerSolverSettings(TracerLimits):
     target_std_m: float = setting(
         1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
     )
-    error_motion_std_m: float = setting(
-        0.0,
-        doc="m, standard deviation of the table's radial error motion",
+    error_motion_std_m: float | None = setting(
+        None,
+        doc="m, standard deviation of the table's radial error motion at the tracer's height; "
+        "0: known to be none; absent: estimated from the circle of the stations",
         minimum=0.0,
         maximum=1e-2,
     )

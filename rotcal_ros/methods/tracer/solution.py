@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -10,15 +10,28 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer import joint, station
-from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY, Adjustment, StationCovariance
+from rotcal_ros.methods.tracer.adjustment import (
+    MINIMAL_REDUNDANCY,
+    Adjustment,
+    StationCovariance,
+    ranges,
+)
 from rotcal_ros.methods.tracer.angles import TableMotion, table_motion
-from rotcal_ros.methods.tracer.grid import Grid, arrange
+from rotcal_ros.methods.tracer.error_motion import ErrorMotion, error_motion_of
+from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid, arrange
+from rotcal_ros.methods.tracer.noise import Noise, NoiseEvidence, scaled
 from rotcal_ros.methods.tracer.observability import check_counts, check_station_spread
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.screening import adjust_and_screen, reject_gross
+from rotcal_ros.methods.tracer.screening import (
+    Screened,
+    adjust_and_screen,
+    reject_gross,
+    without_targets,
+)
 from rotcal_ros.methods.tracer.start import find_start
 from rotcal_ros.methods.tracer.uncertainty import (
     AngleUncertainty,
+    GlobalTest,
     angle_uncertainty,
     circle_test,
     length_test,
@@ -27,24 +40,29 @@ from rotcal_ros.methods.tracer.verdict import Evidence, closures
 
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
+KNOWN: Final = 1e-9
+"""Standard deviation (m) of a coordinate that is called known, where others have errors."""
 
-_ADJUST: Final = {"station": station.adjust_stations, "joint": joint.adjust_network}
 _COVARIANCE: Final = {"station": station.stations_covariance, "joint": joint.network_covariance}
 
 
 @dataclass(frozen=True, eq=False)
 class TracerSolution:
-    """A solved problem; ``scale`` enlarges the covariance of the stations.
+    """A solved problem; ``grid`` has the standard deviations that were used, after ``noise``.
 
+    ``scale`` enlarges the covariance of the stations for what the noise leaves unexplained.
     ``rejected`` says by row of the problem why a length was not used. All arrays of stations
     follow ``positions``.
     """
 
     problem: TracerProblem
     grid: Grid
+    noise: Noise
+    noise_evidence: NoiseEvidence
     fit: Adjustment
     covariance: StationCovariance
     motion: TableMotion
+    error_motion: ErrorMotion
     angles: AngleUncertainty
     scale: float
     evidence: Evidence
@@ -61,54 +79,132 @@ class TracerSolution:
         return self.problem.table_angles[self.positions]
 
 
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Stations and their motion from the lengths in use; ``with_them``: see without_targets."""
+
+    grid: Grid
+    fit: Adjustment
+    covariance: StationCovariance
+    motion: TableMotion
+    with_them: dict[int, str]
+
+    def mean_variance(self) -> float:
+        """Return the mean variance of the deviations without error motion, rad^2."""
+        angles = angle_uncertainty(self.motion, self.fit, self.covariance, 0.0, 1.0)
+        return float((angles.std**2).mean())
+
+
 def adjust(problem: TracerProblem) -> TracerSolution:
     """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
-    grid, repeated, unfit = arrange(problem)
+    grid, absent = arrange(problem)
     check_counts(grid)
     given = problem.start_stations
     start, ambiguous = find_start(grid, None if given is None else given[grid.position_ids])
-    grid, fit, outliers = _screened(problem, grid, start)
-    covariance = _COVARIANCE[problem.variant](grid, fit)
-    blocks, largest = covariance.position_blocks(), problem.settings.max_station_std
-    check_station_spread(fit.stations, blocks, grid.position_ids, largest)
+    screened = _screened(problem, grid, start)
+    placed = _placed(problem, grid, screened)
+    motion, fit, covariance = placed.motion, placed.fit, placed.covariance
     commanded = problem.table_angles[grid.position_ids]
-    motion = table_motion(fit.stations, commanded)
     _check_sense(motion, fit.stations, commanded, grid)
-    lengths = length_test(fit, covariance.dof_effective)
-    failed = lengths.probability < problem.settings.test_significance
-    scale = lengths.sigma0 if failed and lengths.sigma0 > 1.0 else 1.0
-    angles = angle_uncertainty(motion, fit, covariance, problem.error_motion_std, scale)
+    unexplained = length_test(fit, covariance.dof_effective)
+    significance = problem.settings.test_significance
+    failed = unexplained.probability < significance
+    scale = unexplained.sigma0 if failed and unexplained.sigma0 > 1.0 else 1.0
+    stated = 0.0 if problem.error_motion_std is None else problem.error_motion_std
+    circle = circle_test(motion, covariance, stated, scale)
+    error_motion = error_motion_of(
+        motion, covariance, scale, problem.error_motion_std, circle.probability < significance
+    )
+    angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale)
     evidence = Evidence(
-        lengths=lengths,
-        circle=circle_test(motion, covariance, problem.error_motion_std, scale),
+        lengths=_stated_test(problem, screened, placed, unexplained),
+        noise=screened.noise,
+        unexplained=scale,
+        circle=circle,
+        error_motion=error_motion,
         radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
         closures=()
         if problem.repeated_runs
         else closures(commanded, motion.cumulative, angles.covariance, grid.position_ids),
-        n_lengths=len(problem.length) - len(repeated),
-        n_rejected=len(unfit) + len(outliers),
+        n_lengths=len(problem.length) - len(absent.repeated) - len(absent.spare),
+        n_rejected=len(absent.unfit) + len(screened.why),
         missing=tuple(
             np.setdiff1d(np.arange(len(problem.table_angles)), grid.position_ids).tolist()
         ),
-        unchecked=int((grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
+        spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
+        unchecked=int((placed.grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
         mirror_ambiguous=ambiguous,
     )
-    rejected = repeated | unfit | outliers
+    rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
     return TracerSolution(
-        problem, grid, fit, covariance, motion, angles, scale, evidence, rejected
+        problem, placed.grid, screened.noise, screened.evidence, fit, covariance, motion,
+        error_motion, angles, scale, evidence, rejected,
+    )  # fmt: skip
+
+
+def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
+    """Return the grid without outliers and its noise; see :mod:`.screening`."""
+    limits = problem.settings
+    as_network = problem.variant == "joint" or bool(grid.target_std.any())
+    if not as_network:
+        return adjust_and_screen(station.adjust_stations, grid, start, limits)
+    coarse, gross = reject_gross(
+        station.adjust_stations, grid, start, limits.rejection_significance
     )
+    if problem.variant == "station":
+        coarse = replace(coarse, target_std=np.maximum(coarse.target_std, KNOWN))
+    screened = adjust_and_screen(joint.adjust_network, coarse, start, limits)
+    kept = replace(screened.grid, target_std=grid.target_std)
+    return replace(screened, grid=kept, why=screened.why | gross)
 
 
-def _screened(
-    problem: TracerProblem, grid: Grid, start: Floats
-) -> tuple[Grid, Adjustment, dict[int, str]]:
-    """Return the grid without outliers, its adjustment, and why those were outliers, by row."""
-    significance = problem.settings.rejection_significance
-    gross: dict[int, str] = {}
+def _placed(problem: TracerProblem, grid: Grid, screened: Screened) -> _Placed:
+    """Return stations and motion from the screened lengths; ``grid`` holds all of them.
+
+    The variant "station" is solved without whole targets too where single lengths were
+    rejected: what gives the smaller uncertainty is taken.
+    """
     if problem.variant == "joint":
-        grid, gross = reject_gross(station.adjust_stations, grid, start, significance)
-    grid, fit, outliers = adjust_and_screen(_ADJUST[problem.variant], grid, start, significance)
-    return grid, fit, outliers | gross
+        return _placed_by(problem, scaled(screened.grid, screened.noise.factors), screened.fit)
+    start = screened.fit.state
+    singly = scaled(screened.grid, screened.noise.factors)
+    found = _placed_by(problem, singly, station.adjust_stations(singly, start))
+    wholly, with_them = without_targets(grid, singly)
+    if not with_them or not _enough(wholly):
+        return found
+    other = _placed_by(problem, wholly, station.adjust_stations(wholly, start), with_them)
+    return other if other.mean_variance() < found.mean_variance() else found
+
+
+def _placed_by(
+    problem: TracerProblem, grid: Grid, fit: Adjustment, with_them: dict[int, str] | None = None
+) -> _Placed:
+    covariance = _COVARIANCE[problem.variant](grid, fit)
+    blocks, largest = covariance.position_blocks(), problem.settings.max_station_std
+    check_station_spread(fit.stations, blocks, grid.position_ids, largest)
+    motion = table_motion(fit.stations, problem.table_angles[grid.position_ids])
+    return _Placed(grid, fit, covariance, motion, with_them or {})
+
+
+def _enough(grid: Grid) -> bool:
+    """Whether every station still has what one needs to be found, twice over."""
+    return bool((grid.used.sum(axis=1) >= 2 * STATION_MINIMUM).all())
+
+
+def _stated_test(
+    problem: TracerProblem, screened: Screened, placed: _Placed, unexplained: GlobalTest
+) -> GlobalTest:
+    """Return the chi-squared test of the residuals against the noise as it was stated."""
+    if not screened.noise.estimated:
+        return unexplained
+    grid, fit = screened.grid, placed.fit
+    variance = grid.length_std**2
+    if problem.variant == "station":
+        _, unit = ranges(fit.stations, grid.targets)
+        variance = variance + np.einsum("jia,ia->ji", unit**2, grid.target_std**2)
+    chi2 = float((placed.grid.used * fit.residual**2 / variance).sum())
+    chi2 += float(((fit.corrections * screened.noise.factors[2:]) ** 2).sum())
+    return length_test(replace(fit, chi2=chi2), placed.covariance.dof_effective)
 
 
 def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid: Grid) -> None:

@@ -7,12 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.components import HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer.angles import algorithm_error, scatter
+from rotcal_ros.methods.tracer.noise import COMPONENTS
 from rotcal_ros.methods.tracer.observability import weakest_direction
 from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.protections import protections
 from rotcal_ros.methods.tracer.screening import rejection_limit
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
-from rotcal_ros.methods.tracer.uncertainty import HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer.verdict import judge
 from rotcal_ros.results import Rejection, Residuals, Result
 
@@ -57,6 +59,7 @@ def result_of(solution: TracerSolution) -> Result:
         adjacent_std=angles.adjacent_std,
         residuals=_residuals(solution),
         details=_details(solution),
+        protections=protections(solution),
     )
 
 
@@ -78,6 +81,7 @@ def _residuals(solution: TracerSolution) -> Residuals:
         redundancy=np.where(placed, fit.redundancy[j, i], 0.0),
         test_value=np.where(placed, fit.test_value[j, i], 0.0),
         used=placed & grid.used[j, i],
+        std=np.where(placed, fit.std[j, i], problem.length_std),
     )
 
 
@@ -104,7 +108,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         "algorithm_error": algorithm_error(np.diff(solution.table_angles), motion.tilt),
         "scatter": scatter(motion.adjacent),
         "budget": dict(solution.angles.budget),
-        "covariance_scale": solution.scale,
+        "covariance_scale": solution.scale * float(solution.noise.factors[0]),
         "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(solution),
         "closure": [asdict(closure) for closure in solution.evidence.closures],
@@ -141,9 +145,26 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
     squared = (grid.used * (fit.residual / fit.std) ** 2).sum(axis=1)
     return {
         "dof_effective": solution.covariance.dof_effective,
+        "noise": _noise(solution),
+        "error_motion": asdict(solution.error_motion),
         "length_test": asdict(evidence.lengths),
         "circle_test": asdict(evidence.circle),
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squared / np.maximum(redundancy, 1e-9)),
         "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
     }
+
+
+def _noise(solution: TracerSolution) -> list[dict[str, Any]]:
+    """Return each component of the noise: what was stated, and the factor that was used."""
+    noise = solution.noise
+    return [
+        {
+            "component": name,
+            "stated": noise.stated[k],
+            "factor": noise.factors[k],
+            "relative_std": noise.log_std[k],
+        }
+        for k, name in enumerate(COMPONENTS)
+        if noise.stated[k] > 0.0 or k == 0
+    ]

@@ -151,11 +151,12 @@ def _polish(state: Floats, last: Floats, products: Floats, misfit: Misfit) -> Fl
     return state
 
 
-def adjust_stations(grid: Grid, start: Floats) -> Adjustment:
+def adjust_stations(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
     """Return the stations that fit the lengths of ``grid`` best, from ``start`` (m, 4).
 
-    The targets stay where the machine says. A length is weighted by the variance of its noise plus
-    that of its target along the beam: within one station the targets' errors are independent.
+    The targets stay where the machine says, whatever ``targets``. A length is weighted by the
+    variance of its noise plus that of its target along the beam: within one station the targets'
+    errors are independent.
 
     Raises ObservabilityError when the targets leave a direction of a station open, DataError
     when a station does not settle.
@@ -190,6 +191,9 @@ def adjust_stations(grid: Grid, start: Floats) -> Adjustment:
         unknowns=unknowns,
         rank=unknowns,
         target_test=np.zeros(len(grid.targets)),
+        corrections=np.zeros(grid.targets.shape),
+        target_redundancy=np.zeros(grid.targets.shape),
+        coupling=np.zeros((3, 3)),
     )
 
 
@@ -211,6 +215,7 @@ def stations_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     return StationCovariance(
         lengths=own.reshape(3 * m, 3 * m),
         targets=common @ common.T,
+        felt=common.reshape(3 * m, -1, 3),
         dof_effective=_effective_dof(
             design * np.sqrt(weights)[:, :, None], felt * np.sqrt(weights)[:, :, None], fit.dof
         ),

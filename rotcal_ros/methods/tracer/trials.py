@@ -16,7 +16,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.tracer.grid import Grid
-from rotcal_ros.methods.tracer.joint import linearise, relax
+from rotcal_ros.methods.tracer.network import linearise, relax
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.schur import Reduced
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
@@ -145,7 +145,7 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
     weights = grid.used / fit.std**2
     gain: Floats | NetworkGain
     if problem.variant == "joint":
-        network = linearise(grid, fit.state, fit.targets)
+        network = fit.network or linearise(grid, fit.state, fit.targets)
         gain = NetworkGain(network.reduced.covariance(), network.reduced, network.stations_kept)
     else:
         difference = fit.stations[:, None] - fit.targets
@@ -160,7 +160,7 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
         targets=fit.targets,
         weights=weights,
         scale=solution.scale,
-        wobble=problem.error_motion_std * solution.motion.plane.basis(),
+        wobble=solution.error_motion.used * solution.motion.plane.basis(),
         zeros=np.zeros((0, *grid.used.shape)),
         gain=gain,
     )

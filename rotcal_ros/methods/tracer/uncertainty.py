@@ -1,16 +1,16 @@
 """From the covariance of the stations to that of the angles, with its budget.
 
 Standard uncertainties are for a normal distribution: the 95 % interval is +-1.96 times the
-standard deviation. The a priori standard deviations are taken as known (GUM type B), so there is
-no t factor and the covariance is never shrunk when the residuals happen to be small; it is
-enlarged by sigma0^2 when the chi-squared test says that the stated noise cannot explain them.
+standard deviation. The stated standard deviations are taken as known (GUM type B) while the
+residuals do not contradict them; then the estimates of :mod:`.noise` take their place. There is
+no t factor for those: lengths are many. The few residuals of the circle get theirs in
+:mod:`.error_motion`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -18,9 +18,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion, bearing_jacobian
-
-HALF_OF_95_PERCENT: Final = 1.959963984540054
-"""Standard deviations of a normal distribution in half a 95 % interval."""
+from rotcal_ros.methods.tracer.error_motion import circle_residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,20 +89,15 @@ def circle_test(
     """Compare the stations' radial distances from the circle with their covariance.
 
     What the circle has absorbed (centre and radius) is projected out; m - 3 degrees of freedom
-    remain. The table's error motion
-    shows here by its radial part; its tangential part is what the angle cannot be told from.
+    remain. The table's error motion shows here by its radial part; its tangential part is what
+    the angle cannot be told from.
     """
     total = scale**2 * (covariance.lengths + covariance.targets)
     total += error_motion_covariance(motion, error_motion_std)
-    direction = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
-    m = len(direction)
-    absorbed = np.column_stack([direction, np.ones(m)])
-    open_part = np.linalg.qr(absorbed, mode="complete")[0][:, 3:]
-    outward = direction @ motion.plane.basis()
-    radial = np.einsum("ja,jakb,kb->jk", outward, total.reshape(m, 3, m, 3), outward)
-    seen = open_part.T @ motion.radial
-    chi2 = float(seen @ np.linalg.solve(open_part.T @ radial @ open_part, seen))
-    return GlobalTest(float(np.sqrt(chi2 / (m - 3))), chi2_sf(chi2, m - 3))
+    circle = circle_residuals(motion, total)
+    chi2 = float(circle.seen @ np.linalg.solve(circle.noise, circle.seen))
+    dof = len(circle.seen)
+    return GlobalTest(float(np.sqrt(chi2 / dof)), chi2_sf(chi2, dof))
 
 
 def _root_of_diagonal(jacobian: Floats, covariance: Floats) -> Floats:

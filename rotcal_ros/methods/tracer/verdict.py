@@ -1,13 +1,14 @@
 """ok, suspect or failed: the rules, and the sentences that say why.
 
 suspect
-    the chi-squared test of the lengths fails (the covariance is then enlarged by sigma0^2), more
-    than ``max_rejected_share`` of the lengths were rejected, a closure is larger than its
-    uncertainty allows, the stations leave the circle by more than the stated error motion, or a
-    position of the plan is missing.
+    a component of the noise is larger than stated (:mod:`.noise`; the estimate is used), or the
+    chi-squared test of the lengths fails all the same (the covariance is then enlarged by
+    sigma0^2); more than ``max_rejected_share`` of the lengths were rejected; a closure is larger
+    than its uncertainty allows; the stations leave the circle by more than the stated error
+    motion (the estimate of :mod:`.error_motion` is used); or a position of the plan is missing.
 failed
-    sigma0 beyond 10 (the model does not describe the data) or more than a fifth of the lengths
-    rejected.
+    the lengths scatter more than 10 times or the targets more than 30 times as stated (the model
+    does not describe the data), or more than a fifth of the lengths were rejected.
 """
 
 from __future__ import annotations
@@ -19,11 +20,22 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.distributions import normal_isf
+from rotcal_ros.methods.tracer.error_motion import ErrorMotion
+from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM
+from rotcal_ros.methods.tracer.noise import Noise
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.uncertainty import GlobalTest
 from rotcal_ros.results import Verdict
 
-FAILED_SIGMA0: Final = 10.0
+FAILED_FACTORS: Final = np.array([10.0, 10.0, 30.0, 30.0, 30.0])
+"""Times the stated noise of each component of :mod:`.noise`."""
+WORDS: Final = (
+    "the scatter of the lengths",
+    "the part of the lengths' scatter that grows with the distance",
+    "the targets' x",
+    "the targets' y",
+    "the targets' z",
+)
 FAILED_SHARE: Final = 0.2
 TURN: Final = 2.0 * np.pi
 SAME_ANGLE: Final = 1e-9
@@ -69,15 +81,24 @@ def closures(
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What the verdict rests on; ``missing`` are positions without a result."""
+    """What the verdict rests on.
+
+    ``lengths``: test against the noise as stated, ``unexplained``: what the estimated ``noise``
+    leaves, as a factor. ``missing`` are positions without a result, ``spare`` targets of a free
+    network that too few lengths reach.
+    """
 
     lengths: GlobalTest
+    noise: Noise
+    unexplained: float
     circle: GlobalTest
+    error_motion: ErrorMotion
     radial_rms: float
     closures: tuple[Closure, ...]
     n_lengths: int
     n_rejected: int
     missing: tuple[int, ...]
+    spare: tuple[int, ...]
     unchecked: int
     mirror_ambiguous: bool
 
@@ -90,17 +111,23 @@ def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[st
     ]
     share = evidence.n_rejected / evidence.n_lengths
     verdict: Verdict = "suspect" if doubts else "ok"
-    if evidence.lengths.sigma0 > FAILED_SIGMA0 or share > FAILED_SHARE:
+    factors = evidence.unexplained * evidence.noise.factors
+    if (factors > FAILED_FACTORS).any() or share > FAILED_SHARE:
         verdict = "failed"
     return verdict, (*doubts, *_remarks(evidence, settings))
 
 
 def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
-    doubts = []
-    if evidence.lengths.probability < settings.test_significance:
+    noise = evidence.noise
+    larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
+    doubts = [
+        f"{_times(noise, k)}: the estimate is used; state it, or look for drift"
+        for k in np.flatnonzero(larger).tolist()
+    ]
+    if evidence.unexplained > 1.0:
         doubts.append(
-            f"the residuals of the lengths are {evidence.lengths.sigma0:.2f} times what their "
-            "stated standard deviations allow (chi-squared test): the uncertainty is enlarged by "
+            f"the residuals of the lengths are {evidence.unexplained:.2f} times what their "
+            "standard deviations allow (chi-squared test): the uncertainty is enlarged by "
             "that factor; look for drift, or state larger standard deviations"
         )
     share = evidence.n_rejected / evidence.n_lengths
@@ -123,11 +150,13 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
         for c in evidence.closures
         if abs(c.error) > limit * c.std
     ]
-    if evidence.circle.probability < settings.test_significance:
+    motion = evidence.error_motion
+    if motion.stated is not None and evidence.circle.probability < settings.test_significance:
         doubts.append(
             f"the stations leave their circle by {evidence.radial_rms:.3g} m (rms), "
             f"{evidence.circle.sigma0:.1f} times what is expected: the table's radial error "
-            "motion is larger than error_motion_std says, and so is the uncertainty of the angles"
+            f"motion is larger than the stated {motion.stated:.2g} m; {motion.used:.2g} m, from "
+            f"{motion.dof} residuals of the circle, is used in its place"
         )
     if evidence.missing:
         names = ", ".join(str(j) for j in evidence.missing)
@@ -136,11 +165,17 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
 
 
 def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
-    remarks = []
-    if 1.0 - evidence.lengths.probability < settings.test_significance:
+    noise = evidence.noise
+    remarks = [
+        f"{_times(noise, k)}, and so the estimate is used"
+        for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
+        if noise.factors[k] < 1.0 or not noise.contradicted(settings.test_significance)[k]
+    ]
+    if evidence.spare:
+        names = ", ".join(str(i) for i in evidence.spare)
         remarks.append(
-            f"the residuals of the lengths are only {evidence.lengths.sigma0:.2f} times their "
-            "stated standard deviations; the uncertainty is not reduced for that"
+            f"target(s) {names} of the free network were left out: fewer than "
+            f"{FREE_TARGET_MINIMUM} lengths reach them"
         )
     if evidence.unchecked:
         remarks.append(
@@ -152,3 +187,8 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
             "lower side was taken; give start_stations to choose the other"
         )
     return remarks
+
+
+def _times(noise: Noise, k: int) -> str:
+    """Return how many times its statement component ``k`` is."""
+    return f"{WORDS[k]} is {noise.factors[k]:.2g} times its stated {noise.stated[k]:.2g} m"

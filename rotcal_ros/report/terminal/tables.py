@@ -9,7 +9,8 @@ from rich.table import Table
 
 from rotcal_ros.components import unit_of
 from rotcal_ros.evaluation.compare import Comparison
-from rotcal_ros.evaluation.iso230 import Iso230
+from rotcal_ros.evaluation.component_groups import Group
+from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
 from rotcal_ros.evaluation.propagated import Propagated
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -30,10 +31,25 @@ def print_result(result: Result) -> None:
     _table("", ["angle/deg", *(f"{name}/{unit_of(name)[1]}" for name in names)], rows)
     _lines(
         *(f"warning: {warning}" for warning in result.warnings),
-        f"verdict {result.verdict}: {result.n_observations} observations, "
+        f"verdict {result.verdict_line}: {result.n_observations} observations, "
         f"{len(result.rejected)} rejected, {result.dof} degrees of freedom, "
         f"sigma0 {result.sigma0:.3f}",
     )
+
+
+def print_groups(groups: Sequence[Group]) -> None:
+    """Print for each group of components how well the inputs agree, and their weights."""
+    rows = [
+        (
+            group.name,
+            f"{group.chi2:.4g}",
+            str(group.dof),
+            f"{group.p_value:.2g}",
+            ", ".join(f"{name} {100 * part:.3g} %" for name, part in group.weights.items()),
+        )
+        for group in groups
+    ]
+    _table("", ["components", "chi-square", "dof", "p", "weights"], rows)
 
 
 def print_comparisons(comparisons: Mapping[tuple[str, str], Comparison], component: str) -> None:
@@ -74,12 +90,18 @@ def print_iso230(figures: Iso230, n_runs: int) -> None:
     )
     _table(
         "",
-        ["arcsec", "both", "up", "down"],
+        ["arcsec", "both", "up", "down", "U (95 %) of both"],
         [
-            (name, *("" if value is None else f"{value / ARCSEC:.3f}" for value in values))
-            for name, values in figures.summary()
+            (
+                name,
+                *("" if value is None else f"{value / ARCSEC:.3f}" for value in values),
+                f"{expanded / ARCSEC:.3f}",
+            )
+            for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
         ],
     )
+    if not figures.measurement_stated:
+        _lines(f"note: {ONLY_SCATTER}")
     _lines(*(f"warning: {warning}" for warning in figures.warnings))
 
 

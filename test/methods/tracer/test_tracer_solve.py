@@ -165,7 +165,7 @@ def test_stations_on_a_circle_leave_a_seventh_direction_open():
 @pytest.mark.parametrize(("m", "n"), [(9, 8), (5, 30)])
 def test_either_side_may_be_eliminated(m, n):
     """9 x 8 keeps the targets, 5 x 30 the stations; both against the dense inverse."""
-    scene = simulate(seed=18, angles=arc(m, 36.0), n=n, layout=low_ring, target_std=1e-6)
+    scene = simulate(seed=21, angles=arc(m, 36.0), n=n, layout=low_ring, target_std=1e-6)
     result = solve(scene.problem(target_std=1e-6, variant="joint"))
     ours = result.details
     network = DenseNetwork(scene.targets, scene.length, 2e-7, 1e-6)

@@ -28,6 +28,7 @@ class Scene:
             "target_std": target_std,
             "table_angles": self.angles,
             "variant": "station",
+            "error_motion_std": 0.0,
         }
         return TracerProblem(**{**rows, **options})
 

@@ -1,0 +1,151 @@
+"""What may spoil a ball plate calibration: the plan measured again, with one thing wrong."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.disturbance import (
+    ALL_AXES,
+    PPM,
+    Disturbance,
+    Disturbances,
+    Measured,
+    Sizes,
+    arrivals,
+    streams,
+    times,
+)
+from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+
+USUAL_STD: Final = 5e-8
+"""Standard deviation (m) of a centre along each axis where the configuration states none."""
+PLATE_STD: Final = 5e-6
+MACHINE_STD: Final = 5e-7
+"""How far (m) balls are from their places, and the machine's systematic error; both are solved."""
+OFF_CENTRE: Final = 0.5
+"""Metres that the plate stands off centre per radian that the axis leans."""
+
+LISTED: Final = (
+    Disturbance(
+        "drift",
+        "the origin of the machine drifts along x, y and z alike, linearly over the whole run",
+        "um", MICROMETRE, 0.05, 100.0,
+    ),
+    Disturbance(
+        "knock",
+        "half-way through the run the plate is shifted by so much, along x, y and z alike, and "
+        "turned by as much at its circle",
+        "um", MICROMETRE, 0.05, 100.0,
+    ),
+    Disturbance(
+        "axis noise",
+        "the centres scatter along z so many times as much as along x and y",
+        "times", 1.0, 1.5, 100.0, scatters=True,
+    ),
+    Disturbance(
+        "error motion",
+        "EXC and EYC scatter from position to position by so much (k = 1)",
+        "um", MICROMETRE, 0.1, 10.0, scatters=True,
+    ),
+    Disturbance(
+        "repeatability",
+        "every arrival of the table is off by itself (k = 1)",
+        "arcsec", ARCSEC, 0.02, 10.0, scatters=True,
+    ),
+    Disturbance(
+        "refraction", "there is no beam: nothing happens", "ppm/m", PPM, 1000.0, 1000.0
+    ),
+    Disturbance(
+        "scale", "the machine's x scale is too long by so much", "ppm", PPM, 1.0, 100.0
+    ),
+    Disturbance(
+        "tilt",
+        "EAC and EBC scatter from position to position by so much (k = 1)",
+        "arcsec", ARCSEC, 0.1, 10.0, scatters=True,
+    ),
+    Disturbance(
+        "gauge",
+        "the axis leans by so much against the machine's z axis, and the plate is off centre by "
+        "2.4 um for each arcsec",
+        "arcsec", ARCSEC, 10.0, 2000.0,
+    ),
+)  # fmt: skip
+
+
+def measure(configuration: Configuration, plan: Plan, sizes: Sizes, seed: int) -> Measured:
+    """Return the ball centres that a machine finds, with noise and the effects of ``sizes``.
+
+    The table has no deviations but those that ``sizes`` give it, which are true ones.
+    """
+    noise, other = streams(seed)
+    true = _deviations(len(plan.table_angles), sizes, other)
+    position = np.array([step.table_position for step in plan.steps], dtype=np.int64)
+    place = np.array([step.position for step in plan.steps])
+    centres = _true_centres(configuration, plan, position, sizes, true, (noise, other))
+    centres = centres + np.array(configuration.plan.centre_m) + _machine_error(place, noise)
+    centres[:, 0] *= 1.0 + sizes.get("scale", 0.0)
+    centres += sizes.get("drift", 0.0) * np.outer(times(plan), ALL_AXES)
+    std = np.broadcast_to(configuration.solver.sigma_centre_m or USUAL_STD, 3).copy()
+    std[2] *= sizes.get("axis noise", 1.0)
+    centres += std * noise.standard_normal(centres.shape)
+    observations = tuple(
+        step.observed((x, y, z))
+        for step, (x, y, z) in zip(plan.steps, centres.tolist(), strict=True)
+    )
+    return Measured(observations, true)
+
+
+def _deviations(count: int, sizes: Sizes, other: np.random.Generator) -> dict[str, Floats]:
+    """Return the true deviations (count,) of the table, m and rad."""
+    motion = sizes.get("error motion", 0.0) * other.standard_normal((2, count))
+    tilt = sizes.get("tilt", 0.0) * other.standard_normal((2, count))
+    zero = np.zeros(count)
+    return {
+        "EXC": motion[0], "EYC": motion[1], "EZC": zero,
+        "EAC": tilt[0], "EBC": tilt[1], "ECC": zero,
+    }  # fmt: skip
+
+
+def _true_centres(
+    configuration: Configuration,
+    plan: Plan,
+    position: Ints,
+    sizes: Sizes,
+    true: dict[str, Floats],
+    streams: tuple[np.random.Generator, np.random.Generator],
+) -> Floats:
+    """Return where the balls are at every step (n, 3), m, from the axis."""
+    noise, other = streams
+    settings, n = configuration.plan, len(plan.steps)
+    off = sizes.get("gauge", 0.0)
+    plate = settings.plate.places + PLATE_STD * noise.standard_normal((settings.plate.grid, 3))
+    plate = plate + OFF_CENTRE * off * np.array([1.0, 0.0, 0.0])
+    balls = plate[[step.target for step in plan.steps]]
+    knock = sizes.get("knock", 0.0) * ALL_AXES
+    after = times(plan) >= 0.5
+    turned = balls @ rotation_from_vector(knock / settings.plate.circle_radius_m).T + knock
+    balls = np.where(after[:, None], turned, balls)
+    angle = np.array([step.table_angle for step in plan.steps]) - settings.table_start_deg * DEGREE
+    angle = angle + sizes.get("repeatability", 0.0) * other.standard_normal(n)[arrivals(plan)]
+    balls = np.einsum("nij,nj->ni", rotation_about_z(angle), balls)
+    lean = np.column_stack([true["EAC"], true["EBC"], true["ECC"]])[position]
+    balls = np.einsum("nij,nj->ni", rotation_from_vector(lean), balls)
+    balls = balls + np.column_stack([true["EXC"], true["EYC"], true["EZC"]])[position]
+    return np.asarray(balls @ rotation_from_vector(np.array([off, 0.0, 0.0])).T)
+
+
+def _machine_error(place: Floats, noise: np.random.Generator) -> Floats:
+    """Return the machine's systematic error (n, 3), m: the same whenever it is at a place."""
+    _, which = np.unique(np.round(place, 6), axis=0, return_inverse=True)
+    which = which.ravel()
+    errors = MACHINE_STD * noise.standard_normal((int(which.max()) + 1, 3))
+    return np.asarray(errors[which], dtype=np.float64)
+
+
+DISTURBANCES: Final = Disturbances(LISTED, measure)

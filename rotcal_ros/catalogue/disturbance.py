@@ -1,0 +1,80 @@
+"""What may spoil a calibration, as plain physics: one measurement of a plan with or without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.observations import Observation
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.protection import Effect
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue.configuration import Configuration
+
+PPM: Final = 1e-6
+ALL_AXES: Final = np.full(3, 1.0 / np.sqrt(3.0))
+"""Direction of what may move anywhere: along x, y and z alike."""
+
+Sizes = Mapping[Effect, float]
+"""How large each effect is, in the SI unit of its :class:`Disturbance`; absent: not there."""
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """One effect on one method: ``what`` happens, and in which unit its size is given.
+
+    A size in SI is ``unit_si`` times one in ``unit``. Sizes from ``start`` on, to ``largest``, are
+    worth a search, both in ``unit``. An effect that ``scatters`` is random and hits all angles
+    alike; else it has one pattern. ``stated`` returns how much of it (SI) a configuration allows
+    for, None where nothing is stated.
+    """
+
+    effect: Effect
+    what: str
+    unit: str
+    unit_si: float
+    start: float
+    largest: float
+    scatters: bool = False
+    stated: Callable[[Configuration], float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Observations of every step of a plan, and the true deviations (n,) at its table angles."""
+
+    observations: tuple[Observation, ...]
+    truth: Mapping[str, Floats]
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """All effects on a method, and the measurement that they disturb.
+
+    ``measure(configuration, plan, sizes, seed)`` draws the stated noise from the seed alone, so
+    that two measurements of one seed differ by the effects and nothing else.
+    """
+
+    listed: tuple[Disturbance, ...]
+    measure: Callable[[Configuration, Plan, Sizes, int], Measured]
+
+
+def streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Return the random numbers of the noise and, apart from them, those of the effects."""
+    return np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])
+
+
+def times(plan: Plan) -> Floats:
+    """Return when each step is measured (n,): from 0 at the first to 1 at the last."""
+    return np.linspace(0.0, 1.0, len(plan.steps))
+
+
+def arrivals(plan: Plan) -> Ints:
+    """Return the number of the table's arrival at each step (n,): it stands or comes anew."""
+    angle = np.array([step.table_angle for step in plan.steps])
+    return np.cumsum(np.diff(angle, prepend=angle[0]) != 0.0)

@@ -1,0 +1,187 @@
+"""What may spoil a plane-mirror calibration: the plan measured again, with one thing wrong."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.disturbance import (
+    ALL_AXES,
+    PPM,
+    Disturbance,
+    Disturbances,
+    Measured,
+    Sizes,
+    arrivals,
+    streams,
+    times,
+)
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import TrackerStation
+from rotcal_ros.catalogue.plane_mirror.plan import (
+    MirrorPlanSettings,
+    nominal_mirror,
+    tracker_stands,
+)
+from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
+from rotcal_ros.methods.plane_mirror.problem import noise_of
+from rotcal_ros.observations import PointKind
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.units import ARCSEC, MICROMETRE
+
+
+def _tilt(configuration: Configuration) -> float:
+    return float(configuration.solver.tilt_std_arcsec * ARCSEC)
+
+
+LISTED: Final = (
+    Disturbance(
+        "drift",
+        "the tracker's azimuth drifts by so much at every station, linearly while it stands",
+        "arcsec", ARCSEC, 0.3, 100.0,
+    ),
+    Disturbance(
+        "knock",
+        "the mirror is turned on the table, about x, y and z alike, half-way through the run",
+        "arcsec", ARCSEC, 0.3, 100.0,
+    ),
+    Disturbance(
+        "axis noise",
+        "the tracker's errors across the beam are so many times the stated ones",
+        "times", 1.0, 1.2, 100.0, scatters=True,
+    ),
+    Disturbance(
+        "error motion",
+        "EXC and EYC scatter from position to position by so much (k = 1)",
+        "um", MICROMETRE, 1.0, 100.0, scatters=True,
+    ),
+    Disturbance(
+        "repeatability",
+        "every arrival of the table is off by itself (k = 1)",
+        "arcsec", ARCSEC, 0.3, 100.0, scatters=True,
+    ),
+    Disturbance(
+        "refraction",
+        "the index of the air changes sideways through the room by so much per metre",
+        "ppm/m", PPM, 0.3, 100.0,
+    ),
+    Disturbance(
+        "scale", "the tracker's distances are too long by so much", "ppm", PPM, 1.0, 1000.0
+    ),
+    Disturbance(
+        "tilt",
+        "EAC and EBC scatter from position to position by so much more (k = 1) than is stated",
+        "arcsec", ARCSEC, 0.1, 100.0, scatters=True, stated=_tilt,
+    ),
+    Disturbance(
+        "gauge",
+        "the table's axis leans by so much against the vertical",
+        "arcsec", ARCSEC, 100.0, 3600.0,
+    ),
+)  # fmt: skip
+
+
+def measure(configuration: Configuration, plan: Plan, sizes: Sizes, seed: int) -> Measured:
+    """Return what the tracker sees with the stated noise and the effects of ``sizes``.
+
+    The table has no ECC; the true ECC are zero.
+    """
+    noise, other = streams(seed)
+    stations = [
+        TrackerStation(stand.place)
+        for stand in tracker_stands(configuration.plan, plan.table_angles)
+    ]
+    station = np.array([step.station for step in plan.steps])
+    head = np.array([stations[s].place for s in station.tolist()])
+    seen = _places(configuration, plan, stations, sizes, (noise, other)) - head
+    seen = _bent(seen, sizes) * (1.0 + sizes.get("scale", 0.0))
+    azimuth = sizes.get("drift", 0.0) * _since_put_up(station)
+    seen = np.einsum("nij,nj->ni", rotation_about_z(azimuth), seen)
+    seen = seen + _noise(configuration, seen, sizes, noise)
+    observations = tuple(
+        step.observed((x, y, z)) for step, (x, y, z) in zip(plan.steps, seen.tolist(), strict=True)
+    )
+    return Measured(observations, {"ECC": np.zeros(len(plan.table_angles))})
+
+
+def _places(
+    configuration: Configuration,
+    plan: Plan,
+    stations: list[TrackerStation],
+    sizes: Sizes,
+    streams: tuple[np.random.Generator, np.random.Generator],
+) -> Floats:
+    """Return where the points or their images are at every step (n, 3), m, in the room."""
+    noise, other = streams
+    settings: MirrorPlanSettings = configuration.plan
+    solver, mirror = configuration.solver, nominal_mirror(settings)
+    rotation, shift = _table(configuration, plan, sizes, (noise, other))
+    slope = solver.mirror_slope_std_arcsec * ARCSEC * noise.standard_normal((len(plan.steps), 3))
+    knock = rotation_from_vector(sizes.get("knock", 0.0) * ALL_AXES)
+    after = times(plan) >= 0.5
+    places = np.array([step.position for step in plan.steps])
+    for k, step in enumerate(plan.steps):
+        carried = rotation[k] @ knock if after[k] else rotation[k]
+        if step.kind is PointKind.MIRRORED:
+            centre, frame = mirror.pose(carried, shift[k])
+            pose = centre, rotation_from_vector(slope[k]) @ frame
+            places[k] = mirror.image(pose, stations[step.station], places[k], f"step {k}")
+        elif step.kind is PointKind.DIRECT and settings.carries != "mirror":
+            nominal = rotation_about_z(step.table_angle)
+            places[k] = carried @ nominal.T @ places[k] + shift[k]
+    return places
+
+
+def _table(
+    configuration: Configuration,
+    plan: Plan,
+    sizes: Sizes,
+    streams: tuple[np.random.Generator, np.random.Generator],
+) -> tuple[Floats, Floats]:
+    """Return rotation (n, 3, 3) and shift (n, 3) of the table at every step."""
+    noise, other = streams
+    n, m = len(plan.steps), len(plan.table_angles)
+    position = np.array([step.table_position for step in plan.steps])
+    arrived = sizes.get("repeatability", 0.0) * other.standard_normal(n)[arrivals(plan)]
+    angle = np.array([step.table_angle for step in plan.steps]) + arrived
+    lean, shift = np.zeros((m, 3)), np.zeros((m, 3))
+    lean[:, :2] = _tilt(configuration) * noise.standard_normal((m, 2))
+    lean[:, :2] += sizes.get("tilt", 0.0) * other.standard_normal((m, 2))
+    shift[:, :2] = sizes.get("error motion", 0.0) * other.standard_normal((m, 2))
+    axis = rotation_from_vector(np.array([sizes.get("gauge", 0.0), 0.0, 0.0]))
+    turned = axis @ rotation_from_vector(lean)[position] @ rotation_about_z(angle)
+    return np.asarray(turned, dtype=np.float64), shift[position]
+
+
+def _bent(seen: Floats, sizes: Sizes) -> Floats:
+    """Return the points (n, 3) where they seem to be through air whose index grows along x."""
+    distance = np.linalg.norm(seen, axis=1)[:, None]
+    beam = seen / distance
+    gradient = np.array([sizes.get("refraction", 0.0), 0.0, 0.0])
+    across = gradient - (beam @ gradient)[:, None] * beam
+    return np.asarray(seen + 0.5 * distance**2 * across, dtype=np.float64)
+
+
+def _since_put_up(station: Floats) -> Floats:
+    """Return the time (n,) since the tracker was put up at its station, 0 to 1."""
+    time = np.zeros(len(station))
+    for s in np.unique(station):
+        rows = np.flatnonzero(station == s)
+        time[rows] = np.linspace(0.0, 1.0, len(rows))
+    return time
+
+
+def _noise(
+    configuration: Configuration, seen: Floats, sizes: Sizes, noise: np.random.Generator
+) -> Floats:
+    """Return errors (n, 3) of the tracker at points (n, 3) in its frame, m."""
+    factor = np.linalg.cholesky(noise_of(configuration.solver).covariance(seen))
+    error = np.einsum("nij,nj->ni", factor, noise.standard_normal(seen.shape))
+    beam = seen / np.linalg.norm(seen, axis=1)[:, None]
+    along = np.einsum("ni,ni->n", error, beam)[:, None] * beam
+    return np.asarray(along + sizes.get("axis noise", 1.0) * (error - along), dtype=np.float64)
+
+
+DISTURBANCES: Final = Disturbances(LISTED, measure)

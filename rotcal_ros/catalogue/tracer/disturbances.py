@@ -1,0 +1,163 @@
+"""What may spoil a laser-tracer calibration: the plan measured again, with one thing wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.disturbance import (
+    ALL_AXES,
+    PPM,
+    Disturbance,
+    Disturbances,
+    Measured,
+    Sizes,
+    arrivals,
+    streams,
+    times,
+)
+from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.units import ARCSEC, MICROMETRE
+
+
+def _error_motion(configuration: Configuration) -> float:
+    """Return the stated error motion (m, k = 1), none where it is left to the circle."""
+    stated: float | None = configuration.solver.error_motion_std_m
+    return 0.0 if stated is None else stated
+
+
+LISTED: Final = (
+    Disturbance(
+        "drift",
+        "the origin of the machine drifts along x, y and z alike, linearly over the whole run",
+        "um", MICROMETRE, 1.0, 100.0,
+    ),
+    Disturbance(
+        "knock",
+        "the tracer is shifted on the table, along x, y and z alike, half-way through the run",
+        "um", MICROMETRE, 0.3, 100.0,
+    ),
+    Disturbance(
+        "axis noise",
+        "the machine's errors along z are so many times the stated ones",
+        "times", 1.0, 1.5, 100.0, scatters=True,
+    ),
+    Disturbance(
+        "error motion",
+        "EXC and EYC scatter from position to position by so much more (k = 1) than is stated",
+        "um", MICROMETRE, 0.1, 100.0, scatters=True, stated=_error_motion,
+    ),
+    Disturbance(
+        "repeatability",
+        "every arrival of the table is off by itself (k = 1)",
+        "arcsec", ARCSEC, 0.3, 100.0, scatters=True,
+    ),
+    Disturbance(
+        "refraction",
+        "the index of the air changes with the height by so much per metre",
+        "ppm/m", PPM, 1.0, 1000.0,
+    ),
+    Disturbance(
+        "scale", "the tracer's lengths are too long by so much", "ppm", PPM, 1.0, 1000.0
+    ),
+    Disturbance(
+        "tilt",
+        "EAC and EBC scatter from position to position by so much (k = 1)",
+        "arcsec", ARCSEC, 0.3, 100.0, scatters=True,
+    ),
+    Disturbance(
+        "gauge",
+        "the table's axis leans by so much against the machine's z axis",
+        "arcsec", ARCSEC, 100.0, 3600.0,
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """The steps of a plan as arrays (n,): position, target, number of the arrival, time."""
+
+    position: Ints
+    target: Ints
+    arrival: Ints
+    time: Floats
+
+
+def measure(configuration: Configuration, plan: Plan, sizes: Sizes, seed: int) -> Measured:
+    """Return what a perfect table's tracer reads, with the stated noise and effects of ``sizes``.
+
+    The tracer stands where the simulation mounts it. True deviations are zero.
+    """
+    noise, other = streams(seed)
+    steps, solver = _steps(plan), configuration.solver
+    stations = _stations(configuration, plan, steps, sizes, (noise, other))
+    places = _places(configuration, plan, steps, sizes, noise)
+    distance = np.linalg.norm(places - stations, axis=1)
+    height = 0.5 * (places[:, 2] + stations[:, 2])
+    optical = distance * (1.0 + sizes.get("scale", 0.0))
+    optical = optical * (1.0 + sizes.get("refraction", 0.0) * (height - height.mean()))
+    std = np.hypot(solver.length_std_m, solver.length_std_relative * distance)
+    read = optical + std * noise.standard_normal(len(distance))
+    read = read - configuration.simulation.tracer.dead_distance_m
+    observations = tuple(
+        step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
+    )
+    return Measured(observations, {"ECC": np.zeros(len(plan.table_angles))})
+
+
+def _steps(plan: Plan) -> _Steps:
+    return _Steps(
+        position=np.array([step.table_position for step in plan.steps], dtype=np.int64),
+        target=np.array([step.target for step in plan.steps], dtype=np.int64),
+        arrival=arrivals(plan),
+        time=times(plan),
+    )
+
+
+def _stations(
+    configuration: Configuration,
+    plan: Plan,
+    steps: _Steps,
+    sizes: Sizes,
+    streams: tuple[np.random.Generator, np.random.Generator],
+) -> Floats:
+    """Return where the tracer is at every step (n, 3), m."""
+    noise, other = streams
+    m, n = len(plan.table_angles), len(steps.position)
+    arrived = sizes.get("repeatability", 0.0) * other.standard_normal(n)[steps.arrival]
+    lean = np.zeros((m, 3))
+    lean[:, :2] = sizes.get("tilt", 0.0) * other.standard_normal((m, 2))
+    shift = np.zeros((m, 3))
+    shift[:, :2] = _error_motion(configuration) * noise.standard_normal((m, 2))
+    shift[:, :2] += sizes.get("error motion", 0.0) * other.standard_normal((m, 2))
+    knock = sizes.get("knock", 0.0) * np.outer(steps.time >= 0.5, ALL_AXES)
+    mount = np.array(configuration.simulation.tracer.mount_m) + knock
+    turn = rotation_about_z(np.array(plan.table_angles)[steps.position] + arrived)
+    turned = np.einsum("nij,nj->ni", turn, mount)
+    at = steps.position
+    leant = np.einsum("nij,nj->ni", rotation_from_vector(lean)[at], turned)
+    return np.asarray(leant + shift[at], dtype=np.float64)
+
+
+def _places(
+    configuration: Configuration,
+    plan: Plan,
+    steps: _Steps,
+    sizes: Sizes,
+    noise: np.random.Generator,
+) -> Floats:
+    """Return where the reflector is at every step (n, 3) in the frame of the table's axis, m."""
+    targets = np.array(plan.targets)
+    error = configuration.solver.target_std_m * noise.standard_normal(targets.shape)
+    error[:, 2] *= sizes.get("axis noise", 1.0)
+    frame = rotation_from_vector(np.array([sizes.get("gauge", 0.0), 0.0, 0.0]))
+    drift = sizes.get("drift", 0.0) * np.outer(steps.time, ALL_AXES)
+    return np.asarray((targets + error)[steps.target] @ frame.T + drift, dtype=np.float64)
+
+
+DISTURBANCES: Final = Disturbances(LISTED, measure)

@@ -1,0 +1,70 @@
+"""``rotcal combine``: the best estimate of one table from several results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
+from rotcal_ros.report.terminal.console import say
+
+if TYPE_CHECKING:
+    from rotcal_ros.evaluation.component_groups import Enlargement
+
+
+@click.command()
+@click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...]")
+@click.option("-o", "--output", type=path_type, help="Write the result there, as JSON.")
+@click.option(
+    "--enlarge",
+    # The names of ENLARGEMENTS, whose module takes a second to load; a test compares them.
+    type=click.Choice(("birge", "mandel-paule", "none")),
+    default="birge",
+    show_default=True,
+    help="What enlarges the uncertainties when the inputs contradict each other.",
+)
+@click.option(
+    "--polygon",
+    type=path_type,
+    help="Calibrated face errors by table angle, taken off every reference table.",
+)
+@json_option
+def command(
+    sources: tuple[Path, ...],
+    output: Path | None,
+    enlarge: Enlargement,
+    polygon: Path | None,
+    as_json: bool,
+) -> int:
+    """Combine results of one table: result.json, bags, sessions, reference tables (.csv).
+
+    Generalised least squares with all covariances; the zero of every input is unknown. The
+    inputs must be independent of each other. Where they contradict each other (chi-square) the
+    uncertainties are enlarged and the verdict is suspect; an input that failed is refused. The
+    exit code is 0 for the verdict ok and 1 for suspect.
+    """
+    from rotcal_ros.evaluation.combination import combine
+    from rotcal_ros.evaluation.reference import read_reference
+    from rotcal_ros.files import write_atomically
+    from rotcal_ros.recordings.sources import read_measured, read_text
+
+    faces = None if polygon is None else read_reference(read_text(polygon), str(polygon))
+    if faces is not None and not any(source.suffix == ".csv" for source in sources):
+        raise click.UsageError("--polygon belongs to a reference table (.csv), none is given")
+    combined = combine([read_measured(source, faces) for source in sources], enlarge)
+    result = combined.result
+    text = result.to_json()
+    if output is not None:
+        write_atomically(output, text + "\n")
+    if as_json:
+        print_json(text)
+    else:
+        from rotcal_ros.report.terminal.tables import print_groups, print_result
+
+        print_groups(combined.groups)
+        print_result(result)
+    if output is not None:
+        say(f"result written to {output.absolute()}")
+    return VERDICT_EXIT_CODES[result.verdict]

@@ -1,0 +1,109 @@
+"""``rotcal plan reliability``: what error in one observation a plan could hide, and its effect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.errors import DataError
+from rotcal_ros.units import MICROMETRE
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue import Calibration
+    from rotcal_ros.observations import Observation
+
+SEED = 1
+"""Of the noise with which the plan is measured; redundancies do not depend on it."""
+
+
+@click.command()
+@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.option(
+    "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
+)
+@click.option(
+    "--alpha",
+    type=click.FloatRange(1e-9, 0.5),
+    default=0.001,
+    show_default=True,
+    help="Significance of the test of one observation.",
+)
+@click.option(
+    "--power",
+    type=click.FloatRange(0.5, 0.999999),
+    default=0.8,
+    show_default=True,
+    help="Probability with which an error of the size shown is found.",
+)
+@click.option(
+    "--worst",
+    type=click.IntRange(min=1),
+    default=8,
+    show_default=True,
+    help="How many observations to list; each is solved again.",
+)
+@json_option
+def command(
+    configuration: Path,
+    changes: tuple[str, ...],
+    alpha: float,
+    power: float,
+    worst: int,
+    as_json: bool,
+) -> int:
+    """Tell the smallest error in one observation of a plan that would be found (Baarda).
+
+    The observations are listed by what a slightly smaller error, which may stay unseen, would do
+    to the deviations, in their standard uncertainties.
+    """
+    from rotcal_ros.catalogue import changed, prepare, read_configuration
+    from rotcal_ros.evaluation.reliability import effects_on_deviations, reliability
+
+    calibration = prepare(changed(read_configuration(configuration), changes))
+    observations = _predicted(calibration)
+    result = calibration.solve(observations)
+    if result.residuals is None:
+        raise DataError(f"the method {result.method} tells no residuals: no reliability either")
+    found = reliability(result.residuals, alpha, power)
+    which = found.worst(worst)
+    effects = effects_on_deviations(calibration, observations, result, found, which)
+    data = found.to_dict(worst, effects)
+    if as_json:
+        print_json(data)
+    else:
+        _print(data)
+    return 0
+
+
+def _predicted(calibration: Calibration) -> tuple[Observation, ...]:
+    """Return observations of the plan with their stated noise, exact ones where none is known."""
+    if calibration.method.disturbances is None:
+        return calibration.nominal_observations()
+    return calibration.measured({}, SEED).observations
+
+
+def _print(data: dict[str, Any]) -> None:
+    click.echo(
+        f"{data['n_observations']} observations, mean redundancy {data['mean_redundancy']:.2f}, "
+        f"{data['n_unchecked']} checked by no other"
+    )
+    click.echo(
+        f"smallest error found with {100.0 * data['power']:g} % (alpha {data['alpha']:g}), and "
+        "what it does to the deviations:"
+    )
+    click.echo("position  target  redundancy  error/um  error/std  effect/std")
+    for row in data["worst"]:
+        metres = row.get("detectable_m")
+        click.echo(
+            f"{row['table_index']:8d}  {row['target']:6d}  {row['redundancy']:10.3f}  "
+            f"{_number(metres, MICROMETRE)}  {_number(row['detectable_std']):>9}  "
+            f"{_number(row['effect_std']):>10}"
+        )
+
+
+def _number(value: float | None, unit: float = 1.0) -> str:
+    """Return a number in 8 characters; of an observation that nothing checks there is none."""
+    return f"{'any' if value is None else format(value / unit, '.3f'):>8}"

@@ -1,0 +1,244 @@
+"""The best estimate of a table's deviations from several results: methods, campaigns, references.
+
+Generalised least squares with the full covariance of every input, whose zeros are unknown. The
+inputs are taken for independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.curves.interpolation import interpolation_matrix
+from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.evaluation.compare import SURE
+from rotcal_ros.evaluation.component_groups import (
+    ENLARGEMENTS,
+    GROUPS,
+    Curves,
+    Enlargement,
+    Group,
+    combine_group,
+)
+from rotcal_ros.evaluation.joined_angles import Joined, union
+from rotcal_ros.evaluation.joined_protection import join_protections
+from rotcal_ros.protection import Protection
+from rotcal_ros.results import Result, Verdict
+
+METHOD: Final = "combination"
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """One input: its curves by component, where it comes from, and how far to trust it."""
+
+    name: str
+    method: str
+    curves: Curves
+    verdict: Verdict = "ok"
+    warnings: tuple[str, ...] = ()
+    protections: tuple[Protection, ...] = ()
+
+    @classmethod
+    def of(cls, name: str, source: Result | MeasuredCurve) -> Measured:
+        """Return a result, or a reference curve of ECC, as an input.
+
+        Raises DataError for a failed result, and for one that states no uncertainty.
+        """
+        if isinstance(source, MeasuredCurve):
+            measured = cls(name, "reference", {"ECC": source})
+        else:
+            measured = cls(
+                name,
+                source.method,
+                {c: measured_curve(source, c) for c in source.components},
+                source.verdict,
+                source.warnings,
+                source.protections,
+            )
+        if measured.verdict == "failed":
+            why = f" ({'; '.join(measured.warnings)})" if measured.warnings else ""
+            raise DataError(f"{name}: the verdict is failed{why}: leave it out and measure again")
+        bare = [c for c, curve in measured.curves.items() if not np.any(curve.covariance)]
+        if bare:
+            raise DataError(
+                f"{name}: {', '.join(bare)} without uncertainty: nothing tells its weight"
+            )
+        return measured
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """The best estimate, and the groups of components whose inputs were combined for it."""
+
+    result: Result
+    groups: tuple[Group, ...]
+
+
+def combine(inputs: Sequence[Measured], enlarge: Enlargement = "birge") -> Combination:
+    """Return the best estimate of all components that any of ``inputs`` measured.
+
+    Each component is counted from its own mean, and the pairs have no part that turns with the
+    table. The angles are those of all inputs; a component that was measured at some of them only
+    is interpolated at the others, and a warning says so. When the inputs contradict each other
+    (chi-square, 1 % over all groups of components) the uncertainties are enlarged as ``enlarge``
+    says and the verdict is suspect. The order of the inputs does not matter. Raises DataError
+    for inputs that cannot be joined.
+    """
+    if enlarge not in ENLARGEMENTS:
+        raise ConfigurationError(
+            f"enlargement {enlarge!r}: expected one of {', '.join(ENLARGEMENTS)}"
+        )
+    names = [measured.name for measured in inputs]
+    if not names or len(set(names)) < len(names):
+        raise DataError(
+            f"inputs {', '.join(names) or 'none'}: give at least one, and each only once: a "
+            "second time it would be taken for an independent measurement"
+        )
+    _require_different(inputs)
+    curves = {measured.name: measured.curves for measured in inputs}
+    found = {c for own in curves.values() for c in own}
+    wanted = [[c for c in group if c in found] for group in GROUPS]
+    present = [group for group in wanted if group]
+    owners = [
+        {name: own for name, own in curves.items() if any(c in own for c in group)}
+        for group in present
+    ]
+    tests = max(1, sum(len(own) > 1 for own in owners))
+    groups = [
+        combine_group(group, own, enlarge, SURE / tests)
+        for group, own in zip(present, owners, strict=True)
+    ]
+    return Combination(_result(groups, inputs), tuple(groups))
+
+
+def _require_different(inputs: Sequence[Measured]) -> None:
+    """Raise DataError for two inputs with the same numbers: a bag and its result, a copy."""
+    for first, second in combinations(inputs, 2):
+        for c in first.curves.keys() & second.curves.keys():
+            ours, theirs = first.curves[c].deviation, second.curves[c].deviation
+            if np.array_equal(ours, theirs) and np.any(ours):
+                raise DataError(
+                    f"{first.name} and {second.name} hold the same {c} to the last bit: the same "
+                    "measurement, which counts once only"
+                )
+
+
+def _result(groups: Sequence[Group], inputs: Sequence[Measured]) -> Result:
+    """Put the groups together: one set of angles, one verdict."""
+    joined = {c: own for group in groups for c, own in group.joined.items()}
+    angles = union([own.angles for own in joined.values()], any(o.period for o in joined.values()))
+    deviations, covariance = {}, {}
+    for group in groups:
+        for c, own in group.joined.items():
+            to_all = _to_all(own, angles)
+            if to_all is not None:
+                deviations[c] = to_all @ group.values(c)
+                covariance[c] = to_all @ group.covariance(c) @ to_all.T
+    doubtful = [m for m in inputs if m.verdict != "ok"]
+    warnings = [f"{m.name} is {m.verdict} ({'; '.join(m.warnings)})" for m in doubtful]
+    warnings += [group.in_words() for group in groups if not group.consistent]
+    chi2, dof = sum(group.chi2 for group in groups), sum(group.dof for group in groups)
+    step_deviation, step_std = _adjacent(deviations, covariance)
+    return Result(
+        method=METHOD,
+        angles=angles,
+        deviations=deviations,
+        std={c: _std(matrix) for c, matrix in covariance.items()},
+        covariance=covariance,
+        sigma0=float(np.sqrt(chi2 / dof)) if dof else 1.0,
+        dof=dof,
+        n_observations=sum(len(c.angles) for m in inputs for c in m.curves.values()),
+        verdict="suspect" if warnings else "ok",
+        warnings=(*warnings, *_interpolated(joined, angles, deviations), *_unlinked(groups)),
+        adjacent_deviations=step_deviation,
+        adjacent_std=step_std,
+        details=_details(groups, inputs),
+        protections=join_protections(
+            {m.name: m.protections for m in inputs}, _largest_shares(groups)
+        ),
+    )
+
+
+def _to_all(own: Joined, angles: Floats) -> Floats | None:
+    """Return the matrix from a component's angles to all; None where they leave its arc."""
+    if len(own.angles) == len(angles):
+        return np.eye(len(angles))
+    if own.period == 0.0 and (angles[0] < own.angles[0] or angles[-1] > own.angles[-1]):
+        return None
+    return interpolation_matrix(own.angles, angles, own.period)
+
+
+def _std(covariance: Floats) -> Floats:
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)), dtype=np.float64)
+
+
+def _adjacent(
+    deviations: Mapping[str, Floats], covariance: Mapping[str, Floats]
+) -> tuple[Floats | None, Floats | None]:
+    """Return the deviations of the steps between neighbouring angles and their std, rad."""
+    if "ECC" not in deviations:
+        return None, None
+    steps = np.diff(np.eye(len(deviations["ECC"])), axis=0)
+    return steps @ deviations["ECC"], _std(steps @ covariance["ECC"] @ steps.T)
+
+
+def _interpolated(
+    joined: Mapping[str, Joined], angles: Floats, deviations: Mapping[str, Floats]
+) -> list[str]:
+    """Return in words which components were not measured at all angles."""
+    fewer = [c for c, own in joined.items() if len(own.angles) < len(angles)]
+    return [
+        f"{c} was measured at {len(joined[c].angles)} of {len(angles)} angles: "
+        + ("interpolated at the others" if c in deviations else "only on an arc, left out")
+        for c in fewer
+    ]
+
+
+def _unlinked(groups: Sequence[Group]) -> list[str]:
+    """Return in words which inputs share too few angles with the others."""
+    names = {name for group in groups for name in group.interpolated}
+    return [
+        f"{name} shares fewer than two angles with the others: these are interpolated at its own"
+        for name in sorted(names)
+    ]
+
+
+def _largest_shares(groups: Sequence[Group]) -> dict[str, float]:
+    """Return by input its largest part of any standard uncertainty of the result, 0 to 1."""
+    shares: dict[str, float] = {}
+    for group in groups:
+        parts = np.sqrt(np.clip(group.pooled.variance_parts, 0.0, 1.0)).max(axis=1)
+        for name, part in zip(group.inputs, parts.tolist(), strict=True):
+            shares[name] = max(part, shares.get(name, 0.0))
+    return shares
+
+
+def _details(groups: Sequence[Group], inputs: Sequence[Measured]) -> dict[str, Any]:
+    """Return the figures for people: where the result comes from and how well it fits."""
+    figures = ("chi2", "dof", "p_value", "consistent", "farthest")
+    return {
+        "inputs": {
+            m.name: {"method": m.method, "verdict": m.verdict, "components": ", ".join(m.curves)}
+            for m in inputs
+        },
+        "weights": {group.name: group.weights for group in groups},
+        "consistency": {
+            group.name: {name: getattr(group, name) for name in figures} for group in groups
+        },
+        "enlargement": {
+            group.name: {
+                "kind": group.enlargement,
+                "factor": group.factor,
+                "common_std": group.common_std,
+            }
+            for group in groups
+            if not group.consistent
+        },
+    }

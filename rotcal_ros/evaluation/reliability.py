@@ -1,0 +1,206 @@
+"""What error in one observation a calibration finds, and what one that it misses would do.
+
+Internal reliability: the minimal detectable error of an observation, std * sqrt(lambda0 / r)
+with its redundancy r. External reliability: what that error does to the deviations, in their
+standard uncertainties: at most sqrt(lambda0 (1 - r) / r) for whatever is computed from the
+unknowns. Source: Baarda, W. (1968), A testing procedure for use in geodetic networks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.catalogue import Calibration
+from rotcal_ros.errors import DataError
+from rotcal_ros.methods.distributions import noncentrality
+from rotcal_ros.observations import Observation
+from rotcal_ros.results import Residuals, Result
+
+ALPHA: Final = 0.001
+"""Significance of the test of one observation, as is usual in geodesy."""
+POWER: Final = 0.80
+"""Probability with which an error of the minimal detectable size is found."""
+CHECKED: Final = 1e-6
+"""Redundancy below which nothing checks an observation."""
+NUDGE: Final = 0.01
+"""Error, in standard deviations, whose effect on a result is taken as linear."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """Reliability of the n used observations, in the order of the residuals.
+
+    ``row`` (n,) are their rows among the residuals. ``detectable`` (n,) is the minimal detectable
+    error in standard deviations of the observation, for one of several coordinates in the mean
+    over the directions; inf where nothing checks it. ``effect`` (n,) bounds what such an error
+    does to any deviation, in standard uncertainties of that. ``std`` (n,) is the standard
+    deviation of the observations in metres, None where they do not tell it.
+    """
+
+    alpha: float
+    power: float
+    lambda0: float
+    row: Ints
+    table_position: Ints
+    target: Ints
+    redundancy: Floats
+    detectable: Floats
+    effect: Floats
+    std: Floats | None
+
+    @property
+    def unchecked(self) -> Bools:
+        """Which observations (n,) nothing checks."""
+        return np.asarray(~np.isfinite(self.detectable), dtype=np.bool_)
+
+    def worst(self, count: int) -> Ints:
+        """Return up to ``count`` observations, those with the largest effect first."""
+        order = np.lexsort((self.row, -self.effect))
+        return np.asarray(order[:count], dtype=np.int64)
+
+    def detectable_m(self) -> Floats | None:
+        """Return the minimal detectable errors (n,) in metres; None where no std is stated."""
+        return None if self.std is None else np.asarray(self.std * self.detectable)
+
+    def to_dict(self, count: int, effects: Floats | None = None) -> dict[str, Any]:
+        """Return plain types for JSON with the ``count`` worst, SI.
+
+        ``effects`` of these on the deviations, see :func:`effects_on_deviations`.
+        """
+        worst, metres = self.worst(count), self.detectable_m()
+        columns: dict[str, Any] = {
+            "row": self.row[worst],
+            "table_index": self.table_position[worst],
+            "target": self.target[worst],
+            "redundancy": self.redundancy[worst],
+            "detectable_std": self.detectable[worst],
+            "effect_bound_std": self.effect[worst],
+        }
+        if metres is not None:
+            columns["detectable_m"] = metres[worst]
+        if effects is not None:
+            columns["effect_std"] = effects
+        return {
+            "schema": 1,
+            "alpha": self.alpha,
+            "power": self.power,
+            "lambda0": self.lambda0,
+            "n_observations": len(self.row),
+            "n_unchecked": int(self.unchecked.sum()),
+            "mean_redundancy": float(self.redundancy.mean()) if len(self.row) else 0.0,
+            "worst": [
+                {name: _finite(value) for name, value in zip(columns, row, strict=True)}
+                for row in zip(*(column.tolist() for column in columns.values()), strict=True)
+            ],
+        }
+
+
+def reliability(residuals: Residuals, alpha: float = ALPHA, power: float = POWER) -> Reliability:
+    """Return the reliability of the used observations of a solution.
+
+    A point of three coordinates is tested as one: chi-squared with three degrees of freedom.
+    """
+    row = np.flatnonzero(residuals.used)
+    share = np.clip(residuals.redundancy[row], 0.0, 1.0)
+    checked = share > CHECKED
+    lambda0 = noncentrality(alpha, power, residuals.coordinates)
+    safe = np.where(checked, share, 1.0)
+    detectable = np.where(checked, np.sqrt(lambda0 / safe), np.inf)
+    effect = np.where(checked, np.sqrt(lambda0 * (1.0 - safe) / safe), np.inf)
+    return Reliability(
+        alpha=alpha,
+        power=power,
+        lambda0=lambda0,
+        row=row,
+        table_position=residuals.table_position[row],
+        target=residuals.target[row],
+        redundancy=share,
+        detectable=detectable,
+        effect=effect,
+        std=None if residuals.std is None else residuals.std[row],
+    )
+
+
+def effects_on_deviations(
+    calibration: Calibration,
+    observations: Sequence[Observation],
+    result: Result,
+    found: Reliability,
+    which: Ints,
+) -> Floats:
+    """Return what the minimal detectable errors of ``which`` do to the deviations, in their std.
+
+    The largest one over all angles and components, by solving again with a small error in each
+    coordinate; inf where nothing checks the observation. ``observations`` (n,) are those of
+    ``result``; what only closes a plan has no residual. Raises DataError when a residual belongs
+    to none of them, or when the observations tell no standard deviation.
+    """
+    metres = found.detectable_m()
+    if result.residuals is None:
+        raise DataError("the result has no residuals: no effect can be told")
+    places = _observation_of(result.residuals, observations)
+    if found.std is None or metres is None or not np.all(found.std[which] > 0.0):
+        raise DataError("the observations tell no standard deviation: state the noise in solver")
+    effects = np.full(len(which), np.inf)
+    for k, index in enumerate(which.tolist()):
+        if np.isfinite(metres[index]):
+            row, step = int(found.row[index]), NUDGE * float(found.std[index])
+            gain = _gain(calibration, observations, result, places[row], step)
+            effects[k] = metres[index] * float(gain.max(initial=0.0))
+    return effects
+
+
+def _observation_of(residuals: Residuals, observations: Sequence[Observation]) -> list[int]:
+    """Return by residual the index of its observation; both are in the order of measurement."""
+    rows = list(zip(residuals.table_position.tolist(), residuals.target.tolist(), strict=True))
+    found: list[int] = []
+    for index, o in enumerate(observations):
+        if len(found) < len(rows) and (o.table_position, o.target) == rows[len(found)]:
+            found.append(index)
+    if len(found) < len(rows):
+        raise DataError(
+            f"{len(rows) - len(found)} residuals are not those of one observation each: no effect "
+            "can be told"
+        )
+    return found
+
+
+def _gain(
+    calibration: Calibration,
+    observations: Sequence[Observation],
+    result: Result,
+    row: int,
+    step: float,
+) -> Floats:
+    """Return the change of every deviation per metre of error in its worst direction, in std."""
+    squares = np.zeros(1)
+    for axis in range(len(observations[row].mean)):
+        mean = list(observations[row].mean)
+        mean[axis] += step
+        changed = [*observations]
+        changed[row] = replace(observations[row], mean=tuple(mean))
+        again = calibration.solve(changed)
+        if not np.array_equal(again.angles, result.angles):
+            raise DataError("a small error changes which angles are solved: the plan is too weak")
+        squares = squares + np.square(_in_std(result, again) / step)
+    return np.asarray(np.sqrt(squares), dtype=np.float64)
+
+
+def _in_std(result: Result, again: Result) -> Floats:
+    """Return all changes of deviations between two solutions, in standard uncertainties."""
+    changes = []
+    for name in result.components:
+        std = result.std[name]
+        known = std > 0.0
+        changes.append((again.deviations[name] - result.deviations[name])[known] / std[known])
+    return np.concatenate(changes)
+
+
+def _finite(value: Any) -> Any:
+    """Return a number for JSON, which has no infinity: None."""
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,202 @@
+"""The joint network of stations and targets: one linearisation, and the way to its minimum.
+
+Every length touches one station and one target; one side is eliminated: with a prior the one
+with more unknowns, in a free network always the targets. What a free network leaves open is fixed
+by constraints; see :mod:`.joint`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.errors import DataError
+from rotcal_ros.geometry.rotations import cross_matrix
+from rotcal_ros.methods.tracer.adjustment import ranges
+from rotcal_ros.methods.tracer.grid import Grid
+from rotcal_ros.methods.tracer.schur import Reduced, eliminate
+
+CONVERGED: Final = 1e-14
+"""Squared length of the last step in standard deviations."""
+STAGNANT: Final = 1e-6
+"""Squared length below which a step that no longer shrinks is rounding."""
+FLAT: Final = 1e-4
+"""Squared length of a damped step, in standard deviations, that no longer matters."""
+MAX_ITERATIONS: Final = 200
+LEAST_DAMPING: Final = 1e-9
+"""Damping that is none, as a share of the largest weight of a coordinate."""
+RIGID_MOTIONS: Final = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """One linearisation: ``state`` (m, 4), ``targets`` (n, 3), errors, gradient and normal matrix.
+
+    ``f`` (m, n) is computed - observed, ``rows`` (m, n, 4) the design's station part (its target
+    part is minus the first three columns). ``blocks`` are those of stations (m, 4, 4), of targets
+    (n, 3, 3), and between them (4 m, 3 n). ``stations_kept``: the targets were eliminated.
+    """
+
+    state: Floats
+    targets: Floats
+    f: Floats
+    rows: Floats
+    chi2: float
+    station_gradient: Floats
+    target_gradient: Floats
+    blocks: tuple[Floats, Floats, Floats]
+    reduced: Reduced
+    stations_kept: bool
+    free: bool
+    lengths: Floats
+    weights: Floats
+
+    @property
+    def stiffness(self) -> float:
+        """The largest weight of a coordinate, 1/m^2."""
+        return float(self.blocks[1].max())
+
+    def damped(self, damping: float) -> Reduced:
+        """Return the normal matrix with ``damping`` (1/m^2) of every coordinate (Levenberg)."""
+        if damping == 0.0:
+            return self.reduced
+        stations, targets, cross = self.blocks
+        blocks = (stations + damping * np.eye(4), targets + damping * np.eye(3), cross)
+        return _reduce(blocks, self.stations_kept, self.state[:, :3] if self.free else None)
+
+    def step(self, reduced: Reduced) -> tuple[Floats, Floats]:
+        """Return the step of stations (m, 4) and targets (n, 3) that ``reduced`` gives."""
+        return self.respond(self.station_gradient, self.target_gradient, reduced)
+
+    def bend(self, reduced: Reduced, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Return what a step (x, y) lacks to keep the errors linear to second order."""
+        apart, unit = x[:, None, :3] - y, self.rows[:, :, :3]
+        reach = self.f + self.lengths + self.state[:, 3:]
+        curve = (apart**2).sum(axis=2) - (unit * apart).sum(axis=2) ** 2
+        pull = 0.5 * self.weights * curve / reach
+        by_station = (self.rows * pull[:, :, None]).sum(axis=1)
+        return self.respond(by_station, -(unit * pull[:, :, None]).sum(axis=0), reduced)
+
+    def respond(
+        self, station: Floats, target: Floats, reduced: Reduced | None = None
+    ) -> tuple[Floats, Floats]:
+        """Return the step that takes gradients (m, 4) and (n, 3) to zero."""
+        reduced = self.reduced if reduced is None else reduced
+        a, b = -station.ravel(), -target.ravel()
+        if self.stations_kept:
+            x, y = reduced.solve(a, b)
+        else:
+            y, x = reduced.solve(b, a)
+        return x.reshape(self.state.shape), y.reshape(self.targets.shape)
+
+
+def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
+    """Return the least-squares network near ``state`` (m, 4) and ``targets`` (n, 3).
+
+    Gauss-Newton while chi-squared falls. A free network may have a long bent valley: no length
+    feels the height of a target that is level with the tracer, to first order. Once a step has
+    gone wrong the steps follow the bend (Transtrum and Sethna, arXiv:1201.5885), and are damped
+    (Levenberg) until chi-squared falls. Where the valley is flat, any place of it will do.
+    """
+    network, before = linearise(grid, state, targets), np.inf
+    damping, curved = 0.0, False
+    for _ in range(MAX_ITERATIONS):
+        reduced = network.damped(damping)
+        by_station, by_target = network.step(reduced)
+        squared = -float(
+            (network.station_gradient * by_station).sum()
+            + (network.target_gradient * by_target).sum()
+        )
+        if curved:
+            more = network.bend(reduced, by_station, by_target)
+            by_station, by_target = by_station + more[0], by_target + more[1]
+        trial = linearise(grid, network.state + by_station, network.targets + by_target)
+        least = LEAST_DAMPING * network.stiffness
+        if trial.chi2 > network.chi2 + 1e-9 * max(network.chi2, 1.0):
+            if squared < STAGNANT and damping < 2.0 * least:
+                return network  # what is left to gain drowns in the rounding of chi-squared
+            damping = max(10.0 * damping, least) if curved else 0.0
+            curved = True
+            continue
+        network = trial
+        if damping == 0.0:
+            if squared < CONVERGED or (squared < STAGNANT and squared > 0.25 * before):
+                return network
+        elif damping < 2.0 * least and squared < FLAT:
+            return network
+        damping = 0.1 * damping if damping > 2.0 * least else 0.0
+        before = squared
+    raise DataError(
+        f"stations and targets do not settle together in {MAX_ITERATIONS} iterations: the lengths "
+        "do not fit the targets; check the order of the targets, or use the datum 'prior'"
+    )
+
+
+def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
+    """Return the network at ``state`` (m, 4), ``targets`` (n, 3): errors, gradient, normals."""
+    m, n = grid.used.shape
+    weights = grid.weights
+    distance, unit = ranges(state[:, :3], targets)
+    f = distance - state[:, 3:] - grid.length
+    rows = np.concatenate([unit, np.full((m, n, 1), -1.0)], axis=2)
+    weighted = rows * weights[:, :, None]
+    by_target = np.ascontiguousarray(unit.swapaxes(0, 1))
+    weighted_by_target = by_target * weights.T[:, :, None]
+    stations = rows.swapaxes(1, 2) @ weighted
+    blocks = by_target.swapaxes(1, 2) @ weighted_by_target
+    station_gradient = np.einsum("jia,ji->ja", weighted, f)
+    target_gradient = -np.einsum("jia,ji->ia", weighted[:, :, :3], f)
+    chi2 = float((weights * f**2).sum())
+    if not grid.free:
+        correction = (targets - grid.targets) / grid.target_std
+        chi2 += float((correction**2).sum())
+        target_gradient = target_gradient + correction / grid.target_std
+        blocks[:, [0, 1, 2], [0, 1, 2]] += grid.target_std**-2
+    cross = -(weighted.swapaxes(1, 2)[:, :, :, None] * unit[:, None]).reshape(4 * m, 3 * n)
+    stations_kept = grid.free or 4 * m <= 3 * n
+    whole = (stations, blocks, cross)
+    reduced = _reduce(whole, stations_kept, state[:, :3] if grid.free else None)
+    return Network(
+        state, targets, f, rows, chi2, station_gradient, target_gradient, whole, reduced,
+        stations_kept, grid.free, grid.length, weights,
+    )  # fmt: skip
+
+
+def _reduce(
+    blocks: tuple[Floats, Floats, Floats], stations_kept: bool, free: Floats | None
+) -> Reduced:
+    """Eliminate one side; ``free``: stations (m, 3) of a free network, which bind its datum."""
+    stations, targets, cross = blocks
+    if stations_kept:
+        constraints = None if free is None else _constraints(free)
+        return eliminate(stations, targets, cross, constraints)
+    return eliminate(targets, stations, np.ascontiguousarray(cross.T))
+
+
+def rigid(points: Floats) -> Floats:
+    """Return what three shifts and three turns about the origin do to ``points``: (3 k, 6)."""
+    motions = np.empty((len(points), 3, RIGID_MOTIONS))
+    motions[:, :, :3] = np.eye(3)
+    motions[:, :, 3:] = -cross_matrix(points)
+    return motions.reshape(-1, RIGID_MOTIONS)
+
+
+def _constraints(stations: Floats) -> Floats:
+    """Return what the ``stations`` (m, 3) must not do in a free network: (4 m, 7).
+
+    Six rigid motions, and growing away from their centroid, which is the station part of the
+    seventh up to a shift.
+    """
+    spread = stations - stations.mean(axis=0)
+    return with_distances(np.column_stack([rigid(spread), spread.ravel()]))
+
+
+def with_distances(motions: Floats) -> Floats:
+    """Insert the distances d, which these motions do not change: (3 m, c) to (4 m, c)."""
+    m, c = len(motions) // 3, motions.shape[1]
+    full = np.zeros((m, 4, c))
+    full[:, :3] = motions.reshape(m, 3, c)
+    return full.reshape(4 * m, c)

@@ -1,0 +1,201 @@
+"""What protects a tracer result against each effect that could spoil it, and how well.
+
+Drift, knock, scale and refraction are worked out for the measurement at hand: what each does to
+the deviations, and at which size a test would turn the verdict (:mod:`.response`).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.methods.distributions import chi2_isf
+from rotcal_ros.methods.tracer import disturbances
+from rotcal_ros.methods.tracer.angles import bearing_jacobian
+from rotcal_ros.methods.tracer.error_motion import circle_residuals
+from rotcal_ros.methods.tracer.response import Worst, respond
+from rotcal_ros.methods.tracer.solution import TracerSolution
+from rotcal_ros.methods.tracer.uncertainty import error_motion_covariance
+from rotcal_ros.methods.tracer.verdict import FAILED_FACTORS
+from rotcal_ros.protection import POWER, Effect, Protection, ordered
+
+LARGEST_MOVE: Final = 1e-4
+"""Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
+LARGEST_RATIO: Final = 1e-3
+"""Error of the scale, or of the air's index per metre of height, that nobody would overlook."""
+HARMLESS: Final = 0.1
+"""Error, in standard uncertainties, of what cannot be told from nothing."""
+
+
+def protections(solution: TracerSolution) -> tuple[Protection, ...]:
+    """Return a statement about every effect, in the fixed order."""
+    when = disturbances.timing(solution)
+    std = solution.angles.std
+    reach = float(np.linalg.norm(solution.fit.targets - solution.motion.centre, axis=1).max())
+    patterns = {
+        "drift": disturbances.drifts(solution, when),
+        "turn": disturbances.turning(solution, when) / reach,
+        "knock": disturbances.knocks(solution, when),
+        "scale": disturbances.scale(solution),
+        "refraction": disturbances.refraction(solution),
+    }
+    answer = respond(solution, np.concatenate(list(patterns.values())))
+    ends = np.cumsum([len(pattern) for pattern in patterns.values()])
+    part = {
+        name: answer.take(slice(end - len(patterns[name]), end))
+        for name, end in zip(patterns, ends.tolist(), strict=True)
+    }
+    worst = {
+        name: found.worst(std, LARGEST_RATIO if name in ("scale", "refraction") else LARGEST_MOVE)
+        for name, found in part.items()
+    }
+    drift = max(worst["drift"], worst["turn"], key=lambda unseen: unseen.error)
+    return ordered(
+        (
+            _moved("drift", drift, solution, "the machine's frame that drifts or turns"),
+            _moved("knock", worst["knock"], solution, "a tracer that slips on the table"),
+            _noise(solution),
+            _error_motion(solution),
+            _repeatability(solution, int(when.arrivals.min())),
+            _of_the_air("refraction", "air in layers", worst["refraction"]),
+            _of_the_air("scale", "a wrong scale of the lengths", worst["scale"]),
+            _tilt(solution),
+            Protection(
+                "gauge",
+                "harmless",
+                "no gauge is carried: the angle is counted on the circle of the stations, in its "
+                "own plane, whatever its radius and lean",
+            ),
+        )
+    )
+
+
+def _moved(effect: Effect, worst: Worst, solution: TracerSolution, what: str) -> Protection:
+    """Return the statement about ``what`` moves during the run and is a closure's to find."""
+    if worst.error <= HARMLESS:
+        return Protection(effect, "harmless", f"{what} moves what cancels in the angle")
+    closes = bool(solution.evidence.closures)
+    if not worst.seen:
+        cure = (
+            "the closure does not show it"
+            if closes
+            else "no position was measured again after a whole turn to show it"
+        )
+        return Protection(effect, "not protected", f"{what} turns the curve: {cure}")
+    tests = "residuals, circle and closure" if closes else "residuals and circle"
+    return Protection(effect, "tested", f"{what} shows in {tests} of the stations", worst.error)
+
+
+def _of_the_air(effect: Effect, what: str, worst: Worst) -> Protection:
+    """Return the statement about ``what`` spoils all lengths alike."""
+    if worst.error <= HARMLESS:
+        return Protection(effect, "harmless", f"{what} moves all stations alike")
+    if not worst.seen:
+        return Protection(
+            effect, "not protected", f"{what} bends the curve and leaves no residual"
+        )
+    return Protection(
+        effect, "tested", f"{what} shows in the residuals before it matters", worst.error
+    )
+
+
+def _noise(solution: TracerSolution) -> Protection:
+    """Return the statement about components of the noise that are larger than stated."""
+    return Protection(
+        "axis noise",
+        "tested",
+        "the noise of lengths and of the targets' x, y and z is tested apart, and estimated where "
+        "the statement does not hold",
+        float(np.max(_hidden_noise(solution))),
+    )
+
+
+def _hidden_noise(solution: TracerSolution) -> Floats:
+    """Return by component (5,) the error of a larger noise that just is found with POWER.
+
+    The sum of squares q is r / h times chi-squared of h = r^2 / H degrees of freedom; with a noise
+    f times as large it grows by (f^2 - 1) H.
+    """
+    evidence, angles = solution.noise_evidence, solution.angles
+    redundancy = np.maximum(evidence.redundancy, 1e-9)
+    information = np.maximum(evidence.information.diagonal(), 1e-9)
+    dof = np.maximum(redundancy**2 / information, 1e-3)
+    significance = 0.5 * solution.problem.settings.test_significance
+    ratio = chi2_isf(significance, dof) / np.maximum(chi2_isf(POWER, dof), 1e-30)
+    extra = redundancy / information * (ratio - 1.0)
+    felt = angles.std > 0.0
+    bearing = bearing_jacobian(solution.fit.stations, solution.motion)
+    bearing = (bearing - bearing[0])[felt]
+    by_axis = (np.tensordot(bearing, solution.covariance.felt, 1) ** 2).sum(axis=1)
+    lengths = angles.budget["lengths"][felt] ** 2
+    variance = np.column_stack([lengths, lengths, by_axis])
+    shares = (variance / angles.std[felt, None] ** 2).max(axis=0) * evidence.present
+    return np.asarray(np.sqrt(np.minimum(extra, FAILED_FACTORS**2) * shares), dtype=np.float64)
+
+
+def _error_motion(solution: TracerSolution) -> Protection:
+    motion = solution.error_motion
+    if motion.estimated:
+        return Protection(
+            "error motion",
+            "estimated",
+            f"{motion.used:.2g} m from {motion.dof} residuals of the circle, the tangential part "
+            "taken as large as the radial one",
+        )
+    return Protection(
+        "error motion",
+        "tested",
+        f"stated as {motion.stated:.2g} m; the circle of the stations shows the radial part of "
+        "more; left unset, it would be estimated",
+        _hidden_motion(solution),
+    )
+
+
+def _tilt(solution: TracerSolution) -> Protection:
+    motion = solution.error_motion
+    return Protection(
+        "tilt",
+        "estimated" if motion.estimated else "tested",
+        "the table's tilts shift the tracer by its height, as part of the error motion",
+        None if motion.estimated else _hidden_motion(solution),
+    )
+
+
+def _hidden_motion(solution: TracerSolution) -> float:
+    """Return the error of an unstated error motion that the circle just shows with POWER."""
+    motion, angles = solution.motion, solution.angles
+    dof = solution.error_motion.dof
+    significance = solution.problem.settings.test_significance
+    ratio = float(chi2_isf(significance, dof) / chi2_isf(POWER, dof))
+    covariance = solution.covariance
+    total = covariance.lengths + covariance.targets
+    total = total + error_motion_covariance(motion, solution.error_motion.used)
+    noise = float(np.linalg.eigvalsh(circle_residuals(motion, total).noise).mean())
+    bearing = bearing_jacobian(solution.fit.stations, motion)
+    unit = bearing - bearing[0]
+    in_plane = error_motion_covariance(motion, 1.0)
+    felt = np.sqrt(np.einsum("ia,ia->i", unit @ in_plane, unit))[1:] / angles.std[1:]
+    return float(np.sqrt((ratio - 1.0) * noise) * felt.max())
+
+
+def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:
+    if solution.problem.repeated_runs:
+        return Protection(
+            "repeatability", "estimated", "every position is reached in several runs"
+        )
+    if arrivals < 2:
+        return Protection(
+            "repeatability",
+            "not protected",
+            "the table arrives once at a position: what it does not repeat is in the curve and "
+            "not in the uncertainty",
+        )
+    return Protection(
+        "repeatability",
+        "tested",
+        f"the table arrives {arrivals} times or more at each position: what it does not repeat "
+        "joins the scatter of the lengths",
+        float(_hidden_noise(solution)[0]),
+    )

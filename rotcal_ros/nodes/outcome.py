@@ -1,0 +1,105 @@
+"""What a script hears of a calibration, and what it sends: plain data from and for messages."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from action_msgs.msg import GoalStatus
+from rotcal_msgs.action import Calibrate
+
+from rotcal_ros.catalogue import Configuration
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.results import Result
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """How far a calibration has come; None is what nobody knows yet.
+
+    ``accepted`` and ``rejected`` count attempts.
+    """
+
+    step: int
+    total: int
+    activity: str
+    time_left_s: float | None
+    current_std_rad: float | None
+    accepted: int
+    rejected: int
+
+    @classmethod
+    def of(cls, heard: Calibrate.Feedback) -> Feedback:
+        """Return what a message says."""
+        return cls(
+            step=heard.step,
+            total=heard.total,
+            activity=heard.activity,
+            time_left_s=_known(heard.time_left),
+            current_std_rad=_known(heard.current_std),
+            accepted=heard.n_accepted,
+            rejected=heard.n_rejected,
+        )
+
+    @property
+    def instruction(self) -> str:
+        """What a person has to do before the calibration goes on; empty: nothing."""
+        return self.activity.removeprefix(PAUSED) if self.activity.startswith(PAUSED) else ""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a calibration ended: ``error_code`` 0 means with a result, see docs/interfaces.md.
+
+    ``bag_folder`` and ``result_file`` are absolute paths, empty where there is none. The verdict
+    is ok, suspect or failed. ``skipped_steps`` were given up after all attempts.
+    """
+
+    canceled: bool = False
+    error_code: int = 0
+    error_msg: str = ""
+    bag_folder: str = ""
+    result_file: str = ""
+    verdict: str = ""
+    n_used: int = 0
+    n_rejected: int = 0
+    skipped_steps: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, answer: Any) -> Outcome:
+        """Return the answer of an action server, with its status."""
+        values = {n: getattr(answer.result, n) for n in cls.__slots__ if n != "canceled"}
+        values["skipped_steps"] = tuple(answer.result.skipped_steps)
+        return cls(canceled=answer.status == GoalStatus.STATUS_CANCELED, **values)
+
+    def load(self) -> Result:
+        """Return the result; DataError with the reason when there is none."""
+        if not self.result_file:
+            raise DataError(f"the calibration has no result: {self.error_msg}")
+        try:
+            text = Path(self.result_file).read_text(encoding="utf-8")
+        except OSError as error:
+            raise DataError(f"cannot read the result {self.result_file}: {error}") from error
+        return Result.from_dict(json.loads(text))
+
+
+def text_of(configuration: Path | str | Configuration) -> str:
+    """Return the YAML text of a configuration, however it is given."""
+    if isinstance(configuration, Configuration):
+        return configuration.text
+    if isinstance(configuration, str) and ("\n" in configuration or not configuration):
+        return configuration
+    try:
+        return Path(configuration).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(
+            f"cannot read the configuration {configuration}: {error}"
+        ) from error
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,83 @@
+"""What a calibration does about each effect that could spoil it: the language of trust.
+
+A small sigma0 proves nothing about an effect that the residuals cannot show. So every method says,
+effect by effect, whether it is estimated, tested, bounded by a statement, harmless, or *not
+protected*; people never read the verdict without the last of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+Effect = Literal[
+    "drift",
+    "knock",
+    "axis noise",
+    "error motion",
+    "repeatability",
+    "refraction",
+    "scale",
+    "tilt",
+    "gauge",
+]
+EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
+"""In the order in which people are shown them."""
+Treatment = Literal["estimated", "tested", "bounded", "harmless", "not protected"]
+TREATMENTS: Final[tuple[Treatment, ...]] = get_args(Treatment)
+
+POWER: Final = 0.95
+"""A test counts as protection against effects that it finds with this probability."""
+TOLERABLE: Final = 2.0
+"""Error, in stated standard uncertainties, that may stay unseen without being named."""
+
+
+@dataclass(frozen=True, slots=True)
+class Protection:
+    """What is done about one effect, and why that is enough or is not.
+
+    ``estimated``: a parameter of the fit, its uncertainty is part of the result. ``tested``: what
+    matters of it turns the verdict with a probability of POWER. ``bounded``: the uncertainty
+    contains a stated allowance. ``harmless``: it cannot touch the deviations. ``error`` is the
+    largest error that it causes where the test begins to find it with POWER, in stated standard
+    uncertainties; None where that is not known or does not apply.
+    """
+
+    effect: Effect
+    treatment: Treatment
+    why: str
+    error: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse words that are not of this language; raises ValueError."""
+        if self.effect not in EFFECTS:
+            raise ValueError(f"effect {self.effect!r}: expected one of {', '.join(EFFECTS)}")
+        if self.treatment not in TREATMENTS:
+            raise ValueError(
+                f"treatment {self.treatment!r}: expected one of {', '.join(TREATMENTS)}"
+            )
+
+
+def unprotected(protections: Iterable[Protection]) -> tuple[Effect, ...]:
+    """Return the effects against which there is no protection, in the order of EFFECTS.
+
+    A tested effect that may cause more than TOLERABLE before it is found counts among them.
+    """
+    bare = {
+        p.effect
+        for p in protections
+        if p.treatment == "not protected"
+        or (p.treatment == "tested" and p.error is not None and p.error > TOLERABLE)
+    }
+    return tuple(effect for effect in EFFECTS if effect in bare)
+
+
+def ordered(protections: Iterable[Protection]) -> tuple[Protection, ...]:
+    """Return the protections in the order of EFFECTS; raises ValueError for a second one."""
+    by_effect: dict[Effect, Protection] = {}
+    for protection in protections:
+        if protection.effect in by_effect:
+            raise ValueError(f"the effect {protection.effect!r} is stated twice")
+        by_effect[protection.effect] = protection
+    return tuple(by_effect[effect] for effect in EFFECTS if effect in by_effect)

@@ -1,0 +1,124 @@
+#!/usr/bin/env python3
+"""Write docs/what_could_be_wrong.md: each effect, its treatment, its size when found, its error.
+
+    python scripts/power_table.py --method tracer --runs 200 --output docs/what_could_be_wrong.md
+
+Without --method all of them. The sections of other methods in the output stay. The exit code is 1
+when an effect misleads: it does more than the tolerable error, unnoticed and unnamed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+from rotcal_ros.catalogue import prepare, read_configuration
+from rotcal_ros.evaluation.power_table import Bench, PowerRow, power_rows
+from rotcal_ros.files import write_atomically
+from rotcal_ros.protection import POWER, TOLERABLE
+
+PLANS = Path(__file__).parent / "power_plans"
+METHODS = ("tracer", "ball_plate", "plane_mirror")
+PAGE = Path(__file__).parents[1] / "docs" / "what_could_be_wrong.md"
+INTRODUCTION = f"""# What could be wrong, and would you see it?
+
+Every effect that could spoil a calibration was added to simulated measurements of a small plan,
+larger and larger, until the verdict was no longer `ok` in {100 * POWER:g} % of them. The error is
+what the effect does to the deviations up to there, unnoticed: root mean square over the
+measurements whose verdict stayed `ok`, at the worst component and angle (of effects that scatter:
+over all angles, which they hit alike), in standard uncertainties (k = 1) as that result states
+them. The noise itself is not in it.
+
+*Size* is where the verdict turns. Where it never does, the largest size that was tried stands
+there after "not up to"; "allowed" is the allowance that the configuration states and the
+uncertainty contains. *Named* says whether the verdict line names the effect ("ok, not protected
+against ..."). No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and
+unnamed.
+
+Sizes depend on the plan: lengths, redundancy, order. `make power` writes this page again;
+`python scripts/power_table.py --plan CONFIG --output PAGE` measures a plan of yours. The words:
+[conventions](conventions.md#uncertainty).
+"""
+
+
+def main() -> int:
+    """Measure, write the page, name what misleads."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--method", choices=METHODS, action="append", help="default: all")
+    parser.add_argument("--plan", type=Path, help="a configuration in place of the method's plans")
+    parser.add_argument("--runs", type=int, default=100, help="measurements of each size")
+    parser.add_argument("--output", type=Path, default=PAGE)
+    chosen = parser.parse_args()
+    plans = [chosen.plan] if chosen.plan else plans_of(chosen.method or METHODS)
+    misleading = []
+    for plan in plans:
+        bench = Bench(prepare(read_configuration(plan)), chosen.runs)
+        rows = power_rows(bench, lambda row: print(*_cells(row), sep=", ", flush=True))
+        _put(chosen.output, title_of(plan), _section(bench, rows))
+        misleading += [(plan.stem, row) for row in rows if row.misleads]
+    for name, row in misleading:
+        print(
+            f"{name}: {row.effect} may do {row.error:.3g} standard uncertainties under a verdict "
+            "that is ok and does not name it",
+            file=sys.stderr,
+        )
+    return int(bool(misleading))
+
+
+def plans_of(methods: Sequence[str]) -> list[Path]:
+    """Return the configurations that begin with the names of ``methods``."""
+    return [plan for name in methods for plan in sorted(PLANS.glob(f"{name}*.yaml"))]
+
+
+def title_of(plan: Path) -> str:
+    """Return the heading of a plan's section: the comment in its first line."""
+    return plan.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
+
+
+def _section(bench: Bench, rows: list[PowerRow]) -> str:
+    """Return the table of one method, and what each effect is."""
+    plan = bench.calibration.plan
+    result = bench.plain(0)
+    lines = [
+        f"{bench.runs} measurements of each size, {len(plan.table_angles)} table angles, "
+        f"{len(plan.steps)} steps. Without any effect {bench.false_alarms()} of {bench.runs} were",
+        f"not ok. Verdict line: `{result.verdict_line}`.",
+        "",
+        "| effect | treatment | size | error / std | named |",
+        "| --- | --- | --- | --- | --- |",
+        *("| " + " | ".join(_cells(row)) + " |" for row in rows),
+        "",
+        *(textwrap.fill(f"* {r.effect}: {r.what}", 100, subsequent_indent="  ") for r in rows),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _cells(row: PowerRow) -> tuple[str, str, str, str, str]:
+    size = f"{row.size:.3g} {row.unit}"
+    if row.allowed:
+        size = f"allowed {size}"
+    elif not row.reached:
+        size = f"not up to {size}"
+    return row.effect, row.treatment, size, f"{row.error:.2g}", "yes" if row.named else "no"
+
+
+def _put(page: Path, title: str, section: str) -> None:
+    """Write the page with ``section`` under its title, in place of what was there."""
+    old = page.read_text(encoding="utf-8") if page.exists() else ""
+    sections = dict(re.findall(r"^## (.*?)\n\n(.*?)(?=^## |\Z)", old, flags=re.M | re.S))
+    sections[title] = section + "\n"
+    known = [title_of(plan) for plan in plans_of(METHODS)]
+    order = [name for name in known if name in sections]
+    order += [name for name in sections if name not in known]
+    texts = [f"## {name}\n\n{sections[name].rstrip()}\n" for name in order]
+    write_atomically(page, "\n".join([INTRODUCTION, *texts]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

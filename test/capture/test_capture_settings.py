@@ -1,0 +1,21 @@
+"""The settings of the capture are those of the page."""
+
+import pytest
+from settings_page import assert_documented
+
+from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.errors import ConfigurationError
+
+
+def test_every_setting_is_as_documented():
+    assert CaptureSettings() == CaptureSettings(temperature_expected=True)  # they go together
+    assert assert_documented(CaptureSettings, "capture") == 18
+
+
+def test_settling_ends_before_the_timeout():
+    assert CaptureSettings(settle_time_s=7.5, step_timeout_s=7.625).settle_time_s == 7.5
+    words = (
+        "settle_time_s = 7.5 leaves no time for a window; expected less than step_timeout_s = 7.5"
+    )
+    with pytest.raises(ConfigurationError, match=words):
+        CaptureSettings(settle_time_s=7.5, step_timeout_s=7.5)

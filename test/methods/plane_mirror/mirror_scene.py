@@ -1,0 +1,18 @@
+"""A measured cell with known truth: deviations of a few arcsec, seen the wanted way."""
+
+import numpy as np
+
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, measure_direct, paper_cell
+from rotcal_ros.units import ARCSEC
+
+PLACES = np.array([[0.3, 0.1, 0.1], [-0.2, 0.25, 0.15]])
+"""Reflectors on the table, for the way "direct"."""
+
+
+def measured(way, cell=None, rng=None, reflectors=1, **more):
+    cell = paper_cell(reflectors=reflectors) if cell is None else cell
+    deviations = np.zeros((len(cell.angles), 6))
+    deviations[:, 5] = np.random.default_rng(5).normal(0.0, 5 * ARCSEC, len(cell.angles))
+    if way == "direct":
+        return measure_direct(cell, deviations, PLACES, rng=rng, **more)
+    return measure(cell, deviations, rng=rng, way=way, **more)

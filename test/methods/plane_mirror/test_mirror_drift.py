@@ -1,0 +1,268 @@
+"""The tracker drifts while it stands: found by nests measured again, taken away, or named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drifting_tracker import ARCSEC, Creep, campaign
+from scipy.stats import binom
+
+from rotcal_ros.methods.plane_mirror import check_nests, solve
+from rotcal_ros.methods.plane_mirror.correction import KNOCK
+from rotcal_ros.methods.plane_mirror.drift import find_drift
+from rotcal_ros.methods.plane_mirror.layout import nest_rounds
+from rotcal_ros.methods.plane_mirror.prepare import prepare
+from rotcal_ros.observations import PointKind
+
+WAYS = ("stitching", "registration", "joint")
+RUNS = 1000
+CREEPS = {
+    "azimuth": Creep(azimuth=3.0 * ARCSEC),
+    "range": Creep(range=5e-6),
+    "tilt": Creep(tilt_x=2.0 * ARCSEC, tilt_y=-1.0 * ARCSEC),
+    "shift": Creep(shift=(8e-6, -5e-6, 3e-6)),
+    "none": Creep(),
+}
+
+
+def nearly_exact(found, **settings):
+    """Points whose noise of picometres only keeps repeated readings from being copies."""
+    return found.problem(found.noisy(np.random.default_rng(1), 1, 1e-7)[0], **settings)
+
+
+def runs(creep, way="joint", seed=3, count=RUNS, **layout):
+    """Return errors (count, 17) of independent measurements, and the result of the first."""
+    found = campaign(creep, **layout)
+    points = found.noisy(np.random.default_rng(seed), count)
+    problem = found.problem(points[0], way=way)
+    return prepare(problem).prepared.estimate(points) - found.ecc, solve(problem)
+
+
+def coverage(errors, result):
+    return float(np.mean(np.abs(errors[:, 1:]) <= 1.959964 * result.std["ECC"][1:]))
+
+
+def effect_of(result):
+    return {p.effect: p for p in result.protections}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("creep", ["azimuth", "tilt", "shift"])
+def test_a_linear_drift_leaves_no_trace_in_exact_points(creep, way):
+    found = campaign(CREEPS[creep])
+    result = solve(nearly_exact(found, way=way))
+    assert np.abs(result.deviations["ECC"] - found.ecc).max() < 1e-9
+
+
+def test_the_drift_of_every_station_is_reported_with_its_parts():
+    creeps = [Creep(azimuth=k * ARCSEC, tilt_x=-k * ARCSEC, range=k * 1e-6) for k in range(6)]
+    result = solve(nearly_exact(campaign(creeps)))
+    drift = result.details["drift"]
+    assert [d["station"] for d in drift] == ["0", "1", "2", "3", "4", "5"]
+    for k, station in enumerate(drift):
+        # The nests see only what came from the middle of the first to the last of the points.
+        np.testing.assert_allclose(
+            station["turn_rad"], [[-k * ARCSEC, 0.0, k * ARCSEC]], atol=2e-4 * k * ARCSEC + 1e-11
+        )
+        np.testing.assert_allclose(station["range_m"], k * 1e-6, atol=1e-9)
+    spread = np.array([d["turn_std_rad"][0] for d in drift]) / ARCSEC
+    assert np.all(spread > 0.2)
+    assert np.all(spread < 1.0)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("creep", CREEPS)
+def test_95_percent_intervals_hold_the_truth_while_the_tracker_drifts(creep, way):
+    assert 0.93 <= coverage(*runs(CREEPS[creep], way)) <= 0.97
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_95_percent_intervals_hold_with_nests_in_between(every):
+    assert 0.93 <= coverage(*runs(CREEPS["azimuth"], every=every)) <= 0.97
+
+
+def test_95_percent_intervals_hold_with_three_nests():
+    assert 0.93 <= coverage(*runs(CREEPS["azimuth"], n_nests=3)) <= 0.97
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_without_closing_nests_the_drift_is_named(way):
+    """Here the intervals do hold too little, and nothing in the data tells."""
+    errors, result = runs(CREEPS["azimuth"], way, closing=False)
+    assert coverage(errors, result) < 0.9
+    assert effect_of(result)["drift"].treatment == "not protected"
+    assert "station 0, 1, 2, 3, 4, 5" in effect_of(result)["drift"].why
+    assert "drift" in result.unprotected
+    assert "drift" not in result.details
+
+
+def test_a_station_left_without_closing_nests_is_named():
+    found = campaign(CREEPS["azimuth"])
+    problem = found.problem(found.noisy(np.random.default_rng(2), 1)[0])
+    rounds = nest_rounds(problem)
+    kept = ~((problem.station == 3) & (rounds == rounds[problem.station == 3].max()))
+    fewer = replace(
+        problem,
+        **{name: getattr(problem, name)[kept] for name in ("position", "station", "kind", "nest")},
+        xyz=problem.xyz[kept],
+    )
+    drift = effect_of(solve(fewer))["drift"]
+    assert drift.treatment == "not protected"
+    assert "left station 3," in drift.why
+
+
+def test_a_large_drift_makes_the_result_suspect_unless_nests_show_its_course():
+    found = campaign(CREEPS["azimuth"])
+    result = solve(found.problem(found.noisy(np.random.default_rng(2), 1)[0]))
+    assert result.verdict == "suspect"
+    assert "tracker station 0 moved between rounds of nests (azimuth 3." in result.warnings[0]
+    assert "plan.nests_every" in result.warnings[0]
+    shown = campaign(CREEPS["azimuth"], every=1)
+    result = solve(shown.problem(shown.noisy(np.random.default_rng(2), 1)[0]))
+    assert result.verdict == "ok", result.warnings
+    assert "drift" not in result.unprotected
+
+
+def test_without_drift_false_alarms_are_as_rare_as_stated():
+    found = campaign()
+    points = found.noisy(np.random.default_rng(11), 300)
+    drifts = [find_drift(found.problem(p)) for p in points]
+    chances = np.array([[s.probability(1e-3) for s in d.stations] for d in drifts]).ravel()
+    for level in (0.5, 0.05, 0.01):
+        alarms = int((chances < level).sum())
+        assert binom.cdf(alarms, len(chances), level) > 1e-3
+        assert binom.sf(alarms - 1, len(chances), level) > 1e-3
+    squares = sum(s.chi_square for d in drifts for s in d.stations)
+    dof = sum(s.dof for d in drifts for s in d.stations)
+    assert abs(squares / dof - 1.0) < 5.0 * np.sqrt(2.0 / dof)
+    verdicts = [solve(found.problem(p)).verdict for p in points[:60]]
+    assert verdicts.count("ok") >= 59
+
+
+def test_the_drift_costs_little_and_closing_nests_pay_for_it():
+    exact = campaign(Creep(), closing=False)
+    without = solve(exact.problem()).std["ECC"][1:].mean()
+    closed = campaign()
+    result = solve(closed.problem(closed.noisy(np.random.default_rng(1), 1)[0]))
+    assert result.std["ECC"][1:].mean() < 1.02 * without
+    prepared = prepare(nearly_exact(closed)).prepared
+    extra = prepared.drift_response() @ prepared.drift.covariance @ prepared.drift_response().T
+    known = np.diag(result.covariance["ECC"] - extra)[1:]
+    assert np.sqrt(known).mean() > 0.9 * result.std["ECC"][1:].mean()
+
+
+def test_a_drift_that_comes_to_rest_is_followed_by_nests_in_between():
+    creep = Creep(azimuth=3.0 * ARCSEC, course=lambda t: (1 - np.exp(-3 * t)) / (1 - np.exp(-3)))
+    errors = [
+        np.abs(solve(nearly_exact(found)).deviations["ECC"] - found.ecc).max()
+        for found in (campaign(creep), campaign(creep, every=1))
+    ]
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("at", [0.25, 0.5, 0.85])
+def test_a_knock_leaves_no_more_than_is_said(way, at):
+    """The protection against knocks rests on KNOCK: the error over what the correction moved."""
+    creeps = [Creep()] * 6
+    creeps[2] = Creep(azimuth=2.0 * ARCSEC, course=lambda share: float(share > at))
+    found = campaign(creeps)
+    result = solve(nearly_exact(found, way=way))
+    error = np.abs((result.deviations["ECC"] - found.ecc)[1:] / result.std["ECC"][1:]).max()
+    moved = max(d["moved_standard_uncertainties"].max() for d in result.details["drift"])
+    assert 0.5 < error / moved < KNOCK
+    knock = effect_of(result)["knock"]
+    assert knock.treatment == "tested"
+    assert knock.error > 2.0
+    assert "knock" in result.unprotected
+
+
+def test_a_nest_that_moves_while_the_tracker_stands_is_named_and_spoils_nothing():
+    found = campaign(moved=(4, 5, (0.15e-3, -0.1e-3, 0.0)))
+    problem = found.problem(found.noisy(np.random.default_rng(4), 1)[0])
+    result = solve(problem)
+    assert result.verdict == "suspect"
+    assert len(result.warnings) == 1
+    assert "nest 4 moved while the tracker was at station 2 (by 0.1" in result.warnings[0]
+    assert "nest 4 moved while the tracker was at station 2" in check_nests(problem)[0]
+    error = (result.deviations["ECC"] - found.ecc)[1:] / result.std["ECC"][1:]
+    assert np.abs(error).max() < 3.5
+    stitched = solve(replace(problem, way="stitching"))
+    assert len(stitched.warnings) == 1
+    assert "left out of the drift" in stitched.warnings[0]
+
+
+def test_the_live_check_asks_for_what_the_newest_rounds_show():
+    """A nest that moved between the stations is told at the first nests, and not once more."""
+    found = campaign(moved=(4, 5, (0.15e-3, -0.1e-3, 0.0)))
+    whole = found.problem(found.noisy(np.random.default_rng(4), 1)[0])
+    rounds = nest_rounds(whole)
+
+    def check(until):
+        kept = np.arange(len(rounds)) <= np.flatnonzero(rounds == until)[-1]
+        names = ("position", "station", "kind", "nest")
+        so_far = replace(
+            whole, **{name: getattr(whole, name)[kept] for name in names}, xyz=whole.xyz[kept]
+        )
+        return check_nests(so_far, newest=True)
+
+    assert check(1) == check(4) == []
+    assert len(check(5)) == 1
+    assert check(6) == check(7) == []
+    first = campaign(moved=(4, 1, (0.15e-3, -0.1e-3, 0.0)))
+    whole = first.problem(first.noisy(np.random.default_rng(4), 1)[0])
+    assert check(0) == []
+    assert check(1) == [
+        "nest 4 moved while the tracker was at station 0; it is left out of the drift there"
+    ]
+    between = campaign(moved=(4, 2, (0.15e-3, -0.1e-3, 0.0)))
+    whole = between.problem(between.noisy(np.random.default_rng(4), 1)[0])
+    assert check(2)[0].startswith("nest 4 moved between tracker stations 0 and 1")
+    assert check(3) == []
+
+
+def test_a_reflector_badly_seated_in_one_round_is_named():
+    found = campaign(every=2)
+    problem = found.problem(found.noisy(np.random.default_rng(4), 1)[0])
+    xyz = problem.xyz.copy()
+    once = (problem.nest == 2) & (problem.kind == PointKind.NEST) & (nest_rounds(problem) == 4)
+    assert once.sum() == 1
+    xyz[once] += [0.0, 0.2e-3, 0.1e-3]
+    result = solve(replace(problem, xyz=xyz))
+    assert any("nest 2 stood elsewhere at station 1 in one of its rounds" in w
+               for w in result.warnings)  # fmt: skip
+
+
+def test_the_moment_counts_not_the_order_of_the_rows():
+    found = campaign(CREEPS["azimuth"])
+    problem = found.problem(found.noisy(np.random.default_rng(2), 1)[0])
+    n = len(problem.xyz)
+    order = np.lexsort([np.arange(n), problem.kind, problem.station])
+    shuffled = replace(
+        problem,
+        **{
+            name: getattr(problem, name)[order] for name in ("position", "station", "kind", "nest")
+        },
+        xyz=problem.xyz[order],
+        time=100.0 + 2.5 * order,
+    )
+    one, two = solve(problem), solve(shuffled)
+    np.testing.assert_allclose(two.deviations["ECC"], one.deviations["ECC"], atol=1e-13)
+    np.testing.assert_allclose(two.std["ECC"], one.std["ECC"], rtol=1e-6)
+    blind = solve(replace(shuffled, time=None))
+    assert "drift" in blind.unprotected
+
+
+def test_what_the_drift_takes_is_what_the_estimate_feels():
+    """The correction is linear in the points: its gain against finite differences."""
+    found = campaign(CREEPS["azimuth"], every=2)
+    problem = found.problem(found.noisy(np.random.default_rng(2), 1)[0])
+    drift = find_drift(problem)
+    station = drift.stations[1]
+    step = np.zeros_like(problem.xyz)
+    step[station.rows] = 1e-6 * np.random.default_rng(5).standard_normal((len(station.rows), 3))
+    moved = find_drift(replace(problem, xyz=problem.xyz + step)).stations[1]
+    expected = (station.gain @ step[station.rows].ravel()).reshape(-1, 7)
+    np.testing.assert_allclose(moved.change - station.change, expected, atol=2e-11)
+    again = find_drift(replace(problem, xyz=drift.corrected(problem.xyz)))
+    assert max(np.abs(s.change).max() for s in again.stations) < 1e-9

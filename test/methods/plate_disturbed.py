@@ -1,0 +1,68 @@
+"""A plate measured in an order of rows, with knocks and drift as displacements of its rows."""
+
+import numpy as np
+from plate_data import RADIUS, make_truth, measure, rotate_z
+
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.planning.ball_plan import plan_measurement
+from rotcal_ros.units import ARCSEC, MICROMETRE
+
+DEMO_PLATE = [0, 2, 5, 9, 11, 15, 17, 21, 24, 26, 29, 33]
+NOISE = 5e-8
+SHIFT = MICROMETRE * np.array([5.0, -3.0, 2.0])
+TURN = ARCSEC * np.array([4.0, -2.0, 6.0])
+ORDERS = {
+    "interleaved": {},
+    "table_once": {"order": "table_once"},
+    "probe_rests": {"order": "probe_rests"},
+}
+
+
+def on_plate(grid, ball):
+    angle = 2 * np.pi * ball / grid
+    return RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+
+
+def knocked(grid, table, ball, moment, shift=SHIFT, turn=TURN):
+    """Displacements when plate and balls move on the table before row ``moment``."""
+    moved = shift + np.cross(turn, on_plate(grid, ball))
+    later = np.arange(len(table)) >= moment
+    return np.where(later[:, None], rotate_z(moved, 2 * np.pi * table / grid), 0.0)
+
+
+def drifted(n, amount):
+    """Displacements when the origin of the CMM moves by ``amount`` (3,) over the run."""
+    return np.linspace(0.0, 1.0, n)[:, None] * np.asarray(amount)
+
+
+def measured(grid, balls, seed, order=None, noise=NOISE, displaced=None, **fields):
+    """Return a problem in the rows of a plan; ``displaced`` takes (table, ball) to metres."""
+    plan = plan_measurement(grid, balls, **(order or {}))
+    table, ball = plan.position, plan.ball_step
+    truth = make_truth(grid, balls, seed)
+    centres = measure(grid, balls, truth, table, ball)
+    if displaced is not None:
+        centres = centres + displaced(table, ball)
+    rng = np.random.default_rng([seed, 7])
+    centres = centres + noise * rng.normal(size=centres.shape)
+    row = np.arange(len(table))
+    return BallPlateProblem(grid, RADIUS, table, ball, centres, row=row, **fields), truth
+
+
+def errors(result, truth):
+    """Largest error of each curve, in stated standard deviations (6,)."""
+    return np.array(
+        [
+            np.max(np.abs(result.deviations[n] - truth.component(n)) / result.std[n])
+            for n in COMPONENTS
+        ]
+    )
+
+
+def caused(disturbed, clean):
+    """Largest error that the disturbance alone causes, in stated standard deviations."""
+    return max(
+        np.max(np.abs(disturbed.deviations[n] - clean.deviations[n]) / clean.std[n])
+        for n in COMPONENTS
+    )

@@ -1,0 +1,145 @@
+"""Drift of the CMM as parameters of the fit: their cost, and what an order hides of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plate_data import RADIUS, rotate_z
+from plate_disturbed import (
+    DEMO_PLATE,
+    ORDERS,
+    drifted,
+    measured,
+    on_plate,
+)
+
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate import closure, plate_trials, solve
+from rotcal_ros.methods.ball_plate.estimate import solved as solve_exactly
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_an_estimated_drift_is_taken_off_with_its_uncertainty(degree):
+    """Bordered to the spectral solution, it equals the dense normal equations with its columns."""
+    problem, _ = measured(
+        12, list(range(12)), 4, displaced=lambda i, _: drifted(len(i), [1e-6, -2e-6, 3e-6])
+    )
+    once, again = closure.split(problem)
+    linear, solved = solve_exactly(replace(once, drift=degree))
+    dense, unit = by_pseudo_inverse(once, degree)
+    estimate = linear.fit(once.deviations)[0]
+    for number, name in enumerate(COMPONENTS):
+        scale = 1.0 if number < 3 else RADIUS
+        np.testing.assert_allclose(estimate.component(name) * scale, dense[number], atol=1e-15)
+        value = solved.estimate.component(name) * scale  # beside products of small quantities
+        np.testing.assert_allclose(value, dense[number], atol=1e-9)
+        std = solved.unit_std.component(name) * scale
+        np.testing.assert_allclose(std, unit[number], rtol=1e-7)
+        covariance = solved.unit_covariance(name, name)
+        np.testing.assert_allclose(np.sqrt(np.diag(covariance)) * scale, unit[number], rtol=1e-7)
+    assert solved.drift is not None
+    rest = np.array(solve(replace(problem, drift=degree)).details["residual_rows"]["vector"])
+    np.testing.assert_allclose(np.sum(rest**2), solved.weighted_square_sum, rtol=1e-9)
+    fitted = np.array([1e-6, -2e-6, 3e-6]) * 143 / 155  # until the closing begins
+    np.testing.assert_allclose(solved.drift.amount[0], fitted, atol=6e-8)
+    assert again is not None
+
+
+def by_pseudo_inverse(problem, degree):
+    """Deviations and unit standard deviations (6, N) in metres, by a pseudo-inverse.
+
+    Columns of table, plate and CMM from differences of :func:`measure`-like physics; the gauge is
+    brought to zero mean and no first harmonic afterwards, by a projection of the solution.
+    """
+    grid, table, ball = problem.grid, problem.position, problem.ball_step
+    n = len(table)
+    place = on_plate(grid, (table + ball) % grid) / RADIUS
+    time = np.linspace(-0.5, 0.5, problem.rows.max() + 1)[problem.rows]
+    axes = np.eye(3)
+
+    def where(mask, displacements):
+        return [np.where(mask[:, None], d, 0.0) for d in displacements]
+
+    turned = [rotate_z(np.tile(axis, (n, 1)), 2 * np.pi * table / grid) for axis in axes]
+    columns = []
+    for i in range(grid):
+        columns += where(table == i, [*axes, *(np.cross(axis, place) for axis in axes)])
+    for b in np.unique(ball):
+        columns += where(ball == b, turned)
+    for k in range(grid):
+        columns += where((table + ball) % grid == k, axes)
+    for power in range(1, degree + 1):
+        columns += [(time**power)[:, None] * axis for axis in axes]
+    design = np.array(columns).reshape(len(columns), -1).T
+    inverse = np.linalg.pinv(design, rcond=1e-9)
+    gauge = table_gauge(grid) @ inverse[: 6 * grid]
+    values = (gauge @ problem.deviations.ravel()).reshape(grid, 6).T
+    spread = np.sqrt(np.sum(gauge**2, axis=1)).reshape(grid, 6).T
+    return values, spread
+
+
+def table_gauge(grid):
+    """Projector (6 N, 6 N) that takes off means, and what turns with the table in x and y."""
+    angle = 2 * np.pi * np.arange(grid) / grid
+    taken = []
+    for start in (0, 3):
+        for axis in range(3):
+            mean = np.zeros((grid, 6))
+            mean[:, start + axis] = 1.0
+            taken.append(mean.ravel())
+        for x, y in ((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))):
+            turning = np.zeros((grid, 6))
+            turning[:, start], turning[:, start + 1] = x, y
+            taken.append(turning.ravel())
+    basis, _ = np.linalg.qr(np.array(taken).T)
+    return np.eye(6 * grid) - basis @ basis.T
+
+
+def test_trials_know_an_estimated_drift():
+    problem, _ = measured(12, list(range(12)), 0, drift=1)
+    trials = plate_trials(problem)(np.random.default_rng(1), 150)
+    spread = trials.reshape(150, 6, 12).std(axis=0).mean(axis=1)
+    stated = np.array([solve(problem).std[name].mean() for name in COMPONENTS])
+    np.testing.assert_allclose(spread / stated, 1.0, atol=0.08)
+
+
+def test_estimated_drift_keeps_its_intervals():
+    inside = total = 0
+    for seed in range(30):
+        problem, truth = measured(
+            36, DEMO_PLATE, seed, drift=1,
+            displaced=lambda i, _: drifted(len(i), [2e-6, -1e-6, 1e-6]),
+        )  # fmt: skip
+        found = solve(problem)
+        assert found.protections[0].treatment == "estimated"
+        for name in COMPONENTS:
+            off = np.abs(found.deviations[name] - truth.component(name)) / found.std[name]
+            inside, total = inside + np.count_nonzero(off < 1.96), total + len(off)
+    assert 0.93 < inside / total < 0.97
+
+
+@pytest.mark.parametrize("order", ["table_once", "probe_rests"])
+def test_a_drift_that_the_order_hides_is_not_estimated(order):
+    problem, _ = measured(36, DEMO_PLATE, 0, ORDERS[order], drift=1)
+    with pytest.raises(ObservabilityError, match="interleaved"):
+        solve(problem)
+
+
+def test_a_stated_allowance_enlarges_the_uncertainty_by_what_it_does():
+    order = {"order": "table_once", "closing": False}
+    plain, _ = measured(36, DEMO_PLATE, 2, order)
+    bounded, _ = measured(36, DEMO_PLATE, 2, order, drift_allowance=1e-6)
+    disturbed, _ = measured(
+        36, DEMO_PLATE, 2, order, displaced=lambda i, _: drifted(len(i), [1e-6, 1e-6, 1e-6])
+    )
+    less, more, moved = solve(plain), solve(bounded), solve(disturbed)
+    assert "drift" not in more.unprotected
+    assert more.protections[0].treatment == "bounded"
+    error = moved.deviations["EZC"] - less.deviations["EZC"]
+    added = more.std["EZC"] ** 2 - less.std["EZC"] ** 2
+    np.testing.assert_allclose(added, error**2 / 3.0, atol=0.02 * np.max(error**2))
+    for name in COMPONENTS:
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(more.covariance[name])), more.std[name], rtol=1e-9
+        )

@@ -1,0 +1,96 @@
+"""A knock of the plate and a single bad centre: each is called what it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from exact_plate import ExactPlate, about_z
+
+from rotcal_ros.methods.ball_plate import solve
+
+SIGMA = 5e-8
+GRID = 24
+BALLS = [0, 1, 3, 4, 7, 9, 12, 14, 15, 18, 20, 22]
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return ExactPlate(GRID, BALLS, table=2e-6, machine=2e-6, made=1e-5, seed=1).problem()
+
+
+def numbered(problem, order):
+    """Rows numbered table position by table position, or CMM position by CMM position."""
+    first = problem.position if order == "table_once" else problem.cmm_index
+    rank = np.argsort(np.lexsort((problem.ball_step, first)))
+    return replace(problem, row=rank)
+
+
+def noisy(problem, rng):
+    return problem.centres + SIGMA * rng.normal(size=problem.centres.shape)
+
+
+@pytest.mark.parametrize("order", ["table_once", "probe_rests"])
+@pytest.mark.parametrize("size", [1e-6, 5e-5])
+def test_one_bad_centre_is_never_called_a_knock(exact, order, size):
+    problem = numbered(exact, order)
+    rng = np.random.default_rng(3)
+    for row in range(int(size > 1e-5), len(problem.centres), 4):
+        centres = noisy(problem, rng)
+        away = rng.normal(size=3)
+        centres[row] += size * away / np.linalg.norm(away)
+        result = solve(replace(problem, centres=centres))
+        assert result.verdict != "failed", problem.row_name(row)
+        assert int(problem.rows[row]) in {r.index for r in result.rejected}
+
+
+def test_two_bad_centres_at_one_table_position_are_no_knock(exact):
+    problem = numbered(exact, "table_once")
+    rng = np.random.default_rng(4)
+    for position in range(GRID):
+        centres = noisy(problem, rng)
+        there = np.flatnonzero(problem.position == position)[[4, 7]]
+        centres[there] += 2e-6 * rng.normal(size=(2, 3))
+        assert solve(replace(problem, centres=centres)).verdict != "failed"
+
+
+def knocked(problem, moment, rng, shift, turn):
+    """All rows from ``moment`` on, after the plate moved on the table."""
+    centres = noisy(problem, rng)
+    for r in np.flatnonzero(problem.rows >= moment):
+        table = about_z(2 * np.pi * problem.position[r] / GRID)
+        on_table = table.T @ problem.centres[r]
+        centres[r] += table @ (np.cross(turn, on_table) + shift)
+    return replace(problem, centres=centres)
+
+
+def found(exact, order, moments, size):
+    problem, rng, count = numbered(exact, order), np.random.default_rng(5), 0
+    for moment in moments:
+        shift, turn = rng.normal(size=(2, 3))
+        shift *= size / np.linalg.norm(shift)
+        turn *= size / 0.185 / np.linalg.norm(turn)
+        result = solve(knocked(problem, moment, rng, shift, turn))
+        if result.verdict == "failed":
+            knock = result.details["groups"][0]["knock"]
+            count += abs(knock["first_row"] - moment) <= 2
+    return count / len(moments)
+
+
+def test_a_knock_between_cmm_positions_is_found_as_before(exact):
+    moments = range(30, 260, 5)
+    assert found(exact, "probe_rests", moments, 3e-7) > 0.9
+    assert found(exact, "probe_rests", moments, 3e-6) > 0.95
+
+
+def test_a_knock_within_a_table_position_is_found(exact):
+    """Six balls before and six after it; two and ten for a large one."""
+    halves = range(30, 260, 12)
+    assert found(exact, "table_once", halves, 1e-6) > 0.9
+    quarters = range(26, 260, 12)
+    assert found(exact, "table_once", quarters, 5e-6) > 0.95
+
+
+def test_a_knock_in_one_axis_is_not_taken_for_its_noise(exact):
+    problem, rng = numbered(exact, "probe_rests"), np.random.default_rng(5)
+    result = solve(knocked(problem, 120, rng, np.zeros(3), np.array([2e-5, 0.0, 0.0])))
+    assert result.verdict == "failed"

@@ -1,0 +1,150 @@
+"""Groups of table positions: their frames and covariances; the words of separability."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plate_data import RADIUS, grid_rows, simulated
+
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.methods.ball_plate import BallPlateProblem, plate_trials, solve
+from rotcal_ros.methods.ball_plate.separability import Separability, separability
+from rotcal_ros.methods.ball_plate.solution import split
+
+
+def slope_of(problem):
+    """The deviations (6 N, 3 n) per centre: they are linear, so one step of each is enough."""
+    start = solve(problem).deviations
+    columns = []
+    for place in range(problem.centres.size):
+        step = np.zeros(problem.centres.size)
+        step[place] = 1e-6
+        moved = solve(replace(problem, centres=problem.centres + step.reshape(-1, 3))).deviations
+        columns.append([(moved[name] - start[name]) / 1e-6 for name in COMPONENTS])
+    return np.moveaxis(np.array(columns), 0, -1)  # (6, N, 3 n)
+
+
+@pytest.mark.parametrize("shift", [0, 1])
+def test_covariances_of_groups_are_the_noise_sent_through_the_solution(shift):
+    balls = np.arange(0, 8, 2) + shift
+    table, ball = grid_rows(8, balls)
+    angle = 2 * np.pi * (table + ball) / 8
+    centres = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    problem = BallPlateProblem(
+        8, RADIUS, table, ball, centres, sigma=1e-3, separate_groups=True
+    )  # so large a noise rejects nothing
+    result = solve(problem)
+    slope = slope_of(problem)
+    for name, rows in zip(COMPONENTS, slope, strict=True):
+        expected = 1e-6 * rows @ rows.T
+        found = result.covariance[name]
+        np.testing.assert_allclose(found, expected, atol=1e-5 * expected.max(), err_msg=name)
+        np.testing.assert_allclose(result.std[name], np.sqrt(np.diag(expected)), rtol=1e-4)
+
+
+@pytest.mark.parametrize("shift", [0, 1, 2])
+def test_a_group_begins_with_its_first_ball_on_the_x_axis(shift):
+    std = np.random.default_rng(1).uniform(1e-7, 2e-7, (48, 3))
+    whole, _ = simulated(12, [1, 4, 7, 10], std=std)
+    balls = (whole.ball_step + shift) % 12
+    problem = replace(whole, ball_step=balls, separate_groups=True)
+    groups = split(problem)
+    assert len(groups) == 3
+    for first, group in enumerate(groups):
+        rows = problem.position % 3 == first
+        start = int(problem.balls[0] % 3)
+        part = group.problem
+        assert group.positions.tolist() == list(range(first, 12, 3))
+        assert group.turn == pytest.approx(2 * np.pi * ((first + start) % 12) / 12)
+        assert part.grid == 4
+        assert not part.separate_groups
+        order = np.argsort(part.rows)
+        wanted = np.argsort(problem.rows[rows])
+        np.testing.assert_array_equal(
+            3 * part.position[order] + first, problem.position[rows][wanted]
+        )
+        np.testing.assert_array_equal(
+            3 * part.ball_step[order] + start, problem.ball_step[rows][wanted]
+        )
+        cos, sin = np.cos(group.turn), np.sin(group.turn)
+        x, y, z = problem.centres[rows][wanted].T
+        turned = np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+        np.testing.assert_allclose(part.centres[order], turned, atol=1e-15)
+        own = problem.std[rows][wanted]
+        plane = np.sqrt((own[:, 0] ** 2 + own[:, 1] ** 2) / 2)
+        np.testing.assert_allclose(part.std[order], np.column_stack([plane, plane, own[:, 2]]))
+
+
+def test_a_group_that_was_not_measured_is_named():
+    problem, _ = simulated(24, [0, 2, 4, 8, 14, 20], separate_groups=True)
+    part = problem.take(problem.position % 2 == 0)
+    with pytest.raises(
+        ObservabilityError, match=r"at the table positions 1, 3, \.\.\.: one group"
+    ):
+        solve(part)
+
+
+def test_findings_are_spelled_with_ranges():
+    found = Separability(3, 4, {"ECC": (1, 2, 3, 7), "EZC": (5,)}, {"EXC, EYC": (2, 3, 9, 10, 12)})
+    assert found.sentences() == (
+        "all distances between balls share the factor 3 with the grid, which splits the positions "
+        "into 3 groups without a connection (Eq. 22)",
+        "cannot be told apart from plate and CMM: harmonics 1-3, 7 of ECC; harmonic 5 of EZC; "
+        "choose ball steps without a common factor, or more balls",
+        "only weakly separated: harmonics 2-3, 9-10, 12 of EXC, EYC",
+    )
+    assert not found.separable
+    assert Separability(1, 0, {}, {}).separable
+    assert Separability(1, 0, {}, {}).sentences() == ()
+
+
+def weak_harmonics(grid, balls):
+    """Harmonics of heights and tilts whose smallest eigenvalue is below a thousandth of R."""
+    balls, found = np.array(balls), set()
+    for q in range(1, grid // 2 + 1):
+        turn = [np.exp(-2j * np.pi * p * balls / grid) for p in (q + 1, q - 1, q)]
+        root = np.sqrt(0.5)
+        design = np.column_stack([1j * root * turn[0], -1j * root * turn[1], turn[2]])
+        design = design - design.mean(axis=0)
+        if q == 1:
+            design = np.delete(design, 1, axis=1)  # a constraint fixes this one
+        values = np.linalg.svd(design, compute_uv=False) ** 2
+        if values[-1] < 1e-3 * len(balls):
+            found.add(q)
+    return found
+
+
+@pytest.mark.parametrize(("grid", "balls"), [(24, [0, 1, 2, 3, 4]), (12, [0, 1, 2, 3, 5])])
+def test_balls_side_by_side_separate_weakly(grid, balls):
+    found = separability(grid, np.array(balls))
+    assert found.separable
+    weak = weak_harmonics(grid, balls)
+    assert set(found.weak.get("EZC", ())) == weak
+    assert bool(found.weak) == (grid == 24)
+    problem, _ = simulated(grid, balls)
+    warnings = solve(problem).warnings
+    assert any(text.startswith("only weakly separated: ") for text in warnings) == (grid == 24)
+
+
+def test_rejected_centres_stay_rejected_in_trials():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], sigma=5e-8)
+    centres = problem.centres.copy()
+    centres[17] += 1e-5
+    trials = plate_trials(replace(problem, centres=centres))
+    assert trials.std.shape == (3 * 143,)
+    assert (trials.std == 5e-8).all()
+    found = solve(problem.take(np.arange(144) != 17)).deviations
+    np.testing.assert_allclose(
+        trials.value, np.concatenate([found[name] for name in COMPONENTS]), atol=1e-15
+    )
+
+
+def test_trials_of_large_grids_are_solved_one_by_one(monkeypatch):
+    problem, _ = simulated(12, [0, 1, 3, 7, 8, 10], sigma=5e-8)
+    straight = plate_trials(problem)
+    monkeypatch.setattr("rotcal_ros.methods.ball_plate.general.MAX_UNKNOWNS", 131)
+    # 18 of the plate, 36 of the CMM, 72 of the table, 6 of the axis
+    assert type(plate_trials(problem)) is not type(straight)
+    monkeypatch.setattr("rotcal_ros.methods.ball_plate.general.MAX_UNKNOWNS", 132)
+    assert type(plate_trials(problem)) is type(straight)

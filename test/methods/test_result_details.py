@@ -1,0 +1,104 @@
+"""The details of a result are those of the documentation: every key, and its shape."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plate_data import simulated
+
+from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, measure_direct, paper_cell
+from rotcal_ros.methods import ball_plate, plane_mirror
+
+PAGE = Path(__file__).parents[2] / "docs" / "conventions.md"
+WAYS = ("direct", "stitching", "registration", "joint")
+
+
+def documented(method, way=""):
+    """Return the shape of each key of a method, in words."""
+    found = {}
+    for line in PAGE.read_text().splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if len(cells) != 4 or cells[0] != f"`{method}`":
+            continue
+        limits = re.search(r"\((not )?(\w+)\)$", cells[3])
+        if limits and limits[2] in WAYS and (limits[2] == way) == bool(limits[1]):
+            continue
+        found |= {key.strip(" `"): cells[2] for key in cells[1].split(",")}
+    return found
+
+
+def flat(details, prefix=""):
+    """Return all values by their documented key; of lists of entries, each entry's."""
+    found = {}
+    for key, value in details.items():
+        if isinstance(value, dict):
+            found |= flat(value, f"{prefix}{key}.")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for entry in value:
+                for name, one in flat(entry, f"{prefix}{key}[].").items():
+                    found.setdefault(name, []).extend(one)
+        else:
+            found[prefix + key] = [value]
+    return found
+
+
+def assert_documented(details, shapes, sizes):
+    found = flat(details)
+    assert set(found) == set(shapes)
+    for key, values in found.items():
+        for value in values:
+            if shapes[key] in ("text", "list"):
+                assert isinstance(value, str if shapes[key] == "text" else list), key
+            elif shapes[key] == "number":
+                assert np.ndim(value) == 0, key
+                assert not isinstance(value, str), key
+            else:
+                wanted = tuple(sizes.get(part, None) or int(part) for part in shapes[key].split())
+                assert np.shape(value) == wanted, key
+
+
+def test_details_of_the_ball_plate():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], sigma=5e-8)
+    sizes = {"N": 24, "R": 6, "S": 24, "k": 144}
+    details = ball_plate.solve(problem).details
+    assert_documented(details, documented("ball_plate"), sizes)
+    assert details["groups"][0]["way"] == "spectral"
+    gap = problem.take(np.arange(144) != 7)
+    details = ball_plate.solve(gap).details
+    assert_documented(details, documented("ball_plate"), {**sizes, "k": 143})
+    assert details["groups"][0]["way"] == "spectral with gaps"
+    weighted = replace(problem, sigma=None, std=np.linspace(4e-8, 6e-8, 432).reshape(144, 3))
+    details = ball_plate.solve(weighted).details
+    assert_documented(details, documented("ball_plate"), sizes)
+    assert details["groups"][0]["way"] == "general"
+
+
+def test_a_knock_has_its_own_details():
+    problem, _ = simulated(24, [0, 3, 4, 9, 14, 20], sigma=5e-8)
+    table = problem.angles[problem.position]
+    shift = np.column_stack([np.cos(table), np.sin(table), 0.0 * table]) * 2e-6
+    late = (problem.cmm_index >= 12)[:, None]
+    order = np.empty(144, dtype=int)
+    order[np.lexsort((problem.position, problem.cmm_index))] = np.arange(144)
+    result = ball_plate.solve(replace(problem, centres=problem.centres + late * shift, row=order))
+    knock = result.details["groups"][0]["knock"]
+    assert set(knock) == {"last_row", "first_row", "shift", "rotation"}
+    assert (knock["last_row"], knock["first_row"]) == (71, 72)
+    np.testing.assert_allclose(knock["shift"][:2], [2e-6, 0.0], atol=1e-7)
+    assert np.shape(knock["rotation"]) == (3,)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_details_of_the_plane_mirror(way):
+    deviations = np.zeros((17, 6))
+    if way == "direct":
+        problem = measure_direct(paper_cell(), deviations, np.array([[0.3, 0.1, 0.1]]))
+    else:
+        problem = measure(paper_cell(), deviations, way=way)
+    details = plane_mirror.solve(problem).details
+    assert_documented(details, documented("plane_mirror", way), {"N": 17})
+    assert details["way"] == way
+    if way != "stitching":
+        assert [entry["station"] for entry in details["stations"]] == list("012345")

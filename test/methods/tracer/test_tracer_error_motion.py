@@ -1,0 +1,125 @@
+"""Error motion that nobody stated: the circle of the stations tells how much there is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rotcal_ros.methods.tracer import TracerProblem, solve
+from rotcal_ros.methods.tracer.adjustment import StationCovariance
+from rotcal_ros.methods.tracer.angles import bearing_jacobian, table_motion
+from rotcal_ros.methods.tracer.error_motion import error_motion_of
+from rotcal_ros.methods.tracer.uncertainty import error_motion_covariance
+
+ARCSEC = np.pi / 648000
+RADIUS, HEIGHT = 0.1, 0.25
+
+
+def tilted(seed, tilt, m=12, n=16, **options):
+    """Return a problem with its true deviations; ``tilt``: EAC and EBC scatter so much, rad."""
+    rng = np.random.default_rng(seed)
+    commanded = 2 * np.pi * np.arange(m) / m
+    deviation = 3 * ARCSEC * np.sin(commanded)
+    actual = commanded + deviation
+    stations = np.stack(
+        [RADIUS * np.cos(actual), RADIUS * np.sin(actual), np.full(m, HEIGHT)], axis=1
+    )
+    about = tilt * rng.standard_normal((m, 2))
+    stations[:, 0] += about[:, 1] * HEIGHT
+    stations[:, 1] -= about[:, 0] * HEIGHT
+    stations[:, 2] += about[:, 0] * stations[:, 1] - about[:, 1] * stations[:, 0]
+    around = 2 * np.pi * np.arange(n) / n
+    targets = np.stack(
+        [0.5 * np.cos(around), 0.5 * np.sin(around), 0.1 + 0.6 * (np.arange(n) % 3)], axis=1
+    )
+    length = np.sqrt(((stations[:, None] - targets) ** 2).sum(axis=2)) - 0.3
+    length += 2e-7 * rng.standard_normal((m, n))
+    j, i = np.divmod(np.arange(m * n), n)
+    return TracerProblem(
+        position=j, target=i, length=length.ravel(), length_std=2e-7, targets=targets,
+        target_std=0.0, table_angles=commanded, variant="station", **options,
+    ), deviation  # fmt: skip
+
+
+def expected(tilt):
+    """What a tilt does to a deviation that counts from the first, rad (k = 1)."""
+    return np.sqrt(2.0) * tilt * HEIGHT / RADIUS
+
+
+@pytest.mark.parametrize("stated", [None, 0.0, 1e-7])
+def test_an_unstated_tilt_is_in_the_uncertainty(stated):
+    problem, deviation = tilted(1, 3 * ARCSEC, error_motion_std=stated)
+    result = solve(problem)
+    assert result.verdict == ("ok" if stated is None else "suspect")
+    assert np.mean(result.std["ECC"][1:]) == pytest.approx(expected(3 * ARCSEC), rel=0.5)
+    error = np.abs(result.deviations["ECC"] - deviation)[1:]
+    assert np.sqrt(np.mean(error**2)) > 3 * ARCSEC  # it is as bad as that
+    assert np.mean(error <= 1.96 * result.std["ECC"][1:]) >= 0.8
+    motion = result.details["error_motion"]
+    assert motion["stated"] == stated
+    assert motion["used"] == motion["allowed"] > motion["likely"] > 2e-6
+    if stated is not None:
+        assert any("larger than the stated" in text for text in result.warnings)
+
+
+def test_a_statement_that_fits_stays_to_the_last_bit():
+    problem, _ = tilted(2, 0.4e-6 / HEIGHT, error_motion_std=4e-7)
+    motion = solve(problem).details["error_motion"]
+    assert motion["used"] == motion["stated"] == 4e-7
+    assert motion["dof"] == 9
+
+
+def test_a_zero_that_was_stated_is_believed_until_the_circle_speaks():
+    problem, _ = tilted(3, 0.0, error_motion_std=0.0)
+    result = solve(problem)
+    assert result.details["error_motion"]["used"] == 0.0
+    left_open = solve(tilted(3, 0.0)[0])
+    assert left_open.details["error_motion"]["used"] > 0.0
+    assert (left_open.std["ECC"][1:] > result.std["ECC"][1:]).all()
+    assert left_open.verdict == "ok"
+
+
+@pytest.mark.parametrize("m", [5, 12])
+@pytest.mark.parametrize("motion_std", [3e-7, 3e-6])
+def test_95_percent_of_the_deviations_lie_inside(m, motion_std):
+    """Only stations and their noise: 1000 circles, as many estimates of their error motion."""
+    rng, noise, runs = np.random.default_rng(m), 2e-7, 1000
+    angles = 2 * np.pi * np.arange(m) / m
+    true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
+    known = StationCovariance(
+        noise**2 * np.eye(3 * m), np.zeros((3 * m, 3 * m)), np.zeros((3 * m, 0, 3)), 100.0
+    )
+    hits = []
+    for _ in range(runs):
+        stations = true + noise * rng.standard_normal((m, 3))
+        stations[:, :2] += motion_std * rng.standard_normal((m, 2))
+        found = table_motion(stations, angles)
+        estimate = error_motion_of(found, known, 1.0, None, contradicted=False)
+        total = known.lengths + error_motion_covariance(found, estimate.used)
+        bearing = bearing_jacobian(stations, found)
+        seen = bearing - bearing[0]
+        std = np.sqrt(np.einsum("ia,ia->i", seen @ total, seen))[1:]
+        hits.append(np.abs(found.cumulative[1:]) <= 1.96 * std)
+    assert np.mean(hits) >= 0.93
+    if m > 5 or motion_std > 5 * noise:  # two residuals cannot tell so little from more
+        assert np.mean(hits) <= 0.97
+
+
+def test_without_any_error_motion_little_is_added():
+    rng, m, noise = np.random.default_rng(3), 24, 2e-7
+    angles = 2 * np.pi * np.arange(m) / m
+    true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
+    known = StationCovariance(
+        noise**2 * np.eye(3 * m), np.zeros((3 * m, 3 * m)), np.zeros((3 * m, 0, 3)), 100.0
+    )
+    used = [
+        error_motion_of(
+            table_motion(true + noise * rng.standard_normal((m, 3)), angles),
+            known,
+            1.0,
+            None,
+            False,
+        ).used
+        for _ in range(100)
+    ]
+    assert np.median(used) < 0.7 * noise

@@ -1,0 +1,196 @@
+"""Where the limits of the tracer's checks lie: just inside is taken, just outside refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tracer_scene import arc, low_ring, simulate
+
+from rotcal_ros.errors import DataError, GeometryError
+from rotcal_ros.geometry.rotations import rotation_from_vector
+from rotcal_ros.methods.tracer import solve
+from rotcal_ros.methods.tracer.angles import table_motion
+from rotcal_ros.methods.tracer.grid import arrange
+from rotcal_ros.methods.tracer.screening import critical_value, reject, rejection_limit
+from rotcal_ros.methods.tracer.start import find_start
+from rotcal_ros.methods.tracer.station import adjust_stations, locate_stations
+
+M, N = 9, 24
+
+
+def scene(**more):
+    return simulate(3, angles=arc(M), n=N, layout=low_ring, **more)
+
+
+@pytest.mark.parametrize("reach", [99.9, 100.1])
+def test_targets_further_apart_than_a_tracer_reaches_are_in_another_unit(reach):
+    wide = scene(length_std=0.0)
+    targets = wide.targets * reach / np.linalg.norm(np.ptp(wide.targets, axis=0))
+    distance = np.linalg.norm(wide.stations[:, None] - targets, axis=2)
+    problem = wide.problem(targets=targets, length=distance.ravel())
+    if reach < 100.0:
+        assert arrange(problem)[0].used.all()
+        return
+    with pytest.raises(
+        DataError, match=r"lie up to 100.1 m apart, no tracer reaches beyond 100 m"
+    ):
+        arrange(problem)
+
+
+@pytest.mark.parametrize("target_std", [0.0, 1e-3])
+@pytest.mark.parametrize("margin", [-1e-6, 1e-6])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_length_may_differ_by_the_diagonal_of_the_targets(margin, target_std, sign):
+    """From the station's median; ten standard deviations of length and coordinate come to it."""
+    good = scene(length_std=0.0)
+    span = np.linalg.norm(np.ptp(good.targets, axis=0)) + 10 * 1e-4 + 10 * target_std
+    length = good.length.copy()
+    length[4, 7] = 1e3 * sign
+    middle = np.median(length[4])
+    length[4, 7] = middle + sign * (span + margin)
+    problem = good.problem(length=length.ravel(), length_std=1e-4, target_std=target_std)
+    grid, absent = arrange(problem)
+    unfit = absent.unfit
+    assert absent.repeated == {}
+    assert grid.used[4, 7] == (margin < 0)
+    if margin > 0:
+        assert unfit == {
+            4 * N + 7: (
+                f"station 4, target 7: differs by {span:.4g} m from the station's median, but the "
+                f"targets lie at most {span:.4g} m apart"
+            )
+        }
+
+
+@pytest.mark.parametrize("count", [54, 55])
+def test_more_than_a_quarter_of_impossible_lengths_is_another_unit(count):
+    good = scene(length_std=0.0)
+    length = good.length.ravel().copy()
+    rows = np.random.default_rng(5).permutation(M * N)[:count]
+    # to and fro, so that the medians stay among the others
+    length[rows] += 50.0 * np.where(np.arange(count) % 2, 1.0, -1.0)
+    problem = good.problem(length=length)
+    if count <= 0.25 * M * N:
+        assert len(arrange(problem)[1].unfit) >= count
+        return
+    with pytest.raises(DataError, match="are the lengths in millimetres"):
+        arrange(problem)
+
+
+@pytest.mark.parametrize("factor", [0.98, 1.02])
+def test_lengths_that_hardly_differ_belong_to_another_unit(factor):
+    """A thousandth of the targets' spread is where nine tenths of the differences must lie."""
+    good = scene(length_std=0.0)
+    middle = np.median(good.length, axis=1, keepdims=True)
+    usual = np.quantile(np.abs(good.length - middle), 0.9)
+    span = np.linalg.norm(np.ptp(good.targets, axis=0)) + 10 * 1e-9
+    length = middle + (good.length - middle) * factor * 1e-3 * span / usual
+    problem = good.problem(length=length.ravel(), length_std=1e-9)
+    if factor > 1.0:
+        arrange(problem)
+        return
+    with pytest.raises(DataError, match=r"spread over .* m only, but the targets lie .* m apart"):
+        arrange(problem)
+
+
+@pytest.mark.parametrize("lean_deg", [44.9, 45.1])
+def test_the_axis_leans_by_less_than_half_a_right_angle(lean_deg):
+    angle = np.radians(np.arange(0.0, 330.0, 30.0))
+    flat = 0.07 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    stations = flat @ rotation_from_vector(np.radians([lean_deg, 0.0, 0.0])).T
+    if lean_deg < 45.0:
+        motion = table_motion(stations, angle)
+        assert np.degrees(motion.tilt) == pytest.approx(lean_deg)
+        np.testing.assert_allclose(motion.cumulative, 0.0, atol=1e-12)
+        np.testing.assert_allclose(motion.radial, 0.0, atol=1e-15)
+        assert motion.radius == pytest.approx(0.07)
+        return
+    with pytest.raises(GeometryError, match=r"turn about an axis 45\.1 deg away from"):
+        table_motion(stations, angle)
+
+
+@pytest.mark.parametrize("off", [0.0999, 0.1001])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_station_stands_within_a_tenth_of_a_radian_of_its_command(off, sign):
+    good = scene(length_std=0.0)
+    angles = good.angles.copy()
+    angles[5] += sign * off + good.deviation[5]
+    problem = good.problem(table_angles=angles)
+    if off < 0.1:
+        assert solve(problem).deviations["ECC"][5] == pytest.approx(-sign * off, abs=1e-9)
+        return
+    text = (
+        f"station 5 stands {-sign * off:.3f} rad from its commanded angle of {angles[5]:.3f} rad"
+    )
+    with pytest.raises(DataError, match=text):
+        solve(problem)
+
+
+@pytest.mark.parametrize("size", [0.98, 1.02])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_length_is_rejected_beyond_the_critical_value(size, sign):
+    """Of good lengths one is moved until its own normalised residual is at the limit."""
+    good = scene(length_std=0.0)
+    problem = good.problem()
+    grid, _ = arrange(problem)
+    start, _ = find_start(grid, None)
+    redundancy = adjust_stations(grid, start).redundancy[2, 9]
+    limit = rejection_limit(grid, 0.01)
+    assert limit == critical_value(0.01, M * N + 3 * N)
+    moved = sign * size * limit * 2e-7 / np.sqrt(redundancy)
+    length = grid.length.copy()
+    length[2, 9] += moved
+    kept, why = reject(adjust_stations, replace(grid, length=length), start, 0.01)
+    fit = adjust_stations(kept, start)
+    assert kept.used[2, 9] == (size < 1.0)
+    assert kept.used.sum() == M * N - (size > 1.0)
+    if size > 1.0:
+        value = sign * size * limit
+        residual = moved * redundancy
+        assert why == {
+            2 * N + 9: (
+                f"station 2, target 9: test value {value:+.1f} beyond {limit:.2f} (residual "
+                f"{residual:+.3g} m)"
+            )
+        }
+        assert fit.residual[2, 9] == pytest.approx(moved, rel=1e-4)
+        assert fit.redundancy[2, 9] == 0.0
+
+
+@pytest.mark.parametrize("far", [0.03, 0.3, 1.0])
+def test_stations_are_found_from_afar(far):
+    """Damping and line search bring each station home; one that is home already stays."""
+    good = scene(length_std=0.0)
+    zero = np.linalg.norm(good.stations - good.targets[0], axis=1)
+    truth = np.column_stack([good.stations, zero])
+    start = truth.copy()
+    start[1:, :3] += far * np.random.default_rng(8).normal(size=(M - 1, 3))
+    weights = np.full(good.length.shape, 1e12)
+    found, settled = locate_stations(good.targets, good.length, weights, start)
+    assert settled[0]
+    near = np.abs(found - truth).max(axis=1) < 1e-9
+    assert near[0]
+    # a few may end below the targets, where the mirror image of a far start lies
+    assert near.mean() > (0.99 if far < 0.1 else 0.5)
+
+
+def test_weights_make_the_weighted_minimum():
+    """Gradient of the weighted sum of squares, by central differences: zero where it ends."""
+    noisy = scene(length_std=1e-5)
+    weights = np.random.default_rng(2).uniform(0.0, 3.0, noisy.length.shape)
+    weights[weights < 0.3] = 0.0
+    zero = np.linalg.norm(noisy.stations - noisy.targets[0], axis=1)
+    found, settled = locate_stations(
+        noisy.targets, noisy.length, weights, np.column_stack([noisy.stations, zero])
+    )
+    assert settled.all()
+
+    def square(state):
+        distance = np.linalg.norm(state[:, None, :3] - noisy.targets, axis=2)
+        return (weights * (distance - state[:, 3:] - noisy.length) ** 2).sum(axis=1)
+
+    for axis in range(4):
+        step = 2e-5 * np.eye(4)[axis]
+        slope = (square(found + step) - square(found - step)) / 4e-5
+        curve = (square(found + step) + square(found - step) - 2 * square(found)) / 4e-10
+        assert np.abs(slope / curve).max() < 1e-8
