@@ -28,6 +28,9 @@ LEAVING: Final = "leaving"
 RECORDING_FAILED: Final = "recording failed"
 """How the state of a recorder begins that cannot write any more."""
 LEAVE_TIMEOUT_S: Final = 0.5
+SOLVING: Final = "solving"
+"""State of a node whose numerics may hold up its beat: it is given SOLVING_TIMEOUT_S."""
+SOLVING_TIMEOUT_S: Final = 10.0
 
 Values = Mapping[str, object]
 
@@ -36,13 +39,20 @@ Values = Mapping[str, object]
 class RollCall:
     """Who is there: ``seen`` is name -> monotonic time (s) of the last beat.
 
-    ``timeout_s`` is the silence after which a node counts as lost. A pause of the caller itself
-    (a stalled machine) is not blamed on the others: it is granted to all.
+    ``timeout_s`` is the silence after which a node counts as lost, SOLVING_TIMEOUT_S for those
+    that are ``solving``. A pause of the caller itself (a stalled machine) is not blamed on the
+    others: it is granted to all.
     """
 
     timeout_s: float
     seen: dict[str, float] = field(default_factory=dict)
+    solving: set[str] = field(default_factory=set)
     _checked: float | None = None
+
+    def hear(self, name: str, state: str, now: float) -> None:
+        """Take a beat of node ``name``."""
+        self.seen[name] = now
+        (self.solving.add if state == SOLVING else self.solving.discard)(name)
 
     def silent(self, now: float) -> dict[str, float]:
         """Return the lost names with their silence in seconds; call it regularly."""
@@ -50,7 +60,11 @@ class RollCall:
         self._checked = now
         if pause > self.timeout_s / 2:
             self.seen = {name: seen + pause for name, seen in self.seen.items()}
-        return {n: now - seen for n, seen in self.seen.items() if now - seen > self.timeout_s}
+        silence = {name: now - seen for name, seen in self.seen.items()}
+        return {name: s for name, s in silence.items() if s > self._granted(name)}
+
+    def _granted(self, name: str) -> float:
+        return SOLVING_TIMEOUT_S if name in self.solving else self.timeout_s
 
 
 class Health:
@@ -128,18 +142,22 @@ class Health:
         self._beats.publish(self._status(LEAVING, {}))
         self._beats.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
 
+    def beat(self) -> None:
+        """Tell the others the state now, before the next beat is due."""
+        if self._report is not None:
+            self._beats.publish(self._status(*self._report()))
+
     def _hear(self, batch: Batch) -> None:
         for status, _ in batch:
             if status.message == LEAVING:
                 self._roll.seen.pop(status.name, None)
                 self.others.pop(status.name, None)
             elif status.name != self._node.get_name():
-                self._roll.seen[status.name] = time.monotonic()
+                self._roll.hear(status.name, status.message, time.monotonic())
                 self.others[status.name] = status
 
     def _beat(self) -> None:
-        if self._report is not None:
-            self._beats.publish(self._status(*self._report()))
+        self.beat()
         silent = self._roll.silent(time.monotonic())
         for name in silent.keys() - self.lost:
             self._node.get_logger().error(f"node {name} fell silent {silent[name]:.1f} s ago")

@@ -18,6 +18,7 @@ from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
+from rotcal_ros.nodes.health import SOLVING
 from rotcal_ros.nodes.plans import calibration_of, read_continuation, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run
@@ -136,7 +137,8 @@ class SolverNode(CellNode):
                 f"the observations of {len(missing)} accepted steps did not arrive at the solver "
                 f"(first: {missing[0][1]}); solve the bag instead, it holds them all"
             )
-        self._state = "solving"
+        self._state = SOLVING
+        self.health.beat()
         return await self.answer_of(self._begin(calibration), SOLVE_TIMEOUT_S)
 
     def _publish(self, result: Result, *, final: bool) -> None:

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rotcal_ros.nodes.health import RollCall
+from rotcal_ros.nodes.health import SOLVING, RollCall
 
 
 def watched(until, silent_from):
@@ -38,3 +38,22 @@ def test_the_callers_own_pause_is_not_blamed_on_others():
     for now in (60.7, 61.2):
         assert roll.silent(now) == {}
     assert set(roll.silent(61.7)) == {"a"}
+
+
+def test_who_is_solving_is_given_more_time_and_no_more_than_that():
+    roll = RollCall(timeout_s=1.4)
+    lost: dict[str, int] = {}
+    for turn in range(100):
+        now = 0.2 * turn
+        if turn == 0:
+            roll.hear("solver", SOLVING, now)
+            roll.hear("dead solver", SOLVING, now)
+            roll.hear("recorder", "recording", now)
+        if turn == 25:
+            roll.hear("solver", "final result", now)
+        for name in roll.silent(now):
+            lost.setdefault(name, turn)
+    turns = {"recorder": (7, 8), "solver": (32, 33), "dead solver": (50, 51)}
+    assert lost.keys() == turns.keys()
+    for name, between in turns.items():
+        assert lost[name] in between, name
