@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -57,6 +57,19 @@ class Block:
         for size in np.unique(self.size):
             rows = np.flatnonzero(self.size == size)
             yield rows, gather(raw, self.start[rows], int(size))
+
+
+def joined(blocks: Sequence[Block]) -> Block:
+    """Return the messages of several blocks as one, in their order."""
+    if len(blocks) == 1:
+        return blocks[0]
+    begins = np.cumsum([0, *(len(block.data) for block in blocks[:-1])])
+    return Block(
+        b"".join(block.data for block in blocks),
+        np.concatenate([block.start + at for block, at in zip(blocks, begins, strict=True)]),
+        np.concatenate([block.size for block in blocks]),
+        np.concatenate([block.headers for block in blocks]),
+    )
 
 
 def gather(raw: Bytes, start: Ints, size: int) -> Bytes:

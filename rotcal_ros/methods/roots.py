@@ -16,7 +16,9 @@ RELATIVE: Final = 4.0 * 2.0**-52
 MAX_ITERATIONS: Final = 100
 
 
-def root_between(function: Callable[[float], float], a: float, b: float, tolerance: float) -> float:
+def root_between(
+    function: Callable[[float], float], a: float, b: float, tolerance: float
+) -> float:
     """Return where ``function`` is zero between ``a`` and ``b``, to about ``tolerance``.
 
     Inverse quadratic steps while they shrink, bisection else (Brent 1973, Algorithms for
