@@ -11,7 +11,7 @@ from rotcal_ros.methods.roots import root_between
 
 FUNCTIONS = {
     "cubic": (lambda x: x**3 - 2.0 * x - 5.0, 2.0, 3.0),
-    "flat": (lambda x: (x - 0.3) ** 3, -1.0, 1.5),
+    "bent": (lambda x: math.exp(5.0 * x) - 40.0, -1.0, 1.5),
     "steep": (lambda x: math.erfc(x / 1e-6) - 0.05, 0.0, 2e-5),
     "step": (lambda x: -1.0 if x < 0.7 else 2.0, 0.0, 1.0),
     "zero at the end": (lambda x: x - 1.0, 1.0, 2.0),
