@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -133,5 +134,9 @@ def _definitions(channel: ChannelDefinition) -> dict[str, Any]:
         raise BagError(
             f"topic {channel.topic}: the definition of {channel.type_name} cannot be read: {error}"
         ) from error
-    known = {name: get_types_from_msg(_SECONDS, name)[name] for name in _ALWAYS_KNOWN}
-    return known | dict(types)
+    return _always_known() | dict(types)
+
+
+@cache
+def _always_known() -> dict[str, Any]:
+    return {name: get_types_from_msg(_SECONDS, name)[name] for name in _ALWAYS_KNOWN}

@@ -252,11 +252,15 @@ def _effective_dof(whitened: Floats, felt: Floats, dof: int) -> float:
         return float(dof)
     factor = np.linalg.cholesky(whitened.swapaxes(1, 2) @ whitened)
     basis = np.linalg.solve(factor, whitened.swapaxes(1, 2))  # (m, 4, n), orthonormal rows
-    leverage = (basis**2).sum(axis=1)
-    total = 0.0
-    for j in range(len(basis)):
-        shared = np.einsum("ic,kic->ki", felt[j], felt)
-        shared[j] = 0.0
-        overlap = (basis[j] * shared[:, None, :]) @ basis.swapaxes(1, 2)
-        total += float((shared**2 * (1.0 - leverage[j] - leverage)).sum() + (overlap**2).sum())
+    leverage = (basis**2).sum(axis=1)[:, :, None]
+    m = len(basis)
+    # with e = felt: sum_jk |D_jk|^2 r_j is |sum_j e_j e_j'|^2, target by target
+    squares = (felt[:, :, :, None] * felt[:, :, None, :]).reshape(*felt.shape[:2], 9)
+    total = float((squares.sum(axis=0) * (squares * (1.0 - 2.0 * leverage)).sum(axis=0)).sum())
+    total -= float((squares**2 * (1.0 - 2.0 * leverage)).sum())
+    columns = basis.swapaxes(1, 2)[:, :, :, None] * felt[:, :, None, :]  # (m, n, 4, 3)
+    columns = columns.transpose(0, 2, 1, 3).reshape(4 * m, -1)
+    overlap = (columns @ columns.T).reshape(m, 4, m, 4)
+    overlap[np.arange(m), :, np.arange(m)] = 0.0
+    total += float((overlap**2).sum())
     return dof**2 / (dof + total)
