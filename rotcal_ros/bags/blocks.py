@@ -18,6 +18,8 @@ HEADER_TYPE: Final = np.dtype(
 )
 """What stands before the payload of a message; packed, 22 bytes."""
 
+_WALKED: Final = 1 << 16
+"""Bytes up to which going from record to record is quicker than looking at all at once."""
 _length = struct.Struct("<Q")
 
 
@@ -76,8 +78,11 @@ def gather(raw: Bytes, start: Ints, size: int) -> Bytes:
     """Return the bytes start[i]..start[i]+size of every i as rows of a (n, size) array."""
     if not len(start) or not size:
         return np.zeros((len(start), size), np.uint8)
-    windows = np.lib.stride_tricks.sliding_window_view(raw, size)
-    return windows[start]
+    if len(raw) < size:
+        raise DamagedRecord("a message reaches beyond its chunk")
+    windows = np.ndarray((len(raw) - size + 1, size), np.uint8, raw, strides=(1, 1))
+    chosen: Bytes = windows[start]
+    return chosen
 
 
 def block_of_records(data: bytes, contents: Ints, sizes: Ints) -> Block:
@@ -94,7 +99,7 @@ def split_chunk(data: bytes) -> tuple[Block, list[tuple[int, bytes]]]:
     Raises DamagedRecord when the records do not fill the chunk exactly.
     """
     raw = np.frombuffer(data, np.uint8)
-    begins = _only_messages(raw)
+    begins = _only_messages(raw) if len(data) > _WALKED else None
     if begins is None:
         begins = _walk(data)
     sizes = np.diff(begins, append=len(data)) - HEADER_SIZE

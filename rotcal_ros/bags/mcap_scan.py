@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -78,7 +78,7 @@ class McapScan(Scan):
         for record in framing.records():
             self.position = record.offset
             if record.opcode not in (mcap.CHUNK, mcap.MESSAGE_INDEX):
-                yield from held.released()  # other records may speak of what comes after them
+                yield from self._counted(held.released())  # it may speak of what comes after it
             if record.opcode == mcap.MESSAGE:
                 run.append(record.content)
                 run_size += len(record.content)
@@ -91,8 +91,8 @@ class McapScan(Scan):
                 framing.reject(record, str(fault))
             else:
                 if block is not None:
-                    yield from held.grown(self._counted(block))
-        yield from held.released()
+                    yield from self._counted(held.grown(block))
+        yield from self._counted(held.released())
         if run:
             yield from self._counted(_block_of_run(run))
         self._conclude(framing)
@@ -150,8 +150,10 @@ class McapScan(Scan):
             )
             self.channels.setdefault(channel.id, definition)
 
-    def _counted(self, block: Block) -> Iterator[Block]:
+    def _counted(self, block: Block | None) -> Iterator[Block]:
         """Count the messages and yield those of known channels."""
+        if block is None:
+            return
         unknown = {n: count for n, count in block.counts().items() if n not in self.channels}
         if unknown:
             self._lost.update(unknown)
@@ -211,19 +213,18 @@ class _Held:
         self._blocks: list[Block] = []
         self._room = 0  # the first block goes at once: who wants no more need not wait
 
-    def grown(self, more: Iterable[Block]) -> Iterator[Block]:
-        """Take ``more``; yield all as one when they are large enough."""
-        for block in more:
-            self._blocks.append(block)
-            self._room -= len(block.data)
-        if self._room <= 0:
-            yield from self.released()
+    def grown(self, block: Block) -> Block | None:
+        """Take ``block``; return all as one when they are large enough."""
+        self._blocks.append(block)
+        self._room -= len(block.data)
+        return None if self._room > 0 else self.released()
 
-    def released(self) -> Iterator[Block]:
-        """Yield what is held as one block, if anything is."""
-        if self._blocks:
-            blocks, self._blocks, self._room = self._blocks, [], _JOINED_BYTES
-            yield joined(blocks)
+    def released(self) -> Block | None:
+        """Return what is held as one block, if anything is."""
+        if not self._blocks:
+            return None
+        blocks, self._blocks, self._room = self._blocks, [], _JOINED_BYTES
+        return joined(blocks)
 
 
 def _block_of_run(run: list[bytes]) -> Block:
