@@ -94,6 +94,14 @@ class Capture:
         due = self._streams.tracer.stage_many(stamps, (sequence, length, status))
         return self._decide() if due else ()
 
+    def feed_table(
+        self, stamp_ns: Stamps, angle: NDArray[Any], velocity: NDArray[Any]
+    ) -> Observations:
+        """Take many feedbacks of the table at once, all arrays (n,); same answer as one by one."""
+        stamps = np.asarray(stamp_ns, dtype=np.int64)
+        due = self._streams.table.stage_many(stamps, (angle, velocity))
+        return self._decide() if due else ()
+
     @property
     def counts(self) -> dict[str, dict[str, int]]:
         """What each stream delivered and what was wrong with it, by stream; zeros left out."""

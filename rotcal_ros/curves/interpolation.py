@@ -7,15 +7,17 @@ angles, and covariance = W @ C @ W.T. Angles are radians.
 from __future__ import annotations
 
 from math import pi
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, PPoly
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import DEGREE
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 TURN: Final = 2.0 * pi
 SAME_ANGLE: Final = 1e-9
@@ -29,6 +31,9 @@ def curve_through(nodes: Floats, values: Floats, period: float) -> PPoly:
     joined by straight lines then. With ``period`` 0 they cover an arc and the spline ends
     "not-a-knot". It takes angles that :func:`within` returned.
     """
+    # scipy.interpolate takes longer to load than most verbs, which do without, take to run.
+    from scipy.interpolate import CubicSpline, PPoly
+
     if period == 0.0:
         return CubicSpline(nodes, values, bc_type="not-a-knot")
     knots = np.append(nodes, nodes[0] + period)

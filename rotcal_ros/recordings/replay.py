@@ -15,6 +15,7 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, scan_file, sha256_of
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
+from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.catalogue.configuration import (
     OFFLINE_GROUPS,
     Configuration,
@@ -23,7 +24,7 @@ from rotcal_ros.catalogue.configuration import (
 from rotcal_ros.errors import BagError
 from rotcal_ros.observations import Observation
 from rotcal_ros.recordings.foreign import StepFinder
-from rotcal_ros.recordings.streams import StreamFeeder
+from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 from rotcal_ros.results import Result
 
@@ -110,6 +111,7 @@ def read_recording(
         configuration.cell.joint,
         StepFinder(calibration.plan, configuration.capture),
         configuration.topics,
+        min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
     )
     recorded: list[Observation] = []
     scans: list[Scan] = []
