@@ -4,13 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import log
+from typing import Final
 
 import numpy as np
 
+from rotcal_ros.catalogue.calibration import Calibration
 from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.errors import DataError
+from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.planning.sequence_time import Drive, TimeModel
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+
+ATTEMPTS: Final = 3
+LONGEST: Final = 3600.0
+"""Machine time (s) after which a length is given up."""
 
 
 def cell_time(configuration: Configuration) -> TimeModel:
@@ -41,6 +50,33 @@ def cell_time(configuration: Configuration) -> TimeModel:
         dwell=0.5 * feedback + capture.settle_time_s + window + 0.5 * feedback,
         overshoot=table.overshoot_deg * DEGREE,
     )
+
+
+def cell_clock(calibration: Calibration, tick_s: float = 0.01) -> float:
+    """Return the machine time (s) that the simulated cell takes from the first length to the last.
+
+    Every step is ordered as soon as the one before is decided, up to ATTEMPTS times; the cell's
+    time is cut into ticks. Raises DataError for a length that never comes.
+    """
+    configuration = calibration.configuration
+    cell, capture = SimulatedCell(configuration.simulation), calibration.capture()
+    ends = []
+    for step in calibration.plan.steps:
+        for attempt in range(ATTEMPTS):
+            command, found = step.command(attempt), tuple[Observation, ...]()
+            cell.order_table(command)
+            cell.order_probe(command)
+            asked = cell.now_ns
+            while not found:
+                out = cell.advance(tick_s)
+                for sample in (*out.table, *out.probe, *out.temperature, *out.tracer):
+                    found += capture.feed(sample)
+                if (cell.now_ns - asked) * NANOSECOND > LONGEST:
+                    raise DataError(f"step {step.index} is not decided after {LONGEST:g} s")
+            if found[0].accepted:
+                break
+        ends.append(cell.now_ns)
+    return (ends[-1] - ends[0]) * NANOSECOND
 
 
 def plan_seconds(model: TimeModel, steps: Sequence[Step]) -> float:
