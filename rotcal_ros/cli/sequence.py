@@ -53,7 +53,7 @@ def command(
     """Find the quickest order of a tracer plan in which drifts and knocks would be seen."""
     from rotcal_ros.catalogue import changed, prepare, read_configuration
     from rotcal_ros.catalogue.tracer.plan_tables import write_pairs
-    from rotcal_ros.catalogue.tracer.timing import cell_clock, cell_time, plan_seconds
+    from rotcal_ros.catalogue.tracer.timing import cell_run, cell_time, plan_seconds
     from rotcal_ros.planning.sequence_choice import best_order
     from rotcal_ros.planning.sequence_time import AT_ONCE, Drive, TimeModel
 
@@ -78,7 +78,7 @@ def command(
         "orders": [_row(way) for way in ways],
     }
     if clock:
-        data["clock_s"] = cell_clock(calibration)
+        data["clock_s"] = cell_run(calibration).seconds
     if as_json:
         print_json(data)
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import log
 from typing import Final
 
@@ -52,15 +53,23 @@ def cell_time(configuration: Configuration) -> TimeModel:
     )
 
 
-def cell_clock(calibration: Calibration, tick_s: float = 0.01) -> float:
-    """Return the machine time (s) that the simulated cell takes from the first length to the last.
+@dataclass(frozen=True)
+class CellRun:
+    """The last attempt at every step, and the machine time (s) from the first to the last."""
+
+    observations: tuple[Observation, ...]
+    seconds: float
+
+
+def cell_run(calibration: Calibration, tick_s: float = 0.01) -> CellRun:
+    """Return what the simulated cell measures and how long it takes, without ROS.
 
     Every step is ordered as soon as the one before is decided, up to ATTEMPTS times; the cell's
     time is cut into ticks. Raises DataError for a length that never comes.
     """
     configuration = calibration.configuration
     cell, capture = SimulatedCell(configuration.simulation), calibration.capture()
-    ends = []
+    observations, ends = [], []
     for step in calibration.plan.steps:
         for attempt in range(ATTEMPTS):
             command, found = step.command(attempt), tuple[Observation, ...]()
@@ -75,8 +84,9 @@ def cell_clock(calibration: Calibration, tick_s: float = 0.01) -> float:
                     raise DataError(f"step {step.index} is not decided after {LONGEST:g} s")
             if found[0].accepted:
                 break
+        observations.append(found[0])
         ends.append(cell.now_ns)
-    return (ends[-1] - ends[0]) * NANOSECOND
+    return CellRun(tuple(observations), (ends[-1] - ends[0]) * NANOSECOND)
 
 
 def plan_seconds(model: TimeModel, steps: Sequence[Step]) -> float:
