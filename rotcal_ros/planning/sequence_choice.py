@@ -141,8 +141,8 @@ def _judged(
     bound: float,
     forecast: Callable[[Ints], Forecast] | None,
 ) -> MeasuringOrder:
-    told = None if forecast is None else forecast(order)
-    return MeasuringOrder(name, order, duration(costs, order), bound, told)
+    judged = None if forecast is None else forecast(order)
+    return MeasuringOrder(name, order, duration(costs, order), bound, judged)
 
 
 def _worst(way: MeasuringOrder) -> float:

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.calibration import Calibration
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.errors import DataError
@@ -67,26 +68,34 @@ def cell_run(calibration: Calibration, tick_s: float = 0.01) -> CellRun:
     Every step is ordered as soon as the one before is decided, up to ATTEMPTS times; the cell's
     time is cut into ticks. Raises DataError for a length that never comes.
     """
-    configuration = calibration.configuration
-    cell, capture = SimulatedCell(configuration.simulation), calibration.capture()
+    cell, capture = SimulatedCell(calibration.configuration.simulation), calibration.capture()
     observations, ends = [], []
     for step in calibration.plan.steps:
         for attempt in range(ATTEMPTS):
-            command, found = step.command(attempt), tuple[Observation, ...]()
-            cell.order_table(command)
-            cell.order_probe(command)
-            asked = cell.now_ns
-            while not found:
-                out = cell.advance(tick_s)
-                for sample in (*out.table, *out.probe, *out.temperature, *out.tracer):
-                    found += capture.feed(sample)
-                if (cell.now_ns - asked) * NANOSECOND > LONGEST:
-                    raise DataError(f"step {step.index} is not decided after {LONGEST:g} s")
-            if found[0].accepted:
+            observation = _observed(cell, capture, step, attempt, tick_s)
+            if observation.accepted:
                 break
-        observations.append(found[0])
+        observations.append(observation)
         ends.append(cell.now_ns)
     return CellRun(tuple(observations), (ends[-1] - ends[0]) * NANOSECOND)
+
+
+def _observed(
+    cell: SimulatedCell, capture: Capture, step: Step, attempt: int, tick_s: float
+) -> Observation:
+    """Order a step and let the cell's time pass until it is decided."""
+    command, begin_ns = step.command(attempt), cell.now_ns
+    cell.order_table(command)
+    cell.order_probe(command)
+    while (cell.now_ns - begin_ns) * NANOSECOND < LONGEST:
+        out = cell.advance(tick_s)
+        found: tuple[Observation, ...] = ()
+        for samples in (out.table, out.probe, out.temperature, out.tracer):
+            for sample in samples:
+                found += capture.feed(sample)
+        if found:
+            return found[0]
+    raise DataError(f"step {step.index} is not decided after {LONGEST:g} s")
 
 
 def plan_seconds(model: TimeModel, steps: Sequence[Step]) -> float:
