@@ -57,13 +57,6 @@ class TracerDesign:
         """U (m,) of ECC less its mean, k = 2, rad."""
         return np.asarray(COVERAGE_FACTOR * np.sqrt(self.known.variances()), dtype=np.float64)
 
-    @property
-    def time(self) -> float:
-        """Expected time, s: every angle once, all its lengths there."""
-        settings = self.settings
-        turns = len(np.unique(self.lengths.position))
-        return settings.length_s * len(self.lengths) + settings.rotation_s * turns
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON, SI but for names that tell a unit."""
         expanded = self.expanded / ARCSEC
@@ -77,7 +70,6 @@ class TracerDesign:
             "bound": self.bound,
             "gap": self.ideal.gap,
             "checked_bound": self.checked_bound,
-            "time_s": self.time,
             "checked": self.settings.checked,
             "smallest_redundancy": float(self.checks.redundancy.min()),
             "largest_detectable_m": _finite(self.checks.detectable.max()),

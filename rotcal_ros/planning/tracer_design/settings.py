@@ -109,8 +109,10 @@ class TracerDesignSettings(TableAngleSettings):
     exchanges: int = setting(200, doc="how long each search for fewer lengths lasts", minimum=1)
     starts: int = setting(2, doc="searches, of which the best counts", minimum=1, maximum=100)
     seed: int = setting(0, doc="of the search", minimum=0)
-    length_s: float = setting(5.0, doc="s, for one length", minimum=0.0)
-    rotation_s: float = setting(10.0, doc="s, for one turn to the next angle", minimum=0.0)
+    length_s: float = setting(5.0, doc="s, at every length, motions apart", minimum=0.0)
+    rotation_s: float = setting(10.0, doc="s, for one turn of the table", minimum=0.0)
+    machine_speed_m_s: float = setting(0.2, doc="m/s, of the reflector", minimum=1e-6)
+    machine_acceleration_m_s2: float = setting(0.5, doc="m/s^2, of the reflector", minimum=1e-6)
 
     def __post_init__(self) -> None:
         """Refuse settings that do not go together."""
