@@ -14,11 +14,12 @@ from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
 from rotcal_ros.methods.arrivals import Arrivals, mean_from_first, mean_of_runs, repeatability_std
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined, adjust_segments
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
-from rotcal_ros.methods.tracer.solution import adjust
+from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solve import result_of
+from rotcal_ros.methods.tracer.trials import trials_about
 from rotcal_ros.observations import Approach, Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
@@ -42,7 +43,9 @@ def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
-    if _interrupted(observations):
+    if _in_segments(configuration):
+        prepared = trials_about(_solution(configuration, plan, observations))
+    elif _interrupted(observations):
         prepared = adjust_joined(_runs(configuration, plan, observations)).trials
     else:
         prepared = tracer.tracer_trials(problem(configuration, plan, observations))
@@ -64,11 +67,30 @@ def _solved(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> tuple[Result, Ints]:
     """Return the deviations at every arrival that was solved, and the positions (m,) of these."""
-    if _interrupted(observations):
+    if _interrupted(observations) and not _in_segments(configuration):
         joined = adjust_joined(_runs(configuration, plan, observations))
         return joined.result(), joined.solution.positions
-    solution = adjust(problem(configuration, plan, observations))
+    solution = _solution(configuration, plan, observations)
     return result_of(solution), solution.positions
+
+
+def _solution(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> TracerSolution:
+    posed = problem(configuration, plan, observations)
+    if not _interrupted(observations):
+        return adjust(posed)
+    return adjust_segments(posed, _positions(observations) - posed.targets[posed.target])
+
+
+def _in_segments(configuration: Configuration) -> bool:
+    return bool(configuration.solver.zero == "per_segment")
+
+
+def _segments(observations: Sequence[Observation]) -> Ints:
+    """Return the segment (k,) of each observation; another run is another segment."""
+    both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
+    return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +186,7 @@ def problem(
         length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
         distance_std=relative_std,
         order=_order(observations),
+        segment=_segments(observations) if _in_segments(configuration) else None,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),

@@ -132,6 +132,16 @@ def adjust_joined(runs: Runs) -> JoinedSolution:
     return JoinedSolution(solution, joins, trials)
 
 
+def adjust_segments(problem: TracerProblem, shift: Floats) -> TracerSolution:
+    """Solve lengths of several runs whose zeros are those of their segments.
+
+    ``shift`` (k, 3): as in :class:`Runs`; lengths are first reduced to equal places of the targets
+    along the beams of a first solution. What was measured twice ties the segments together.
+    """
+    along = np.einsum("ka,ka->k", _beams(problem, adjust(problem)), shift)
+    return adjust(replace(problem, length=problem.length - along))
+
+
 def _with_zeros(trials: TracerTrials, run: Ints, joins: Sequence[Join]) -> TracerTrials:
     """Return trials whose lengths move with the errors of the joins; ``run`` (k,): of each row.
 

@@ -28,6 +28,8 @@ from rotcal_ros.methods.tracer.screening import (
     reject_gross,
     without_targets,
 )
+from rotcal_ros.methods.tracer.settings import TracerLimits
+from rotcal_ros.methods.tracer.shared_start import find_shared_start
 from rotcal_ros.methods.tracer.start import find_start
 from rotcal_ros.methods.tracer.uncertainty import (
     AngleUncertainty,
@@ -100,11 +102,15 @@ def adjust(problem: TracerProblem) -> TracerSolution:
     grid, absent = arrange(problem)
     check_counts(grid)
     given = problem.start_stations
-    start, ambiguous = find_start(grid, None if given is None else given[grid.position_ids])
+    commanded = problem.table_angles[grid.position_ids]
+    given = None if given is None else given[grid.position_ids]
+    if grid.zero is None:
+        start, ambiguous = find_start(grid, given)
+    else:
+        start, ambiguous = find_shared_start(grid, given, commanded)
     screened = _screened(problem, grid, start)
     placed = _placed(problem, grid, screened)
     motion, fit, covariance = placed.motion, placed.fit, placed.covariance
-    commanded = problem.table_angles[grid.position_ids]
     _check_sense(motion, fit.stations, commanded, grid)
     unexplained = length_test(fit, covariance.dof_effective)
     significance = problem.settings.test_significance
@@ -145,6 +151,8 @@ def adjust(problem: TracerProblem) -> TracerSolution:
 def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
     """Return the grid without outliers and its noise; see :mod:`.screening`."""
     limits = problem.settings
+    if grid.zero is not None:
+        return _screened_together(grid, start, limits)
     as_network = problem.variant == "joint" or bool(grid.target_std.any())
     if not as_network:
         return adjust_and_screen(station.adjust_stations, grid, start, limits)
@@ -156,6 +164,25 @@ def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
     screened = adjust_and_screen(joint.adjust_network, coarse, start, limits)
     kept = replace(screened.grid, target_std=grid.target_std)
     return replace(screened, grid=kept, why=screened.why | gross)
+
+
+def _screened_together(grid: Grid, start: Floats, limits: TracerLimits) -> Screened:
+    """Do as :func:`_screened` where stations share zeros: there are no stations by themselves."""
+    coarse, gross = reject_gross(_known_targets, grid, start, limits.rejection_significance)
+    screened = adjust_and_screen(joint.adjust_network, coarse, start, limits)
+    return replace(screened, why=screened.why | gross)
+
+
+def _known_targets(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
+    """Adjust stations to targets as the machine has them, whose errors join the lengths'."""
+    missed = (grid.target_std**2).max(axis=1)
+    grid = replace(
+        grid,
+        free=False,
+        length_std=np.sqrt(grid.length_std**2 + missed),
+        target_std=np.full_like(grid.target_std, KNOWN),
+    )
+    return joint.adjust_network(grid, start, targets)
 
 
 def _placed(problem: TracerProblem, grid: Grid, screened: Screened) -> _Placed:
