@@ -10,7 +10,7 @@ as segments, and a segment as many as stations.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -99,6 +99,32 @@ class Grid:
         """The first strip (s,) of each zero."""
         zero = self.station if self.zero is None else self.zero
         return np.unique(zero, return_index=True)[1]
+
+    @cached_property
+    def segment_numbers(self) -> Ints:
+        """The different segments that the zeros belong to, ascending."""
+        return np.unique(self.position_ids if self.segment_ids is None else self.segment_ids)
+
+    @cached_property
+    def segment_of_strip(self) -> Ints:
+        """The place (p,) of each strip's segment among ``segment_numbers``."""
+        if self.zero is None or self.segment_ids is None:
+            return self.station
+        return np.searchsorted(self.segment_numbers, self.segment_ids[self.zero])
+
+    def take(self, strips: Ints, part: Bools) -> Grid:
+        """Return the grid of some ``strips`` (q,), of each only the places ``part`` (q, n)."""
+        used = self.used[strips] & part
+        return replace(
+            self,
+            row=np.where(part, self.row[strips], -1),
+            used=used,
+            length=np.where(part, self.length[strips], 0.0),
+            length_std=np.where(part, self.length_std[strips], 1.0),
+            distance_std=np.where(part, self.distance_std[strips], 0.0),
+            station=self.station[strips],
+            zero=None if self.zero is None else self.zero[strips],
+        )
 
     def per_station(self, values: Floats | Bools) -> Floats:
         """Return sums (m,) over all ``values`` (p, n) of each station."""

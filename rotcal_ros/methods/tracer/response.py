@@ -18,10 +18,10 @@ from rotcal_ros.methods.distributions import chi2_isf, normal_isf
 from rotcal_ros.methods.tracer.adjustment import ranges
 from rotcal_ros.methods.tracer.angles import bearing_jacobian
 from rotcal_ros.methods.tracer.error_motion import circle_residuals
+from rotcal_ros.methods.tracer.gain import NetworkGain
 from rotcal_ros.methods.tracer.network import linearise
 from rotcal_ros.methods.tracer.noise import LEAST_REDUNDANCY
 from rotcal_ros.methods.tracer.solution import KNOWN, TracerSolution
-from rotcal_ros.methods.tracer.trials import NetworkGain
 from rotcal_ros.methods.tracer.uncertainty import error_motion_covariance
 from rotcal_ros.protection import POWER
 

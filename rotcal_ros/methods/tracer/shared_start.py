@@ -43,18 +43,8 @@ def _fullest_strips(grid: Grid) -> Grid:
     """Return the grid of the fullest strip of each station, each with a zero of its own."""
     order = np.lexsort((-grid.used.sum(axis=1), grid.station))
     best = order[np.unique(grid.station[order], return_index=True)[1]]
-    return replace(
-        grid,
-        row=grid.row[best],
-        used=grid.used[best],
-        length=grid.length[best],
-        length_std=grid.length_std[best],
-        distance_std=grid.distance_std[best],
-        station=np.arange(grid.n_stations),
-        zero=None,
-        segment_ids=None,
-        walk=None,
-    )
+    fullest = grid.take(best, grid.row[best] >= 0)
+    return replace(fullest, zero=None, segment_ids=None, walk=None)
 
 
 def _stations_on_circle(grid: Grid, angles: Floats) -> Floats:

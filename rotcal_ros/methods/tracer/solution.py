@@ -19,17 +19,18 @@ from rotcal_ros.methods.tracer.adjustment import (
 from rotcal_ros.methods.tracer.angles import TableMotion, table_motion
 from rotcal_ros.methods.tracer.error_motion import ErrorMotion, error_motion_of
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid, arrange
+from rotcal_ros.methods.tracer.jumps import Jump, find_jump, split
 from rotcal_ros.methods.tracer.noise import Noise, NoiseEvidence, scaled
 from rotcal_ros.methods.tracer.observability import check_counts, check_station_spread
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.screening import (
+    GROSS,
     Screened,
     adjust_and_screen,
     reject_gross,
     without_targets,
 )
-from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer.shared_start import find_shared_start
+from rotcal_ros.methods.tracer.shared_start import find_shared_start, with_zeros
 from rotcal_ros.methods.tracer.start import find_start
 from rotcal_ros.methods.tracer.uncertainty import (
     AngleUncertainty,
@@ -42,6 +43,8 @@ from rotcal_ros.methods.tracer.verdict import Evidence, closures
 
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
+MOST_JUMPS: Final = 10
+"""Jumps of the zero after which no further ones are looked for: the beam is no beam."""
 KNOWN: Final = 1e-9
 """Standard deviation (m) of a coordinate that is called known, where others have errors."""
 
@@ -108,7 +111,11 @@ def adjust(problem: TracerProblem) -> TracerSolution:
         start, ambiguous = find_start(grid, given)
     else:
         start, ambiguous = find_shared_start(grid, given, commanded)
-    screened = _screened(problem, grid, start)
+    jumps: tuple[Jump, ...] = ()
+    if grid.zero is None:
+        screened = _screened(problem, grid, start)
+    else:
+        screened, jumps = _screened_together(problem, grid, start)
     placed = _placed(problem, grid, screened)
     motion, fit, covariance = placed.motion, placed.fit, placed.covariance
     _check_sense(motion, fit.stations, commanded, grid)
@@ -140,6 +147,7 @@ def adjust(problem: TracerProblem) -> TracerSolution:
         spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
         unchecked=int((placed.grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
         mirror_ambiguous=ambiguous,
+        jumps=jumps,
     )
     rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
     return TracerSolution(
@@ -151,8 +159,6 @@ def adjust(problem: TracerProblem) -> TracerSolution:
 def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
     """Return the grid without outliers and its noise; see :mod:`.screening`."""
     limits = problem.settings
-    if grid.zero is not None:
-        return _screened_together(grid, start, limits)
     as_network = problem.variant == "joint" or bool(grid.target_std.any())
     if not as_network:
         return adjust_and_screen(station.adjust_stations, grid, start, limits)
@@ -166,23 +172,50 @@ def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
     return replace(screened, grid=kept, why=screened.why | gross)
 
 
-def _screened_together(grid: Grid, start: Floats, limits: TracerLimits) -> Screened:
-    """Do as :func:`_screened` where stations share zeros: there are no stations by themselves."""
-    coarse, gross = reject_gross(_known_targets, grid, start, limits.rejection_significance)
-    screened = adjust_and_screen(joint.adjust_network, coarse, start, limits)
-    return replace(screened, why=screened.why | gross)
+def _screened_together(
+    problem: TracerProblem, grid: Grid, start: Floats
+) -> tuple[Screened, tuple[Jump, ...]]:
+    """Do as :func:`_screened` where stations share zeros, and split these where they jump.
+
+    Large jumps are looked for before large outliers, with their margin: the errors of known
+    targets come in the order of time.
+    """
+    limits, order = problem.settings, problem.measuring_order
+    jumps: list[Jump] = []
+
+    def broken(fit_grid: Grid, fit: Adjustment, margin: float) -> bool:
+        nonlocal grid, start
+        jump = find_jump(fit_grid, fit, order, limits.rejection_significance, margin)
+        if jump is None or len(jumps) == MOST_JUMPS:
+            return False
+        jumps.append(jump)
+        grid, source = split(grid, jump, order)
+        start = with_zeros(grid, start[source, :3])
+        return True
+
+    while broken(_missing(grid), _known_targets(grid, start), GROSS):
+        pass
+    while True:
+        coarse, gross = reject_gross(_known_targets, grid, start, limits.rejection_significance)
+        screened = adjust_and_screen(joint.adjust_network, coarse, start, limits)
+        if not broken(scaled(screened.grid, screened.noise.factors), screened.fit, 1.0):
+            return replace(screened, why=screened.why | gross), tuple(jumps)
 
 
 def _known_targets(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
     """Adjust stations to targets as the machine has them, whose errors join the lengths'."""
+    return joint.adjust_network(_missing(grid), start, targets)
+
+
+def _missing(grid: Grid) -> Grid:
+    """Return ``grid`` with known targets, whose errors are among those of the lengths."""
     missed = (grid.target_std**2).max(axis=1)
-    grid = replace(
+    return replace(
         grid,
         free=False,
         length_std=np.sqrt(grid.length_std**2 + missed),
         target_std=np.full_like(grid.target_std, KNOWN),
     )
-    return joint.adjust_network(grid, start, targets)
 
 
 def _placed(problem: TracerProblem, grid: Grid, screened: Screened) -> _Placed:
