@@ -54,9 +54,8 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     observations = []
     for row in table.rows():
         step = find(row, row.index(position), row.index("target"))
-        observation = check(step.observed((row.metres("length_m"),)))
-        if in_segments:
-            observation = replace(observation, segment=row.index("segment"))
+        segment = row.index("segment") if in_segments else 0
+        observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)

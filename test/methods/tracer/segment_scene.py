@@ -91,7 +91,7 @@ class Dense:
         return np.concatenate(rows)
 
     def slope(self, x):
-        stations, zeros, targets = self.split(x)
+        stations, _, targets = self.split(x)
         p, k, m, s = self.p, np.arange(len(self.p.length)), self.m, self.s
         apart = stations[p.position] - targets[p.target]
         unit = apart / np.linalg.norm(apart, axis=1)[:, None] / p.length_std[:, None]
