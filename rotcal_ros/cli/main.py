@@ -24,6 +24,7 @@ VERBS: Final[Mapping[str, str]] = {
     "plan": "Design a ball plate and its measurement.",
     "report": "Write the self-contained HTML report of a calibration.",
     "compare": "Compare results of one table, and references: do they agree?",
+    "check": "Check quickly: is an earlier result still valid?",
     "combine": "Combine results of one table: the best estimate of all.",
     "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",
     "uncertainty": "Propagate the noise by Monte Carlo (JCGM 101).",

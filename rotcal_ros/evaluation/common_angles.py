@@ -44,12 +44,12 @@ def pair(first: MeasuredCurve, second: MeasuredCurve) -> PairedCurves:
         second=weights @ second.deviation,
         first_covariance=first.covariance[np.ix_(rows, rows)],
         second_covariance=weights @ second.covariance @ weights.T,
-        interpolated=~coincide(angles, second),
+        interpolated=~_coincide(angles, second),
         outside=len(first.angles) - len(rows),
     )
 
 
-def coincide(angles: Floats, curve: MeasuredCurve) -> Bools:
+def _coincide(angles: Floats, curve: MeasuredCurve) -> Bools:
     """Return which of ``angles`` (n,) rad ``curve`` was measured at."""
     gap = angles[:, None] - curve.angles[None, :]
     if curve.period:

@@ -22,9 +22,9 @@ from rotcal_ros.curves.interpolation import (
     harmonic_basis,
     interpolation_matrix,
     regular_root,
+    without_harmonics,
 )
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.common_angles import PairedCurves, pair
 from rotcal_ros.evaluation.suspicion import suspicion
 from rotcal_ros.results import plain_fields
@@ -146,12 +146,8 @@ def _align(
     covariance with them. So the outcome does not depend on where either curve has its zero: a
     weighted alignment would lean on the angle whose value is zero by definition.
     """
-    basis = harmonic_basis(angles, order)
+    keep, basis = without_harmonics(angles, order), harmonic_basis(angles, order)
     n, unknowns = basis.shape
-    if n <= unknowns:
-        raise DataError(f"{n} common angles: more than {unknowns} are needed to compare")
-    q, _ = np.linalg.qr(basis)
-    keep = np.eye(n) - q @ q.T
     aligned = keep @ raw
     std = np.sqrt(np.maximum(np.diag(keep @ covariance @ keep), 0.0))
     offset = float(np.linalg.lstsq(basis, raw, rcond=None)[0][0])
