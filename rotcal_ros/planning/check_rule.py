@@ -19,10 +19,11 @@ measured value d_j = e_j + noise and the standard uncertainty u_j of the *new* m
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import ndtr
 
 from rotcal_ros.arrays import Floats
@@ -91,3 +92,13 @@ class CheckRule:
         spread = np.maximum(np.hypot(new_std, expected_std), np.finfo(np.float64).tiny)
         ratio = np.maximum(self.acceptance(new_std), 0.0) / spread
         return float(np.prod(2.0 * ndtr(ratio) - 1.0))
+
+    def smallest_limit(self, new_std: Floats, expected_std: Floats) -> float:
+        """Return the limit at which the assurance is 1 - false alarm."""
+        wide = 12.0 * float(np.max(np.hypot(new_std, expected_std)) + np.max(new_std))
+
+        def short(limit: float) -> float:
+            reached = replace(self, limit=limit).assurance(new_std, expected_std)
+            return reached - 1.0 + self.false_alarm
+
+        return float(brentq(short, 1e-6 * wide, wide, rtol=1e-9))

@@ -1,0 +1,187 @@
+"""The fewest lengths with which a tracer's quick check is expected to find a good table good.
+
+Wanted is the assurance of :class:`rotcal_ros.planning.check_rule.CheckRule`: a table that has only
+aged as stated shall be found still valid with a probability of 1 - false alarm. Targets that all
+stations see come first, since only they tell the machine's errors from the table's: they are added
+and exchanged as long as that improves, the fewest that suffice are kept, and single lengths are
+taken away from them. It finds a good plan, and proves nothing about the best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.errors import PlanError
+from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
+from rotcal_ros.planning.check_rule import CheckRule
+from rotcal_ros.planning.tracer_design.information import Information, error_motion_angles
+from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
+
+LEAST_REDUNDANCY: Final = 0.25
+"""Below it an error of one length would hardly show in its residual."""
+SHARPNESS: Final = 4
+"""Power by which an angle with a large variance counts more than others in the search."""
+BETTER: Final = 1e-3
+"""Relative gain for which an exchange is worth its time."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class CheckLengths:
+    """The ``lengths`` of a quick check, and what they promise.
+
+    ``std`` (m,): standard uncertainty (rad) of each angle less their mean, error motion with it.
+    ``assurance``: probability with which a table that has only aged as stated is found still
+    valid. ``least_redundancy`` of any length.
+    """
+
+    lengths: Lengths
+    std: Floats
+    assurance: float
+    least_redundancy: float
+
+
+def fewest_lengths(
+    scene: Scene,
+    rule: CheckRule,
+    expected_std: Floats,
+    one_zero: bool = False,
+    progress: Progress | None = None,
+) -> CheckLengths:
+    """Choose the fewest lengths from the stations to the targets of ``scene`` that suffice.
+
+    ``expected_std`` (m,), rad: how far the earlier curve may usually be off, see
+    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver asks for, and every
+    length a redundancy of at least LEAST_REDUNDANCY. ``one_zero``: all lengths share their zero.
+    Raises PlanError when no choice suffices; the text has the smallest limit that could be checked.
+    """
+    search = _Search(scene, rule, expected_std, one_zero)
+    search.require_possible()
+    lengths = search.pruned(search.fewest_targets(progress))
+    known = search.known(lengths)
+    std = np.sqrt(known.variances())
+    return CheckLengths(
+        lengths=lengths,
+        std=std,
+        assurance=rule.assurance(std, expected_std),
+        least_redundancy=float(_redundancy(known).min()),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is asked of a choice of lengths, and the ways to a better one."""
+
+    scene: Scene
+    rule: CheckRule
+    expected_std: Floats
+    one_zero: bool
+
+    def all_to(self, targets: list[int]) -> Lengths:
+        """Return the lengths from every station to ``targets``."""
+        m = len(self.scene.stations)
+        position = np.repeat(np.arange(m), len(targets))
+        return Lengths.of(position, np.tile(targets, m), 0 if self.one_zero else position)
+
+    def known(self, lengths: Lengths) -> Information:
+        zeros = 1 if self.one_zero else len(self.scene.stations)
+        return Information(self.scene, lengths, zeros)
+
+    def require_possible(self) -> None:
+        """Raise PlanError when even exact lengths, or those to all targets, would not suffice."""
+        wanted, n = 1.0 - self.rule.false_alarm, len(self.scene.targets)
+        if n < STATION_MINIMUM:
+            raise PlanError(f"{n} possible targets: at least {STATION_MINIMUM} are needed")
+        exact = np.sqrt(np.diagonal(error_motion_angles(self.scene)))
+        whole = np.sqrt(self.known(self.all_to(list(range(n)))).variances())
+        for what, std in (("exact lengths", exact), (f"lengths to all {n} targets", whole)):
+            reached = self.rule.assurance(std, self.expected_std)
+            if reached < wanted:
+                smallest = self.rule.smallest_limit(std, self.expected_std) / self.rule.limit
+                raise PlanError(
+                    f"even {what} would find a table that has only aged as stated within the limit "
+                    f"with a probability of {100 * reached:.3g} % (wanted {100 * wanted:.3g} %): "
+                    f"ask for at least {smallest:.2f} times this limit, or for other risks, or "
+                    "calibrate anew"
+                )
+
+    def merit(self, known: Information) -> float:
+        """Return what the search makes small: a mean of the variances that favours the largest."""
+        return float((known.variances() ** SHARPNESS).mean() ** (1.0 / SHARPNESS))
+
+    def met(self, known: Information) -> bool:
+        """Whether the lengths of ``known`` do all that is asked."""
+        count = np.bincount(known.lengths.position, minlength=len(self.scene.stations))
+        if count.min() < STATION_MINIMUM:
+            return False
+        std = np.sqrt(known.variances())
+        if self.rule.assurance(std, self.expected_std) < 1.0 - self.rule.false_alarm:
+            return False
+        return bool(_redundancy(known).min() >= LEAST_REDUNDANCY)
+
+    def fewest_targets(self, progress: Progress | None) -> list[int]:
+        """Return the fewest targets whose lengths from all stations suffice, as far as found."""
+        chosen: list[int] = []
+        most = len(self.scene.targets)
+        while len(chosen) < most:
+            chosen = self.exchanged(self.one_more(chosen))
+            if progress is not None:
+                progress(len(chosen), most)
+            if self.met(self.known(self.all_to(chosen))):
+                return chosen
+        raise PlanError(
+            f"lengths to all {most} targets do not give each a redundancy of {LEAST_REDUNDANCY}: "
+            "offer more targets"
+        )
+
+    def one_more(self, chosen: list[int]) -> list[int]:
+        """Return ``chosen`` with the target that improves it most."""
+        others = sorted(set(range(len(self.scene.targets))) - set(chosen))
+        merits = [self.merit(self.known(self.all_to([*chosen, t]))) for t in others]
+        return [*chosen, others[int(np.argmin(merits))]]
+
+    def exchanged(self, chosen: list[int]) -> list[int]:
+        """Exchange one target after the other for a better one, until none is found."""
+        if len(chosen) < STATION_MINIMUM:
+            return chosen
+        best = self.merit(self.known(self.all_to(chosen)))
+        waiting = len(chosen)
+        while waiting:
+            chosen, last = [*chosen[1:], chosen[0]], best
+            other = self.one_more(chosen[:-1])
+            merit = self.merit(self.known(self.all_to(other)))
+            if merit < last * (1.0 - BETTER):
+                chosen, best, waiting = other, merit, len(chosen)
+            else:
+                waiting -= 1
+        return chosen
+
+    def pruned(self, targets: list[int]) -> Lengths:
+        """Return the lengths to ``targets`` without those that are not needed."""
+        known = self.known(self.all_to(sorted(targets)))
+        while (fewer := self.one_less(known)) is not None:
+            known = fewer
+        return known.lengths
+
+    def one_less(self, known: Information) -> Information | None:
+        """Take away the length whose loss costs least among those that can be spared."""
+        beams = known.beams(known.lengths)
+        left = np.maximum(beams.variance - beams.spread, 1e-9 * beams.variance)
+        after = known.variances() + beams.angles**2 / left[:, None]
+        for number in np.argsort((after**SHARPNESS).sum(axis=1)).tolist():
+            fewer = known.without([number])
+            if self.met(fewer):
+                return fewer
+        return None
+
+
+def _redundancy(known: Information) -> Floats:
+    """Return the redundancy (k,) of each length."""
+    beams = known.beams(known.lengths)
+    return np.asarray(1.0 - beams.spread / beams.variance, dtype=np.float64)
