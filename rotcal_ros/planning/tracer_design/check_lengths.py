@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
 from rotcal_ros.planning.check_rule import CheckRule
@@ -52,16 +52,18 @@ def fewest_lengths(
     rule: CheckRule,
     expected_std: Floats,
     one_zero: bool = False,
+    least_redundancy: float = LEAST_REDUNDANCY,
     progress: Progress | None = None,
 ) -> CheckLengths:
     """Choose the fewest lengths from the stations to the targets of ``scene`` that suffice.
 
     ``expected_std`` (m,), rad: how far the earlier curve may usually be off, see
-    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver asks for, and every
-    length a redundancy of at least LEAST_REDUNDANCY. ``one_zero``: all lengths share their zero.
-    Raises PlanError when no choice suffices; the text has the smallest limit that could be checked.
+    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver asks for, every
+    length a redundancy of at least ``least_redundancy``; with 0 nothing checks the lengths, and
+    an undetected error of one may turn the verdict. ``one_zero``: all lengths share their zero.
+    Raises PlanError when no choice suffices; the text says which limit could be checked.
     """
-    search = _Search(scene, rule, expected_std, one_zero)
+    search = _Search(scene, rule, expected_std, one_zero, least_redundancy)
     search.require_possible()
     lengths = search.pruned(search.fewest_targets(progress))
     known = search.known(lengths)
@@ -82,6 +84,7 @@ class _Search:
     rule: CheckRule
     expected_std: Floats
     one_zero: bool
+    least_redundancy: float
 
     def all_to(self, targets: list[int]) -> Lengths:
         """Return the lengths from every station to ``targets``."""
@@ -99,17 +102,32 @@ class _Search:
         if n < STATION_MINIMUM:
             raise PlanError(f"{n} possible targets: at least {STATION_MINIMUM} are needed")
         exact = np.sqrt(np.diagonal(error_motion_angles(self.scene)))
-        whole = np.sqrt(self.known(self.all_to(list(range(n)))).variances())
+        known = self.known(self.all_to(list(range(n))))
+        whole = np.sqrt(known.variances())
         for what, std in (("exact lengths", exact), (f"lengths to all {n} targets", whole)):
             reached = self.rule.assurance(std, self.expected_std)
             if reached < wanted:
                 smallest = self.rule.smallest_limit(std, self.expected_std) / self.rule.limit
                 raise PlanError(
-                    f"even {what} would find a table that has only aged as stated within the limit "
-                    f"with a probability of {100 * reached:.3g} % (wanted {100 * wanted:.3g} %): "
-                    f"ask for at least {smallest:.2f} times this limit, or for other risks, or "
-                    "calibrate anew"
+                    f"even {what} would find a table that has only aged as stated within the "
+                    f"limit with a probability of {100 * reached:.3g} % (wanted "
+                    f"{100 * wanted:.3g} %): ask for at least {smallest:.2f} times this limit, or "
+                    "for other risks, or calibrate anew"
                 )
+        self.require_checkable(known)
+
+    def require_checkable(self, known: Information) -> None:
+        """Raise PlanError when too few lengths would be checked even if all were measured."""
+        redundancy = _redundancy(known)
+        checked = known.lengths.position[redundancy >= self.least_redundancy]
+        count = np.bincount(checked, minlength=len(self.scene.stations))
+        if count.min() < STATION_MINIMUM:
+            raise PlanError(
+                f"with lengths to all {len(self.scene.targets)} targets measured, table position "
+                f"{int(count.argmin())} has {count.min()} with a redundancy of "
+                f"{self.least_redundancy:g} (largest {redundancy.max():.2f}), {STATION_MINIMUM} "
+                "are needed: check more angles, or accept less redundancy"
+            )
 
     def merit(self, known: Information) -> float:
         """Return what the search makes small: a mean of the variances that favours the largest."""
@@ -123,7 +141,7 @@ class _Search:
         std = np.sqrt(known.variances())
         if self.rule.assurance(std, self.expected_std) < 1.0 - self.rule.false_alarm:
             return False
-        return bool(_redundancy(known).min() >= LEAST_REDUNDANCY)
+        return bool(_redundancy(known).min() >= self.least_redundancy)
 
     def fewest_targets(self, progress: Progress | None) -> list[int]:
         """Return the fewest targets whose lengths from all stations suffice, as far as found."""
@@ -136,8 +154,8 @@ class _Search:
             if self.met(self.known(self.all_to(chosen))):
                 return chosen
         raise PlanError(
-            f"lengths to all {most} targets do not give each a redundancy of {LEAST_REDUNDANCY}: "
-            "offer more targets"
+            f"lengths to all {most} targets do not give each a redundancy of "
+            f"{self.least_redundancy:g}: check more angles, or accept less redundancy"
         )
 
     def one_more(self, chosen: list[int]) -> list[int]:
