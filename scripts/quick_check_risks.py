@@ -1,7 +1,7 @@
 """Both risks of a quick check by laser tracer, from simulated tables to the verdict.
 
-A plan of the fewest lengths is made for an earlier result; then tables are drawn, measured with it,
-solved by the solver and judged. The figures of docs/quick_check.md:
+A plan of the fewest lengths is made for an earlier result; then tables are drawn, measured with
+it, solved by the solver and judged. The figures of docs/quick_check.md:
 
     python scripts/quick_check_risks.py --runs 2000
 """
@@ -95,7 +95,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--within", type=float, default=3.0, help="arcsec")
+    parser.add_argument("--within", type=float, default=2.5, help="arcsec")
     parser.add_argument("--ageing", type=float, default=0.12, help="arcsec, since then")
     parser.add_argument("--set", action="append", default=["solver.length_std_m=2e-7"])
     asked = parser.parse_args()
@@ -103,8 +103,8 @@ def main() -> None:
     rule = CheckRule(asked.within * ARCSEC, ageing_std=asked.ageing * ARCSEC)
     plan = plan_check(changed(read_configuration(SETUP), asked.set), earlier, rule)
     print(
-        f"{len(plan.pairs)} lengths to {len(plan.targets)} targets, within {asked.within:g} arcsec; "
-        f"promised for a table that only aged: {100 * plan.assurance:.1f} % still valid"
+        f"{len(plan.pairs)} lengths to {len(plan.targets)} targets, within {asked.within:g} "
+        f"arcsec; promised of tables that only aged: {100 * plan.assurance:.1f} % still valid"
     )
     print("table                        still valid  undecided  changed")
     cases = {

@@ -29,6 +29,9 @@ SHARPNESS: Final = 4
 BETTER: Final = 1e-3
 """Relative gain for which an exchange is worth its time."""
 
+WAYS: Final = 3
+"""From how many of the smallest sets of targets lengths are taken away, to keep the fewest."""
+
 Progress = Callable[[int, int], None]
 
 
@@ -65,11 +68,11 @@ def fewest_lengths(
     """
     search = _Search(scene, rule, expected_std, one_zero, least_redundancy)
     search.require_possible()
-    lengths = search.pruned(search.fewest_targets(progress))
-    known = search.known(lengths)
+    ways = [search.pruned(targets) for targets in search.target_sets(progress)[-WAYS:]]
+    known = search.known(min(ways, key=len))
     std = np.sqrt(known.variances())
     return CheckLengths(
-        lengths=lengths,
+        lengths=known.lengths,
         std=std,
         assurance=rule.assurance(std, expected_std),
         least_redundancy=float(_redundancy(known).min()),
@@ -143,20 +146,36 @@ class _Search:
             return False
         return bool(_redundancy(known).min() >= self.least_redundancy)
 
-    def fewest_targets(self, progress: Progress | None) -> list[int]:
-        """Return the fewest targets whose lengths from all stations suffice, as far as found."""
+    def target_sets(self, progress: Progress | None) -> list[list[int]]:
+        """Return sets of targets whose lengths from all stations suffice, the smallest last."""
         chosen: list[int] = []
         most = len(self.scene.targets)
-        while len(chosen) < most:
-            chosen = self.exchanged(self.one_more(chosen))
+        while not self.enough(chosen):
+            if len(chosen) == most:
+                raise PlanError(
+                    f"lengths to all {most} targets do not give each a redundancy of "
+                    f"{self.least_redundancy:g}: check more angles, or accept less redundancy"
+                )
+            chosen = self.one_more(chosen)
             if progress is not None:
                 progress(len(chosen), most)
-            if self.met(self.known(self.all_to(chosen))):
-                return chosen
-        raise PlanError(
-            f"lengths to all {most} targets do not give each a redundancy of "
-            f"{self.least_redundancy:g}: check more angles, or accept less redundancy"
-        )
+        sets = [chosen]
+        while len(sets[-1]) > STATION_MINIMUM:
+            fewer = self.exchanged(self.one_less_target(sets[-1]))
+            if not self.enough(fewer):
+                break
+            sets.append(fewer)
+        return sets
+
+    def enough(self, targets: list[int]) -> bool:
+        """Whether the lengths from all stations to ``targets`` suffice."""
+        few = len(targets) < STATION_MINIMUM
+        return not few and self.met(self.known(self.all_to(targets)))
+
+    def one_less_target(self, chosen: list[int]) -> list[int]:
+        """Return ``chosen`` without the target whose loss costs least."""
+        without = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
+        return min(without, key=lambda left: self.merit(self.known(self.all_to(left))))
 
     def one_more(self, chosen: list[int]) -> list[int]:
         """Return ``chosen`` with the target that improves it most."""
@@ -166,8 +185,6 @@ class _Search:
 
     def exchanged(self, chosen: list[int]) -> list[int]:
         """Exchange one target after the other for a better one, until none is found."""
-        if len(chosen) < STATION_MINIMUM:
-            return chosen
         best = self.merit(self.known(self.all_to(chosen)))
         waiting = len(chosen)
         while waiting:
