@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -15,6 +15,9 @@ from rotcal_ros.units import ARCSEC, DEGREE
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.tracer.check_plan import CheckPlan
+
+LEAST_REDUNDANCY: Final = 0.25
+"""That of rotcal_ros.planning.tracer_design.check_lengths, which takes long to load."""
 
 
 @click.command()
@@ -38,7 +41,7 @@ if TYPE_CHECKING:
 @click.option(
     "--least-redundancy",
     type=click.FloatRange(0.0, 0.9),
-    default=0.25,
+    default=LEAST_REDUNDANCY,
     show_default=True,
     help="Of each length; 0 checks nothing.",
 )
@@ -82,13 +85,13 @@ def command(
     if as_json:
         print_json(plan.to_dict())
     else:
-        _print(plan, every)
+        _print(plan, every, least_redundancy)
     if output is not None:
         say(f"written: {plan.write(output).absolute()}")
     return 0
 
 
-def _print(plan: CheckPlan, every: int) -> None:
+def _print(plan: CheckPlan, every: int, least_redundancy: float) -> None:
     click.echo("angle/deg  lengths  U/arcsec  valid up to/arcsec")
     for position, angle in enumerate(plan.angles):
         count = int((plan.pairs[:, 0] == position).sum())
@@ -103,10 +106,8 @@ def _print(plan: CheckPlan, every: int) -> None:
     )
     if every > 1:
         click.echo(f"nothing will be known of {every - 1} of {every} angles of the earlier result")
-    if plan.least_redundancy < 0.1:
-        click.echo(
-            "warning: nothing checks some of the lengths: an error of one may turn the verdict"
-        )
+    if least_redundancy < LEAST_REDUNDANCY:
+        click.echo("warning: little checks some lengths: an error of one may turn the verdict")
     click.echo(
         f"a table that has only aged as stated is found within {plan.rule.limit / ARCSEC:.4g} "
         f"arcsec with a probability of at least {100 * plan.assurance:.3g} %"

@@ -26,6 +26,8 @@ LEAST_REDUNDANCY: Final = 0.25
 """Below it an error of one length would hardly show in its residual."""
 SHARPNESS: Final = 4
 """Power by which an angle with a large variance counts more than others in the search."""
+UNCHECKED: Final = 20.0
+"""How much a lack of redundancy counts in the search, beside the variances."""
 BETTER: Final = 1e-3
 """Relative gain for which an exchange is worth its time."""
 
@@ -132,9 +134,15 @@ class _Search:
                 "are needed: check more angles, or accept less redundancy"
             )
 
-    def merit(self, known: Information) -> float:
-        """Return what the search makes small: a mean of the variances that favours the largest."""
-        return float((known.variances() ** SHARPNESS).mean() ** (1.0 / SHARPNESS))
+    def merit(self, targets: list[int]) -> float:
+        """Return what the search makes small: a mean of the variances that favours the largest.
+
+        Lengths that too little checks make it larger.
+        """
+        known = self.known(self.all_to(targets))
+        mean = float((known.variances() ** SHARPNESS).mean() ** (1.0 / SHARPNESS))
+        unchecked = max(self.least_redundancy - float(_redundancy(known).min()), 0.0)
+        return mean * (1.0 + UNCHECKED * unchecked)
 
     def met(self, known: Information) -> bool:
         """Whether the lengths of ``known`` do all that is asked."""
@@ -175,22 +183,22 @@ class _Search:
     def one_less_target(self, chosen: list[int]) -> list[int]:
         """Return ``chosen`` without the target whose loss costs least."""
         without = [chosen[:k] + chosen[k + 1 :] for k in range(len(chosen))]
-        return min(without, key=lambda left: self.merit(self.known(self.all_to(left))))
+        return min(without, key=self.merit)
 
     def one_more(self, chosen: list[int]) -> list[int]:
         """Return ``chosen`` with the target that improves it most."""
         others = sorted(set(range(len(self.scene.targets))) - set(chosen))
-        merits = [self.merit(self.known(self.all_to([*chosen, t]))) for t in others]
+        merits = [self.merit([*chosen, t]) for t in others]
         return [*chosen, others[int(np.argmin(merits))]]
 
     def exchanged(self, chosen: list[int]) -> list[int]:
         """Exchange one target after the other for a better one, until none is found."""
-        best = self.merit(self.known(self.all_to(chosen)))
+        best = self.merit(chosen)
         waiting = len(chosen)
         while waiting:
             chosen, last = [*chosen[1:], chosen[0]], best
             other = self.one_more(chosen[:-1])
-            merit = self.merit(self.known(self.all_to(other)))
+            merit = self.merit(other)
             if merit < last * (1.0 - BETTER):
                 chosen, best, waiting = other, merit, len(chosen)
             else:
