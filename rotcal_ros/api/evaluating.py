@@ -15,7 +15,7 @@ from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.components import unit_of
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.bidirectional import require_runs
-from rotcal_ros.evaluation.combination import Measured
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.combination import combine as combine_measured
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.evaluation.compare import compare as compare_curves
@@ -207,11 +207,11 @@ def _curve(curve: Curve, component: str) -> MeasuredCurve:
     return measured_curve(curve, component) if isinstance(curve, Result) else curve
 
 
-def _measured_input(number: int, source: Curve) -> Measured:
+def _measured_input(number: int, source: Curve) -> CombinationInput:
     if isinstance(source, str | PathLike):
         return read_measured(Path(source))
     name = source.method if isinstance(source, Result) else "reference"
-    return Measured.of(f"{name} ({number})", source)
+    return CombinationInput.of(f"{name} ({number})", source)
 
 
 def _measured(source: Configuration | Recording | Measurements) -> Measurements:
