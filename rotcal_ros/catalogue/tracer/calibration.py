@@ -14,7 +14,7 @@ from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
 from rotcal_ros.methods.arrivals import Arrivals, mean_from_first, mean_of_runs, repeatability_std
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined, at_equal_places
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solution import adjust
@@ -45,7 +45,7 @@ def trials(
     if _interrupted(observations):
         prepared = adjust_joined(_runs(configuration, plan, observations)).trials
     else:
-        prepared = tracer.tracer_trials(problem(configuration, plan, observations))
+        prepared = tracer.tracer_trials(_equal_places(configuration, plan, observations))
     arrivals = _arrivals(configuration)
     if arrivals is None:
         return prepared
@@ -67,8 +67,16 @@ def _solved(
     if _interrupted(observations):
         joined = adjust_joined(_runs(configuration, plan, observations))
         return joined.result(), joined.solution.positions
-    solution = adjust(problem(configuration, plan, observations))
+    solution = adjust(_equal_places(configuration, plan, observations))
     return result_of(solution), solution.positions
+
+
+def _equal_places(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> TracerProblem:
+    """Return the problem of one run, its lengths reduced to the mean place of their target."""
+    posed = problem(configuration, plan, observations)
+    return at_equal_places(posed, _positions(observations) - posed.targets[posed.target])
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solve import result_of
 from rotcal_ros.methods.tracer.trials import TracerTrials, trials_about
 from rotcal_ros.results import Result, Verdict
+
+UNNOTICED: Final = 0.01
+"""Shift of a target, in standard deviations of a length, that does not matter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +118,18 @@ class JoinedSolution:
         significance = self.solution.problem.settings.test_significance
         moves = _moves(self.trials)
         return _concluded(result_of(self.solution), self.joins, moves, significance)
+
+
+def at_equal_places(problem: TracerProblem, shift: Floats) -> TracerProblem:
+    """Return the problem with each length as it would be at the place of its target.
+
+    ``shift`` (k, 3): how much further along x, y, z the machine was when it measured each length,
+    m. Where the machine comes to a target anew for every length these are its following errors.
+    Shifts that no length would notice change nothing, to the last bit.
+    """
+    if np.abs(shift).max(initial=0.0) < UNNOTICED * problem.length_std.min():
+        return problem
+    return _joined(Runs(problem, np.zeros(len(shift), dtype=np.int64), shift, []))[0]
 
 
 def adjust_joined(runs: Runs) -> JoinedSolution:

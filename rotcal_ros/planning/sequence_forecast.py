@@ -1,0 +1,66 @@
+"""What a drift of the machine or a knock of the tracer would do in an order of measurement.
+
+The solver's own statement (:mod:`rotcal_ros.methods.tracer.protections`) at the nominal geometry:
+a plan is solved once with exact lengths, and judged for as many orders as wanted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf, isfinite
+
+import numpy as np
+
+from rotcal_ros.arrays import Ints
+from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.protections import protections
+from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
+from rotcal_ros.protection import TOLERABLE
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """The largest errors that may stay unseen, in standard uncertainties; infinite: any."""
+
+    drift: float
+    knock: float
+
+    @property
+    def protected(self) -> bool:
+        """Whether both are small enough not to be named in a verdict."""
+        return max(self.drift, self.knock) <= TOLERABLE
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Return the forecast as plain data, None where nothing bounds an error."""
+        return {
+            name: value if isfinite(value) else None
+            for name, value in (("drift", self.drift), ("knock", self.knock))
+        }
+
+
+class OrderForecast:
+    """Judges orders of the lengths of one plan; ``problem`` holds its exact lengths.
+
+    Raises ObservabilityError when the plan cannot tell the angle at all.
+    """
+
+    def __init__(self, problem: TracerProblem) -> None:
+        self._solution: TracerSolution = adjust(problem)
+
+    def __call__(self, order: Ints) -> Forecast:
+        """Return the forecast for ``order`` (k,): rows of the problem as they are measured."""
+        rank = np.empty(len(order), dtype=np.int64)
+        rank[order] = np.arange(len(order))
+        solution = replace(self._solution, problem=replace(self._solution.problem, order=rank))
+        error = {
+            effect.effect: _unseen(effect.treatment, effect.error)
+            for effect in protections(solution)
+        }
+        return Forecast(drift=error["drift"], knock=error["knock"])
+
+
+def _unseen(treatment: str, error: float | None) -> float:
+    """Return the error of a statement: none where it is harmless, any where nothing tells it."""
+    if error is not None:
+        return error
+    return 0.0 if treatment == "harmless" else inf
