@@ -104,6 +104,10 @@ def _print(plan: CheckPlan, every: int, least_redundancy: float) -> None:
         f"{len(plan.pairs)} lengths to {len(plan.targets)} targets (offered: {plan.offered}), "
         f"smallest redundancy {plan.least_redundancy:.2f}"
     )
+    click.echo(
+        f"{plan.seconds / 60.0:.1f} min by the simulated cell's clock; unseen drift at most "
+        f"{plan.unseen.drift:.2g}, unseen knock {plan.unseen.knock:.2g} standard uncertainties"
+    )
     if every > 1:
         click.echo(f"nothing will be known of {every - 1} of {every} angles of the earlier result")
     if least_redundancy < LEAST_REDUNDANCY:

@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotcal_ros.catalogue import prepare_to_measure, read_configuration
+from rotcal_ros.catalogue.tracer.timing import cell_time, plan_seconds
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.methods.tracer import TracerProblem, solve
 from rotcal_ros.planning.tracer_design.scene import on_table
@@ -36,16 +37,24 @@ def planned(tmp_path_factory):
     return folder, json.loads(ran.stdout)
 
 
+def place(step):
+    return step.table_position, step.target
+
+
 def test_the_plan_that_is_written_is_the_plan_that_is_measured(planned):
     folder, data = planned
-    plan = prepare_to_measure(read_configuration(folder / "check.yaml")).plan
+    configuration = read_configuration(folder / "check.yaml")
+    plan = prepare_to_measure(configuration).plan
     np.testing.assert_allclose(plan.table_angles, data["angles_rad"], atol=1e-14)
     np.testing.assert_allclose(plan.targets, data["targets_m"], rtol=0, atol=0)
     assert [[step.table_position, step.target] for step in plan.steps] == data["pairs"]
     assert len(data["pairs"]) == data["lengths"] < data["offered"] / 5
     assert (folder / "pairs.csv").read_text().startswith("step,table_position,target\n0,0,")
-    apart = np.abs(np.diff(np.array(data["pairs"]), axis=0))
-    assert ((apart[:, 0] == 0) | (apart[:, 1] <= 2)).all()  # the probe hardly moves at a turn
+    assert data["unseen_std"]["drift"] <= 2.0
+    assert data["unseen_std"]["knock"] <= 2.0
+    model, in_turn = cell_time(configuration), sorted(plan.steps, key=place)
+    assert data["duration_s"] == pytest.approx(plan_seconds(model, plan.steps), rel=1e-9)
+    assert data["duration_s"] < 0.6 * plan_seconds(model, in_turn)
 
 
 def measured(folder, deviation, seed):
@@ -82,7 +91,8 @@ def test_what_the_plan_measures_decides(planned, tmp_path, size, verdict, code):
     earlier = Result.from_dict(json.loads(PLATE.read_text())).deviations["ECC"]
     worn = earlier.copy()
     worn[4] += size * ARCSEC
-    result = measured(folder, worn, 3)
+    result = measured(folder, worn, 4)
+    assert not result.rejected
     new = tmp_path / "result.json"
     new.write_text(result.to_json())
     ran = run("check", PLATE, new, *ASKED, "--json")

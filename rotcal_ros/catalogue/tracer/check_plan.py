@@ -12,20 +12,24 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.catalogue.configuration import Configuration, replaced
 from rotcal_ros.catalogue.tracer.plan import LEAST_ANGLES, block_of_targets
 from rotcal_ros.catalogue.tracer.plan_tables import write_pairs, write_targets
+from rotcal_ros.catalogue.tracer.timing import cell_time
 from rotcal_ros.curves.interpolation import without_harmonics
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.files import write_atomically
+from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point
+from rotcal_ros.planning.sequence_choice import MeasuringOrder, measuring_orders
+from rotcal_ros.planning.sequence_forecast import Forecast, OrderForecast
 from rotcal_ros.planning.tracer_design.check_lengths import (
     LEAST_REDUNDANCY,
-    CheckLengths,
     Progress,
     fewest_lengths,
 )
 from rotcal_ros.planning.tracer_design.scene import Scene, on_table
+from rotcal_ros.protection import TOLERABLE
 from rotcal_ros.units import DEGREE
 
 CONFIGURATION_FILE: Final = "check.yaml"
@@ -40,7 +44,9 @@ class CheckPlan:
     A pair is a table position and a target. ``std`` (m,), rad: predicted standard uncertainty of
     each angle less their mean; ``acceptance`` (m,): up to which difference it will be still valid.
     ``assurance``: with what probability, at least, a table is found still valid that has only aged
-    as stated. ``offered``: lengths there were to choose from.
+    as stated. ``offered``: lengths there were to choose from. ``seconds`` from the end of the
+    first length to that of the last, by the simulated cell's clock; ``unseen``: what a drift or
+    knock could do in this order without a trace.
     """
 
     configuration: Configuration
@@ -53,12 +59,16 @@ class CheckPlan:
     assurance: float
     least_redundancy: float
     offered: int
+    seconds: float
+    unseen: Forecast
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON, SI."""
         return {
             "lengths": len(self.pairs),
             "offered": self.offered,
+            "duration_s": self.seconds,
+            "unseen_std": self.unseen.to_dict(),
             "assurance": self.assurance,
             "least_redundancy": self.least_redundancy,
             "angles_rad": self.angles.tolist(),
@@ -128,18 +138,24 @@ def plan_check(
         least_redundancy=least_redundancy,
         progress=progress,
     )
-    used, pairs = _in_order(found)
+    used, target = np.unique(found.lengths.target, return_inverse=True)
+    pairs = np.column_stack([found.lengths.position, target])
+    unseen = OrderForecast(_exact_lengths(scene, offered[used], pairs))
+    costs = cell_time(configuration).costs(angles, offered[used], pairs[:, 0], pairs[:, 1])
+    order = _order(costs, pairs, unseen)
     return CheckPlan(
         configuration=configuration,
         rule=rule,
         angles=angles,
         targets=offered[used],
-        pairs=pairs,
+        pairs=pairs[order.order],
         std=found.std,
         acceptance=rule.acceptance(found.std),
         assurance=found.assurance,
         least_redundancy=found.least_redundancy,
         offered=len(angles) * len(offered),
+        seconds=order.seconds,
+        unseen=unseen(order.order),
     )
 
 
@@ -163,15 +179,31 @@ def _require_fitting(configuration: Configuration) -> None:
         )
 
 
-def _in_order(found: CheckLengths) -> tuple[Ints, Ints]:
-    """Return the targets that are used, and the pairs with their new numbers.
+def _exact_lengths(scene: Scene, targets: Floats, pairs: Ints) -> TracerProblem:
+    """Return the lengths of ``pairs`` (k, 2) as a problem without any error."""
+    position, target = pairs.T
+    distance = np.linalg.norm(scene.stations[position] - targets[target], axis=1)
+    return TracerProblem(
+        position=position,
+        target=target,
+        length=distance,
+        length_std=np.hypot(scene.length_std, scene.length_std_relative * distance),
+        targets=targets,
+        target_std=np.broadcast_to(scene.target_std[0], targets.shape),
+        table_angles=scene.table_angles,
+        error_motion_std=scene.error_motion_std,
+        start_stations=scene.stations,
+    )
 
-    Station by station, the targets forth and back.
-    """
-    used, target = np.unique(found.lengths.target, return_inverse=True)
-    position = found.lengths.position
-    order = np.lexsort([np.where(position % 2, -target, target), position])
-    return used, np.column_stack([position, target])[order]
+
+def _order(costs: Floats, pairs: Ints, forecast: OrderForecast) -> MeasuringOrder:
+    """Return the quickest order that shows drift and knock, else the one that hides least."""
+
+    def badness(way: MeasuringOrder) -> tuple[float, float]:
+        unseen = way.forecast or forecast(way.order)
+        return max(unseen.drift, unseen.knock, TOLERABLE), way.seconds
+
+    return min(measuring_orders(pairs[:, 0], pairs[:, 1], costs, forecast), key=badness)
 
 
 def _point(target: Floats) -> Point:
