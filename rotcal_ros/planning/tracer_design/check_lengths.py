@@ -26,8 +26,11 @@ LEAST_REDUNDANCY: Final = 0.25
 """Below it an error of one length would hardly show in its residual."""
 SHARPNESS: Final = 4
 """Power by which an angle with a large variance counts more than others in the search."""
+LEAST_DEPTH: Final = 0.1
+"""Of the targets of a station, across the plane they lie nearest to, as a share of their extent:
+in a plane they could not tell the tracer from its mirror image."""
 UNCHECKED: Final = 20.0
-"""How much a lack of redundancy counts in the search, beside the variances."""
+"""How much a lack of redundancy or depth counts in the search, beside the variances."""
 BETTER: Final = 1e-3
 """Relative gain for which an exchange is worth its time."""
 
@@ -63,9 +66,10 @@ def fewest_lengths(
     """Choose the fewest lengths from the stations to the targets of ``scene`` that suffice.
 
     ``expected_std`` (m,), rad: how far the earlier curve may usually be off, see
-    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver asks for, every
-    length a redundancy of at least ``least_redundancy``; with 0 nothing checks the lengths, and
-    an undetected error of one may turn the verdict. ``one_zero``: all lengths share their zero.
+    :meth:`CheckRule.expected`. Every station gets as many lengths as the solver asks for, to
+    targets that do not lie in a plane, and every length a redundancy of ``least_redundancy``; with
+    0 nothing checks the lengths, and an undetected error of one may turn the verdict.
+    ``one_zero``: all lengths share their zero.
     Raises PlanError when no choice suffices; the text says which limit could be checked.
     """
     search = _Search(scene, rule, expected_std, one_zero, least_redundancy)
@@ -106,8 +110,14 @@ class _Search:
         wanted, n = 1.0 - self.rule.false_alarm, len(self.scene.targets)
         if n < STATION_MINIMUM:
             raise PlanError(f"{n} possible targets: at least {STATION_MINIMUM} are needed")
+        every = self.all_to(list(range(n)))
+        if self.depth(every) < LEAST_DEPTH:
+            raise PlanError(
+                "the possible targets lie nearly in one plane, in which the tracer has a mirror "
+                "image: offer some at other heights"
+            )
         exact = np.sqrt(np.diagonal(error_motion_angles(self.scene)))
-        known = self.known(self.all_to(list(range(n))))
+        known = self.known(every)
         whole = np.sqrt(known.variances())
         for what, std in (("exact lengths", exact), (f"lengths to all {n} targets", whole)):
             reached = self.rule.assurance(std, self.expected_std)
@@ -137,17 +147,31 @@ class _Search:
     def merit(self, targets: list[int]) -> float:
         """Return what the search makes small: a mean of the variances that favours the largest.
 
-        Lengths that too little checks make it larger.
+        Lengths that too little checks make it larger, and targets in a plane.
         """
         known = self.known(self.all_to(targets))
         mean = float((known.variances() ** SHARPNESS).mean() ** (1.0 / SHARPNESS))
         unchecked = max(self.least_redundancy - float(_redundancy(known).min()), 0.0)
-        return mean * (1.0 + UNCHECKED * unchecked)
+        flat = max(LEAST_DEPTH - self.depth(known.lengths), 0.0)
+        return mean * (1.0 + UNCHECKED * (unchecked + flat))
+
+    def depth(self, lengths: Lengths) -> float:
+        """Return the smallest depth of the targets of any station, as a share of their extent."""
+        m, target = len(self.scene.stations), self.scene.targets[lengths.target]
+        count = np.bincount(lengths.position, minlength=m)[:, None]
+        mean = np.zeros((m, 3))
+        np.add.at(mean, lengths.position, target)
+        off = target - (mean / count)[lengths.position]
+        spread = np.zeros((m, 3, 3))
+        np.add.at(spread, lengths.position, off[:, :, None] * off[:, None])
+        values = np.linalg.eigvalsh(spread)
+        tiny = np.finfo(np.float64).tiny
+        return float(np.sqrt(np.maximum(values[:, 0], 0.0) / (values[:, 2] + tiny)).min())
 
     def met(self, known: Information) -> bool:
         """Whether the lengths of ``known`` do all that is asked."""
         count = np.bincount(known.lengths.position, minlength=len(self.scene.stations))
-        if count.min() < STATION_MINIMUM:
+        if count.min() < STATION_MINIMUM or self.depth(known.lengths) < LEAST_DEPTH:
             return False
         std = np.sqrt(known.variances())
         if self.rule.assurance(std, self.expected_std) < 1.0 - self.rule.false_alarm:

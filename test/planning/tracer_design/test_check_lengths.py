@@ -41,9 +41,19 @@ def assured(std, limit):
     return np.prod(stats.norm.cdf(room / np.hypot(std, EXPECTED)) * 2.0 - 1.0) * (room > 0).all()
 
 
+def deep(scene, lengths):
+    """Whether the targets of every station fill a volume."""
+    for station in range(M):
+        seen = scene.targets[lengths.target[lengths.position == station]]
+        size = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
+        if size[2] < 0.1 * size[0]:
+            return False
+    return True
+
+
 def suffices(scene, lengths, limit, one_zero=False, least=0.25):
     count = np.bincount(lengths.position, minlength=M)
-    if count.min() < 5:
+    if count.min() < 5 or not deep(scene, lengths):
         return False
     std, redundancy = dense(scene, lengths, one_zero)
     return assured(std, limit) >= 0.95 - 1e-6 and redundancy.min() >= least - 1e-6
@@ -105,6 +115,9 @@ def test_what_cannot_be_reached_is_refused_and_the_limit_that_can_is_named():
     assert assured(motion, (factor - 0.005) * ARCSEC) <= 0.95
     with pytest.raises(PlanError, match="lengths to all 5 targets"):
         fewest_lengths(low_scene(LOW[:5]), CheckRule(1.0 * ARCSEC), EXPECTED)
+    level = LOW * [1.0, 1.0, 0.05]
+    with pytest.raises(PlanError, match="nearly in one plane"):
+        fewest_lengths(paper_scene(targets=level), CheckRule(5.0 * ARCSEC), EXPECTED)
     with pytest.raises(PlanError, match="4 possible targets"):
         fewest_lengths(low_scene(LOW[:4]), CheckRule(5.0 * ARCSEC), EXPECTED)
     with pytest.raises(PlanError, match="accept less redundancy"):
