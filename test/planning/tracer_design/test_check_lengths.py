@@ -114,7 +114,7 @@ def test_what_cannot_be_reached_is_refused_and_the_limit_that_can_is_named():
     assert assured(motion, (factor + 0.005) * ARCSEC) >= 0.95
     assert assured(motion, (factor - 0.005) * ARCSEC) <= 0.95
     with pytest.raises(PlanError, match="lengths to all 5 targets"):
-        fewest_lengths(low_scene(LOW[:5]), CheckRule(1.0 * ARCSEC), EXPECTED)
+        fewest_lengths(low_scene(LOW[[0, 3, 8, 13, 16]]), CheckRule(1.0 * ARCSEC), EXPECTED)
     level = LOW * [1.0, 1.0, 0.05]
     with pytest.raises(PlanError, match="nearly in one plane"):
         fewest_lengths(paper_scene(targets=level), CheckRule(5.0 * ARCSEC), EXPECTED)
