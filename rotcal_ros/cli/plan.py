@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from rotcal_ros.cli import reliability, sequence, trade, tracer_design
+from rotcal_ros.cli import reliability, sequence, tracer_design, trade
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.order_forecast import forecast_dict, forecast_lines
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
