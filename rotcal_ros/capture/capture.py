@@ -20,6 +20,7 @@ from rotcal_ros.capture.attempt import (
     nanoseconds,
     seconds,
 )
+from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
@@ -62,7 +63,11 @@ class Capture:
         tolerance = nanoseconds(settings.clock_tolerance_s)
         self._plan, self._settings, self._rules, self._run = plan, settings, rules, run
         self._streams = Streams(
-            tracer=TracerStream(tolerance, settings.max_length_m),
+            tracer=TracerStream(
+                tolerance,
+                settings.max_length_m,
+                Beam(settings.max_silence_s, settings.max_length_speed_m_s),
+            ),
             table=Stream(2, tolerance),
             temperature=Stream(1, tolerance),
         )

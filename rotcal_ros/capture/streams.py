@@ -134,10 +134,10 @@ class Stream:
         if good is not None:
             stamps, values = stamps[good], values[good]
         if len(stamps):
-            self._append(stamps, self._inspect(values))
+            self._append(stamps, self._inspect(stamps, values))
             self.latest, self._newest = int(stamps[-1]), values[-1]
 
-    def _inspect(self, values: Floats) -> Floats:
+    def _inspect(self, _stamps: Stamps, values: Floats) -> Floats:
         """Count what is wrong with samples in good order; return what to remember of them."""
         self.counts.non_finite += int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
         return values

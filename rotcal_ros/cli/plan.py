@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from rotcal_ros.cli import plan_check, reliability
+from rotcal_ros.cli import plan_check, reliability, sequence, tracer_design, trade
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.order_forecast import forecast_dict, forecast_lines
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
@@ -49,6 +49,9 @@ def command() -> None:
 
 command.add_command(reliability.command, "reliability")
 command.add_command(plan_check.command, "check")
+command.add_command(sequence.command, "sequence")
+command.add_command(tracer_design.command, "tracer")
+command.add_command(trade.command, "trade")
 
 
 @command.command()

@@ -14,11 +14,17 @@ from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
 from rotcal_ros.methods.arrivals import Arrivals, mean_from_first, mean_of_runs, repeatability_std
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined, at_equal_places
+from rotcal_ros.methods.tracer.joins import (
+    Pairs,
+    Runs,
+    adjust_joined,
+    at_equal_places,
+)
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
-from rotcal_ros.methods.tracer.solution import adjust
+from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solve import result_of
+from rotcal_ros.methods.tracer.trials import trials_about
 from rotcal_ros.observations import Approach, Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
@@ -42,7 +48,9 @@ def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
-    if _interrupted(observations):
+    if _in_segments(configuration):
+        prepared = trials_about(_solution(configuration, plan, observations))
+    elif _interrupted(observations):
         prepared = adjust_joined(_runs(configuration, plan, observations)).trials
     else:
         prepared = tracer.tracer_trials(_equal_places(configuration, plan, observations))
@@ -64,10 +72,10 @@ def _solved(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> tuple[Result, Ints]:
     """Return the deviations at every arrival that was solved, and the positions (m,) of these."""
-    if _interrupted(observations):
+    if _interrupted(observations) and not _in_segments(configuration):
         joined = adjust_joined(_runs(configuration, plan, observations))
         return joined.result(), joined.solution.positions
-    solution = adjust(_equal_places(configuration, plan, observations))
+    solution = _solution(configuration, plan, observations)
     return result_of(solution), solution.positions
 
 
@@ -77,6 +85,22 @@ def _equal_places(
     """Return the problem of one run, its lengths reduced to the mean place of their target."""
     posed = problem(configuration, plan, observations)
     return at_equal_places(posed, _positions(observations) - posed.targets[posed.target])
+
+
+def _solution(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> TracerSolution:
+    return adjust(_equal_places(configuration, plan, observations))
+
+
+def _in_segments(configuration: Configuration) -> bool:
+    return bool(configuration.solver.zero == "per_segment")
+
+
+def _segments(observations: Sequence[Observation]) -> Ints:
+    """Return the segment (k,) of each observation; another run is another segment."""
+    both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
+    return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +196,7 @@ def problem(
         length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
         distance_std=relative_std,
         order=_order(observations),
+        segment=_segments(observations) if _in_segments(configuration) else None,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),

@@ -73,6 +73,24 @@ class FaultSettings:
     blocked_targets: tuple[int, ...] = setting(
         (-1,), doc="targets without a beam while the table is in the sector; -1 alone: all"
     )
+    break_probability: float = setting(
+        0.0, doc="probability that the beam is broken at a reading", minimum=0.0, maximum=1.0
+    )
+    break_shift_um: float = setting(
+        0.0,
+        doc="um, standard deviation of the zero's change whenever the beam has been broken, in a "
+        "sector without a beam too",
+        minimum=0.0,
+    )
+    slip_probability: float = setting(
+        0.0,
+        doc="probability that the counter slips a fringe at a reading, and the status stays good",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    slip_um: float = setting(
+        0.3164, doc="um, a fringe: half a wavelength; that of a HeNe laser", minimum=0.0
+    )
     spike_probability: float = setting(
         0.0, doc="probability that a reading is a spike", minimum=0.0, maximum=1.0
     )

@@ -101,17 +101,36 @@ def eliminate(
     data leave open.
     """
     p, s, _ = kept.shape
-    q, t, _ = other.shape
-    inverse = np.linalg.inv(other)
-    transfer = np.empty_like(cross)
-    by_block = cross.reshape(p * s, q, t).swapaxes(0, 1) @ inverse
-    transfer.reshape(p * s, q, t)[...] = by_block.swapaxes(0, 1)
-    matrix = -transfer @ cross.T
-    matrix = 0.5 * (matrix + matrix.T)
+    inverse, transfer, matrix = _schur(other, cross)
     matrix.reshape(p, s, p, s)[np.arange(p), :, np.arange(p)] += kept
+    return _reduced(matrix, inverse, transfer, constraints)
+
+
+def eliminate_from(
+    kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
+) -> Reduced:
+    """Do as :func:`eliminate` for a kept side that is one matrix (y, y), ``cross`` (y, q t)."""
+    inverse, transfer, matrix = _schur(other, cross)
+    return _reduced(matrix + kept, inverse, transfer, constraints)
+
+
+def _schur(other: Floats, cross: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return B^-1, C B^-1 and -C B^-1 C'."""
+    q, t, _ = other.shape
+    inverse = np.asarray(np.linalg.inv(other))
+    transfer = np.empty_like(cross)
+    by_block = cross.reshape(-1, q, t).swapaxes(0, 1) @ inverse
+    transfer.reshape(-1, q, t)[...] = by_block.swapaxes(0, 1)
+    matrix = -transfer @ cross.T
+    return inverse, transfer, 0.5 * (matrix + matrix.T)
+
+
+def _reduced(
+    matrix: Floats, inverse: Floats, transfer: Floats, constraints: Floats | None
+) -> Reduced:
     scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
     if constraints is None:
-        columns = np.empty((p * s, 0))
+        columns = np.empty((len(matrix), 0))
     else:
         columns = np.linalg.qr(constraints * scale[:, None])[0]
-    return Reduced(matrix, np.asarray(inverse), transfer, scale, np.asarray(columns))
+    return Reduced(matrix, inverse, transfer, scale, np.asarray(columns))

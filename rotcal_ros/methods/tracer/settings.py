@@ -10,6 +10,7 @@ from rotcal_ros.settings import setting
 
 Variant = Literal["station", "joint"]
 Datum = Literal["prior", "free"]
+Zero = Literal["auto", "per_station", "per_segment"]
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,12 @@ class TracerSolverSettings(TracerLimits):
     )
     target_std_m: float = setting(
         1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
+    )
+    zero: Zero = setting(
+        "auto",
+        doc="the unknown zero of the lengths: one per_station, or one per_segment of unbroken "
+        "beam, which measures better and needs the variant joint; auto: per segment for a table "
+        "with the column segment, else per station",
     )
     error_motion_std_m: float | None = setting(
         None,

@@ -67,12 +67,17 @@ def _residuals(solution: TracerSolution) -> Residuals:
     """Return one row per length; NaN where the station or target was dropped altogether."""
     problem, grid, fit = solution.problem, solution.grid, solution.fit
     place_of = np.full(len(problem.table_angles), -1)
-    place_of[grid.position_ids] = np.arange(len(grid.position_ids))
+    place_of[grid.position_ids] = grid.first_strip
     target_at = np.full(len(problem.targets), -1)
     target_at[grid.target_ids] = np.arange(len(grid.target_ids))
     j, i = place_of[problem.position], target_at[problem.target]
     known = (j >= 0) & (i >= 0)
-    distance = np.linalg.norm(fit.stations[j] - fit.targets[i], axis=1) - fit.distances[j]
+    if grid.zero is not None:
+        at, filled = np.nonzero(grid.row >= 0)
+        j[:] = -1
+        j[grid.row[at, filled]] = at
+        known = j >= 0
+    distance = np.linalg.norm(fit.standing[j] - fit.targets[i], axis=1) - fit.distances[j]
     placed = known & (grid.row[j, i] == np.arange(len(j)))
     return Residuals(
         table_position=problem.position,
@@ -125,7 +130,7 @@ def _network(solution: TracerSolution) -> dict[str, Any]:
         "stations": fit.stations,
         "station_std": np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)),
         "station_covariance": blocks,
-        "distances": fit.distances,
+        "distances": fit.distances[grid.first_strip],
         "target_ids": grid.target_ids,
         "targets": fit.targets,
         "unknowns": fit.unknowns,
@@ -141,8 +146,8 @@ def _network(solution: TracerSolution) -> dict[str, Any]:
 def _tests(solution: TracerSolution) -> dict[str, Any]:
     """Return the outcomes of the tests, and residuals judged per station."""
     grid, fit, evidence = solution.grid, solution.fit, solution.evidence
-    redundancy = fit.redundancy.sum(axis=1)
-    squared = (grid.used * (fit.residual / fit.std) ** 2).sum(axis=1)
+    redundancy = grid.per_station(fit.redundancy)
+    squared = grid.per_station(grid.used * (fit.residual / fit.std) ** 2)
     return {
         "dof_effective": solution.covariance.dof_effective,
         "noise": _noise(solution),

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -47,6 +47,12 @@ class Beams:
     def power(self) -> Floats:
         """Mean square (k,) over the angles, (rad/m)^2."""
         return np.asarray((self.angles**2).mean(axis=1), dtype=np.float64)
+
+
+class _Felt(NamedTuple):
+    rows: Floats
+    unit: Floats
+    own: Floats
 
 
 class Information:
@@ -156,6 +162,30 @@ class Information:
             mixed = (u[:, :, None] * mixed).sum(axis=1) - through[slot, z]
             spread[seen] += 2.0 * (mixed * u).sum(axis=1) + _quadratic(own[slot], u)
         return Beams(angles, spread, variance)
+
+    def between(self, first: Lengths, second: Lengths) -> Floats:
+        """Return the covariance (k, l) of the computed lengths ``first`` and ``second``, m^2."""
+        ours, theirs = self._felt(first), self._felt(second)
+        covariance = ours.rows @ (self.covariance @ theirs.rows.T)
+        a, b = np.nonzero(first.target[:, None] == second.target)
+        by_target = np.einsum("ka,kab,kb->k", ours.unit[a], ours.own[a], theirs.unit[b])
+        covariance[a, b] += by_target
+        return np.asarray(covariance, dtype=np.float64)
+
+    def _felt(self, lengths: Lengths) -> _Felt:
+        """Return rows (k, 3 m + q) with the targets eliminated, and what targets have alone."""
+        m, each = len(self.scene.stations), np.arange(len(lengths))
+        unit, _ = self.scene.beams(lengths.position, lengths.target)
+        rows = np.zeros((len(lengths), 3 * m + self.segments))
+        rows[each[:, None], 3 * lengths.position[:, None] + np.arange(3)] = unit
+        rows[each, 3 * m + lengths.segment] = -1.0
+        slot = self._slot[lengths.target]
+        seen = np.flatnonzero(slot >= 0)
+        own = self.scene.target_std[lengths.target][:, :, None] ** 2 * np.eye(3)
+        if len(seen):
+            own[seen] = self._own[slot[seen]]
+            rows[seen] += (self._transfer[slot[seen]] @ unit[seen][:, :, None])[:, :, 0]
+        return _Felt(rows, unit, own)
 
     def gains(self, candidates: Lengths) -> Floats:
         """Return by how much one length at each of k ``candidates`` lowers phi, (k,) rad^2."""
