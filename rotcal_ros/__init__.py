@@ -16,7 +16,7 @@ _NAMES = {
         "capture_records", "simulate_observations", "simulate_records", "simulated_truth", "solve",
     ),
     "api.evaluating": (
-        "combine", "compare", "iso230", "plan_plate", "uncertainty", "write_report",
+        "check", "combine", "compare", "iso230", "plan_plate", "uncertainty", "write_report",
     ),
     "api.compensating": ("correction", "make_table", "write_controller_files"),
     "catalogue.configuration": ("Configuration",),

@@ -7,6 +7,7 @@ from rotcal_ros.api import tracer as tracer
 from rotcal_ros.api.compensating import correction as correction
 from rotcal_ros.api.compensating import make_table as make_table
 from rotcal_ros.api.compensating import write_controller_files as write_controller_files
+from rotcal_ros.api.evaluating import check as check
 from rotcal_ros.api.evaluating import combine as combine
 from rotcal_ros.api.evaluating import compare as compare
 from rotcal_ros.api.evaluating import iso230 as iso230

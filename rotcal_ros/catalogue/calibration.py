@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.disturbance import Measured, Sizes
+from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.catalogue.method import Method, Trials
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.observations import Observation
@@ -66,7 +66,7 @@ class Calibration:
         see = self.method.nominal(self.configuration, self.plan)
         return tuple(step.observed(see(step)) for step in self.plan.steps)
 
-    def measured(self, sizes: Sizes, seed: int) -> Measured:
+    def measured(self, sizes: Sizes, seed: int) -> DisturbedMeasurement:
         """Return observations of every step with the stated noise and the effects of ``sizes``."""
         if self.method.disturbances is None:
             raise ConfigurationError(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from rotcal_ros.cli import reliability, sequence, tracer_design, trade
+from rotcal_ros.cli import plan_check, reliability, sequence, tracer_design, trade
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.order_forecast import forecast_dict, forecast_lines
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
@@ -44,10 +44,11 @@ touch_option = shown_option("--touches", type=click.IntRange(min=1), default=15,
 
 @click.group()
 def command() -> None:
-    """Design a ball plate and its measurement; tell what a plan could hide."""
+    """Design a ball plate, its measurement, a quick check; tell what a plan could hide."""
 
 
 command.add_command(reliability.command, "reliability")
+command.add_command(plan_check.command, "check")
 command.add_command(sequence.command, "sequence")
 command.add_command(tracer_design.command, "tracer")
 command.add_command(trade.command, "trade")

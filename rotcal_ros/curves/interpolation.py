@@ -101,6 +101,20 @@ def harmonic_basis(angles: Floats, order: int) -> Floats:
     return np.column_stack(columns)
 
 
+def without_harmonics(angles: Floats, order: int) -> Floats:
+    """Return the projection (n, n) that takes offset and harmonics up to ``order`` off n values.
+
+    Unweighted, so that nothing leans on an angle whose value is zero by definition. Raises
+    DataError when the ``angles`` are too few to leave anything.
+    """
+    basis = harmonic_basis(angles, order)
+    n, unknowns = basis.shape
+    if n <= unknowns:
+        raise DataError(f"{n} common angles: more than {unknowns} are needed to compare")
+    q, _ = np.linalg.qr(basis)
+    return np.asarray(np.eye(n) - q @ q.T, dtype=np.float64)
+
+
 def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:
     """Return H (2 order + 1, n): coefficients of :func:`harmonic_basis` = H @ values(nodes).
 

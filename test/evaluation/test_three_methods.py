@@ -7,7 +7,7 @@ import one_table
 import pytest
 
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.evaluation.combination import Measured, combine
+from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import without_polygon
 from rotcal_ros.methods import ball_plate, plane_mirror, tracer
@@ -65,11 +65,13 @@ def test_all_angles_were_measured_by_both(comparisons):
 def test_the_combination_of_all_three_is_as_good_as_it_says(tables):
     inside, single, consistent = [], [], 0
     for table, results in tables:
-        found = combine([Measured.of(name, result) for name, result in results.items()])
+        found = combine([CombinationInput.of(name, result) for name, result in results.items()])
         best = found.result
         error = best.deviations["ECC"] - (table[:, 5] - table[:, 5].mean())
         inside.append(np.abs(error) <= 1.96 * best.std["ECC"])
-        alone = [combine([Measured.of(n, r)]).result.std["ECC"] for n, r in results.items()]
+        alone = [
+            combine([CombinationInput.of(n, r)]).result.std["ECC"] for n, r in results.items()
+        ]
         single.append(min(np.mean(std) for std in alone) / np.mean(best.std["ECC"]))
         consistent += all(group.consistent for group in found.groups)
         plate = results["plate"]

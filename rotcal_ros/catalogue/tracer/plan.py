@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from rotcal_ros.errors import ConfigurationError, PlanError
-from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
+from rotcal_ros.methods.tracer.grid import SHARED_MINIMUM, STATION_MINIMUM
 from rotcal_ros.methods.tracer.observability import what_is_missing
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD
@@ -107,18 +107,20 @@ def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
         np.array([getattr(step, name) for step in planned.steps])
         for name in ("table_position", "target")
     )
+    shared = solver.zero == "per_segment"
+    least = SHARED_MINIMUM if shared else STATION_MINIMUM
     lengths = np.bincount(at, minlength=len(planned.table_angles))
-    poor = np.flatnonzero(lengths < STATION_MINIMUM)
-    enough = lengths[at] >= STATION_MINIMUM
+    poor = np.flatnonzero(lengths < least)
+    enough = lengths[at] >= least
     n = len(planned.targets)
     free = solver.variant == "joint" and solver.datum == "free"
     missing = what_is_missing(
-        int((lengths >= STATION_MINIMUM).sum()), len(set(of[enough])), int(enough.sum()), free
+        int((lengths >= least).sum()), len(set(of[enough])), int(enough.sum()), free and not shared
     )
     if len(poor) and not missing:
         missing = (
-            f"table position {poor[0]} has {lengths[poor[0]]} lengths, at least "
-            f"{STATION_MINIMUM} are needed at each"
+            f"table position {poor[0]} has {lengths[poor[0]]} lengths, at least {least} are "
+            "needed at each"
         )
     if (places := len(set(planned.targets))) < n:
         missing = (

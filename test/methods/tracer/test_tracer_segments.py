@@ -80,7 +80,7 @@ def test_few_lengths_per_station_to_targets_of_its_own():
     error = result.deviations["ECC"] - run.deviation
     assert np.abs(error).max() < 4 * result.std["ECC"].max() < 4 * 2e-5
     with pytest.raises(ObservabilityError, match=r"56 usable lengths .* fewer than the 4 m"):
-        solve(run.problem(0.5, None))
+        solve(run.problem(0.5, None, datum="free"))
 
 
 def test_a_shared_zero_measures_better_and_a_break_costs_little():
