@@ -1,0 +1,1 @@
+"""Which lengths a laser tracer needs: predicted uncertainty, optimal design, proven bound."""
