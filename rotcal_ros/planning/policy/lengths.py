@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
-from rotcal_ros.methods.tracer.observability import what_is_missing
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.policy.noise import LengthNoise, estimate_noise
@@ -59,6 +59,7 @@ class LengthExperiment:
         self.plan, self.scene, self.costs = plan, scene, costs
         self.position = np.array([step.table_position for step in plan.steps], dtype=np.int64)
         self.target = np.array([step.target for step in plan.steps], dtype=np.int64)
+        self._first: dict[float, list[int]] = {}
 
     @cached_property
     def directions(self) -> Floats:
@@ -79,17 +80,27 @@ class LengthExperiment:
             return np.inf
         return coverage_factor * _rms(self.information(steps, noise))
 
+    def share_of_noise(self, steps: Collection[int], noise: float) -> float:
+        """Return d ln(variance) / d ln(noise^2): how much of the mean variance the noise makes."""
+        low, high = (self.information(steps, noise * f).variances().mean() for f in (0.95, 1.05))
+        return float(np.log(high / low) / (2.0 * np.log(1.05 / 0.95)))
+
     def solvable(self, steps: Collection[int]) -> bool:
-        """Whether every station has enough lengths, and all together are enough."""
-        return not self._lacking(steps).any() and not self._too_few(steps)
+        """Whether every station has enough lengths."""
+        return not self._lacking(steps).any()
 
     def _lacking(self, steps: Collection[int]) -> Bools:
         found = np.bincount(self.position[list(steps)], minlength=len(self.plan.table_angles))
         return np.asarray(found < STATION_MINIMUM)
 
-    def _too_few(self, steps: Collection[int]) -> str:
-        targets = len(np.unique(self.target[list(steps)]))
-        return what_is_missing(len(self.plan.table_angles), targets, len(steps))
+    def first_sweep(self, uncertainty: float) -> list[int]:
+        """Return the steps that reach ``uncertainty`` (rad) with the planned noise, as a sweep."""
+        if uncertainty not in self._first:
+            every = np.ones(len(self.plan.steps), dtype=np.bool_)
+            wish = Wish(uncertainty, 1.0, COVERAGE_FACTOR)
+            steps = self.pick((), every, np.ones(len(every)), wish, sweep=True)
+            self._first[uncertainty] = self.as_sweep(steps, None)
+        return list(self._first[uncertainty])
 
     def pick(
         self, done: Collection[int], allowed: Bools, chance: Floats, wish: Wish, sweep: bool
@@ -108,19 +119,17 @@ class LengthExperiment:
         shortlist = self._shortlist(known, np.flatnonzero(free), chance)
         batch = 0
         while len(shortlist):
-            have = [*done, *chosen]
             missing = self._excess(known, wish)
-            lacking = self._lacking(have)
-            if missing <= 0.0 and not lacking.any() and not self._too_few(have):
+            lacking = self._lacking([*done, *chosen])
+            if missing <= 0.0 and not lacking.any():
                 break
-            batch = batch or max(1, round(missing * max(len(have), 40) / ROUNDS))
-            batch = min(batch, len(visited), max(1, round(missing * len(have))))
+            needed = max(missing, 0.0) * max(len(done) + len(chosen), STATION_MINIMUM)
+            batch = batch or max(1, round(needed / ROUNDS))
+            batch = min(batch, len(visited), max(1, round(0.5 * needed)))
             value = self._value(known, shortlist, chance, visited)
             if lacking.any():
                 value = value * lacking[self.position[shortlist]]
                 batch = len(visited)
-            elif missing <= 0.0:  # more unknown targets would only ask for more lengths
-                value = value * np.isin(self.target[shortlist], self.target[have])
             elif not (value > LEAST_GAIN * known.mean_variance / self._dearest).any():
                 break
             best = self._each_at_another_station(shortlist, value, batch)
