@@ -96,7 +96,7 @@ def prepare_to_measure(configuration: Configuration) -> Calibration:
     calibration = prepare(configuration)
     if calibration.method.check_plan is not None:
         try:
-            calibration.method.check_plan(calibration.plan)
+            calibration.method.check_plan(configuration, calibration.plan)
         except PlanError as error:
             raise PlanError(f"{configuration.source}: plan: {error}") from error
     return calibration

@@ -17,7 +17,8 @@ import yaml
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.catalogue.method import Method, find_method
+from rotcal_ros.catalogue.method import Method, find_method, method_names
+from rotcal_ros.catalogue.plan_files import PlanFile, with_contents
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.planning.cell_settings import CellSettings
@@ -94,11 +95,19 @@ class Configuration:
 
 def read_configuration(path: Path) -> Configuration:
     """Read a configuration file; raises ConfigurationError when it cannot be used."""
+    return parse_configuration(configuration_text(path), str(path))
+
+
+def configuration_text(path: Path) -> str:
+    """Return the text of a configuration file, with the content of the files that it names.
+
+    Raises ConfigurationError when one of them cannot be read.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot read the configuration {path}: {error}") from error
-    return parse_configuration(text, str(path))
+    return with_contents(text, str(path), path.parent, _plan_files)
 
 
 def parse_configuration(
@@ -141,7 +150,9 @@ def changed(configuration: Configuration, changes: Sequence[str]) -> Configurati
     for change in changes:
         _change(parameters, change)
     text = dump_configuration(str(parameters.pop("method")), parameters)
-    return parse_configuration(text, f"{configuration.source} with --set")
+    source = f"{configuration.source} with --set"
+    text = with_contents(text, source, Path(configuration.source).parent, _plan_files)
+    return parse_configuration(text, source)
 
 
 def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> str:
@@ -152,6 +163,10 @@ def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> 
         {"/**": {"ros__parameters": parameters}}, sort_keys=False, default_flow_style=None
     )
     return text
+
+
+def _plan_files(method: str) -> Mapping[str, PlanFile]:
+    return find_method(method).plan_files if method in method_names() else {}
 
 
 def _parameters(text: str, source: str) -> tuple[str, dict[str, Any]]:

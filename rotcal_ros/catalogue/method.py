@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
@@ -13,6 +13,7 @@ from rotcal_ros import plugins
 from rotcal_ros.arrays import Floats
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.disturbance import Disturbances
+from rotcal_ros.catalogue.plan_files import PlanFile
 from rotcal_ros.figures import Figure
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Step
@@ -94,8 +95,9 @@ class Method:
     plan, not only the last one of each step.
 
     ``check_plan`` raises PlanError for a plan whose data could never be solved, before anything is
-    measured. ``older_plans`` are the plans that earlier versions made of the same configuration:
-    bags of theirs are read with them.
+    measured. ``plan_files`` are files that stand for lists of the group ``plan``, by the settings
+    that name them. ``older_plans`` are the plans that earlier versions made of the same
+    configuration: bags of theirs are read with them.
 
     ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
     deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
@@ -122,7 +124,8 @@ class Method:
     older_plans: tuple[Callable[[Configuration], Plan], ...] = ()
     trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
     check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
-    check_plan: Callable[[Plan], None] | None = None
+    check_plan: Callable[[Configuration, Plan], None] | None = None
+    plan_files: Mapping[str, PlanFile] = field(default_factory=dict)
     table: TableReader | None = None
     short_setup: Callable[[Mapping[str, Any], str], Mapping[str, Any]] | None = None
     figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = no_figures

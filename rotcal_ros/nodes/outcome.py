@@ -12,7 +12,8 @@ from action_msgs.msg import GoalStatus
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.catalogue import Configuration
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.catalogue.configuration import configuration_text
+from rotcal_ros.errors import DataError
 from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.results import Result
 
@@ -93,12 +94,7 @@ def text_of(configuration: Path | str | Configuration) -> str:
         return configuration.text
     if isinstance(configuration, str) and ("\n" in configuration or not configuration):
         return configuration
-    try:
-        return Path(configuration).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(
-            f"cannot read the configuration {configuration}: {error}"
-        ) from error
+    return configuration_text(Path(configuration))
 
 
 def _known(value: float) -> float | None:

@@ -8,6 +8,7 @@ from rotcal_ros.catalogue import changed, prepare_to_measure, read_configuration
 from rotcal_ros.errors import ConfigurationError, PlanError
 
 CONFIG = Path(__file__).parents[2] / "config"
+FREE = "solver.datum=free"
 ONE_STOP = ("plan.order=targets_per_station", "plan.table_step_deg=60.0")
 PLATE = ("plan.plate.grid=12", "plan.plate.ball_steps=[0, 1, 3, 5, 8, 9]", "plan.rounds=1")
 
@@ -22,10 +23,12 @@ def made(name, *changes):
     [
         ("tracer_demo", ["plan.table_positions=2"], "2 stations"),
         ("tracer_demo", ["plan.table_positions=3"], "3 stations"),
-        ("tracer_demo", ["plan.box_points=[2, 1, 1]"], "22 usable lengths from 11 stations"),
-        ("tracer_demo", ["plan.box_points=[1, 1, 1]"], "fewer than the 4 m"),
+        ("tracer_demo", ["plan.box_points=[2, 2, 1]"], "0 stations with at least 5 usable"),
+        # 55 lengths, 44 + 15 unknowns
+        ("tracer_demo", [FREE, "plan.box_points=[5, 1, 1]"], "55 usable lengths from 11"),
         # 4 stations: 4 x 15 = 60 lengths, 16 + 45 = 61 unknowns
-        ("tracer_demo", ["plan.table_positions=4", "plan.box_points=[5, 3, 1]"], "= 61 unknowns"),
+        ("tracer_demo", [FREE, "plan.table_positions=4", "plan.box_points=[5, 3, 1]"],
+         "= 61 unknowns"),
         ("tracer_demo", ["plan.box_size_m=[0, 0, 0]"], "64 targets at 1 places"),
         ("tracer_demo", ["plan.box_size_m=[0.4, 0, 0.4]"], "64 targets at 16 places"),
         ("tracer_demo", [*ONE_STOP, "plan.runs=3", "plan.table_positions=2"], "2 table angles"),
@@ -47,7 +50,9 @@ def test_it_is_refused_with_its_place(name, changes, words):
     ("name", "changes"),
     [
         # 4 x 16 = 64 lengths, 16 + 48 unknowns
-        ("tracer_demo", ["plan.table_positions=4", "plan.box_points=[4, 4, 1]"]),
+        ("tracer_demo", [FREE, "plan.table_positions=4", "plan.box_points=[4, 4, 1]"]),
+        # the machine tells the targets: 4 lengths of a station for its place and zero, one more
+        ("tracer_demo", ["plan.table_positions=4", "plan.box_points=[5, 1, 1]"]),
         ("tracer_demo", ["plan.box_size_m=[0.4, 0, 0.4]", "plan.box_points=[4, 1, 4]"]),
         ("tracer_demo", [*ONE_STOP, "plan.runs=2", "plan.table_positions=3"]),
         ("plane_mirror_demo", ["solver.range_std_m=0", "solver.transverse_std_relative=0"]),

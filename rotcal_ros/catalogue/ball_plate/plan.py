@@ -89,7 +89,7 @@ def plan(configuration: Configuration) -> Plan:
     return planned
 
 
-def check_plan(planned: Plan) -> None:
+def check_plan(_configuration: Configuration, planned: Plan) -> None:
     """Raise PlanError where too many table positions would have too few balls to be solved."""
     seen = {(step.table_position, step.target) for step in planned.steps}
     grid = len(planned.table_angles)

@@ -15,6 +15,7 @@ from rotcal_ros.catalogue.tracer import calibration, table
 from rotcal_ros.catalogue.tracer.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.tracer.figures import figures
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, check_plan, tracer_plan
+from rotcal_ros.catalogue.tracer.plan_tables import PLAN_FILES
 from rotcal_ros.catalogue.tracer.plausibility import LengthCheck
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -44,7 +45,8 @@ METHOD: Final = Method(
     solver_settings=TracerSolverSettings,
     simulation_settings=TracerSimulationSettings,
     plan=lambda configuration: tracer_plan(configuration.plan),
-    check_plan=check_plan,
+    check_plan=lambda configuration, plan: check_plan(configuration.solver, plan),
+    plan_files=PLAN_FILES,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=calibration.solve,
     joins_runs=True,

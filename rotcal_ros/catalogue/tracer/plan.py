@@ -2,19 +2,22 @@
 
 The tracer rides on the table; the probe carries the reflector to the targets. Both orders of
 measuring are plans: all stations at each target (the order of the paper), and all targets at
-each station.
+each station. An explicit plan lists its own targets, and the pairs of table position and target in
+the order in which they are measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
-from rotcal_ros.errors import PlanError
+from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
 from rotcal_ros.methods.tracer.observability import what_is_missing
+from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
@@ -55,6 +58,42 @@ class TracerPlanSettings(TableAngleSettings):
     bidirectional: bool = setting(
         False, doc="measure every run on the way up and, from the other side, on the way down"
     )
+    targets_m: tuple[float, ...] = setting(
+        (), doc="m, explicit targets: x, y, z of target 0, of target 1, ...; replaces the box"
+    )
+    targets_file: str = setting(
+        "",
+        doc="CSV file beside the configuration with the explicit targets: target,x_m,y_m,z_m; "
+        "read into targets_m",
+    )
+    pairs: tuple[int, ...] = setting(
+        (),
+        doc="explicit steps in their order: table position and target of the first, of the "
+        "second, ...; replaces the order",
+        minimum=0,
+    )
+    pairs_file: str = setting(
+        "",
+        doc="CSV file beside the configuration with the explicit steps: "
+        "step,table_position,target; read into pairs",
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse lists that are incomplete, and files whose content is not here."""
+        for name, length, what in (
+            ("targets_m", 3, "x, y, z of each target"),
+            ("pairs", 2, "table position and target of each step"),
+        ):
+            if len(getattr(self, name)) % length:
+                raise ConfigurationError(
+                    f"{name} has {len(getattr(self, name))} numbers, expected {what}"
+                )
+        for name, lists in (("targets_file", "targets_m"), ("pairs_file", "pairs")):
+            if getattr(self, name):
+                raise ConfigurationError(
+                    f"{name}: {getattr(self, name)} is read with the configuration file that "
+                    f"names it; here there is no file: give {lists} instead"
+                )
 
     @property
     def repeated(self) -> bool:
@@ -62,12 +101,30 @@ class TracerPlanSettings(TableAngleSettings):
         return self.runs > 1 or self.bidirectional
 
 
-def check_plan(planned: Plan) -> None:
+def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
     """Raise PlanError for a plan whose lengths could never be solved."""
-    m, n = len(planned.table_angles), len(planned.targets)
-    missing = what_is_missing(m, n, m * n)
+    at, of = (
+        np.array([getattr(step, name) for step in planned.steps])
+        for name in ("table_position", "target")
+    )
+    lengths = np.bincount(at, minlength=len(planned.table_angles))
+    poor = np.flatnonzero(lengths < STATION_MINIMUM)
+    enough = lengths[at] >= STATION_MINIMUM
+    n = len(planned.targets)
+    free = solver.variant == "joint" and solver.datum == "free"
+    missing = what_is_missing(
+        int((lengths >= STATION_MINIMUM).sum()), len(set(of[enough])), int(enough.sum()), free
+    )
+    if len(poor) and not missing:
+        missing = (
+            f"table position {poor[0]} has {lengths[poor[0]]} lengths, at least "
+            f"{STATION_MINIMUM} are needed at each"
+        )
     if (places := len(set(planned.targets))) < n:
-        missing = f"{n} targets at {places} places: box_size_m is 0 where box_points are several"
+        missing = (
+            f"{n} targets at {places} places: targets_m repeats one, or box_size_m is 0 where "
+            "box_points are several"
+        )
     if (angles := len(set(planned.table_angles))) < LEAST_ANGLES:
         missing = missing or f"{angles} table angles: a circle needs at least {LEAST_ANGLES}"
     if missing:
@@ -77,10 +134,14 @@ def check_plan(planned: Plan) -> None:
 def tracer_plan(settings: TracerPlanSettings) -> Plan:
     """Return the plan of one laser-tracer calibration.
 
-    Repeated runs list the table angles again for every arrival: a station is one arrival, at which
-    the table stands until all targets are measured. Raises PlanError when explicit angles do not
-    ascend, or when repeated runs come with an order that leaves the angle for every target.
+    Explicit pairs are measured as they are listed, every position reached from below. Repeated
+    runs list the table angles again for every arrival: a station is one arrival, at which the
+    table stands until all targets are measured. Raises PlanError when explicit angles do not
+    ascend, when repeated runs come with an order that leaves the angle for every target, or when
+    pairs are not of the plan's angles and targets.
     """
+    if settings.pairs:
+        return explicit_plan(settings)
     if settings.repeated and settings.order != TARGETS_PER_STATION:
         raise PlanError(
             f"repeated runs need the order {TARGETS_PER_STATION}: with {settings.order} the table "
@@ -88,7 +149,7 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
         )
     angles = table_angles(settings)
     arrivals = visits(len(angles), settings.runs, settings.bidirectional)
-    targets = block_of_targets(settings)
+    targets = targets_of(settings)
     every = tuple(angles[visit.target] for visit in arrivals)
     plan = plan_of(every, targets, [visit.approach for visit in arrivals])
     if settings.order == TARGETS_PER_STATION:
@@ -98,11 +159,44 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     return replace(plan, steps=steps)
 
 
+def explicit_plan(settings: TracerPlanSettings) -> Plan:
+    """Return the plan of the listed pairs; PlanError, with the step, for those that cannot be."""
+    if settings.repeated:
+        raise PlanError(
+            "runs and bidirectional repeat all lengths: they do not go with explicit pairs"
+        )
+    angles, targets = table_angles(settings), targets_of(settings)
+    pairs = tuple(zip(settings.pairs[::2], settings.pairs[1::2], strict=True))
+    seen: dict[tuple[int, int], int] = {}
+    for number, (position, target) in enumerate(pairs):
+        where = f"step {number} of the pairs, table position {position}, target {target}"
+        if position >= len(angles):
+            raise PlanError(f"{where}: there are table positions 0 to {len(angles) - 1}")
+        if target >= len(targets):
+            raise PlanError(f"{where}: there are targets 0 to {len(targets) - 1}")
+        if (position, target) in seen:
+            raise PlanError(
+                f"{where}: it is step {seen[position, target]} already; a pair is measured once"
+            )
+        seen[position, target] = number
+    return _plan(angles, targets, pairs, [Approach.POSITIVE] * len(angles))
+
+
 def plan_of(
     table_angles: tuple[float, ...], targets: tuple[Point, ...], approaches: Sequence[Approach]
 ) -> Plan:
     """Return the plan that measures every target at each table angle, which is an arrival."""
     pairs = product(range(len(table_angles)), range(len(targets)))
+    return _plan(table_angles, targets, pairs, approaches)
+
+
+def _plan(
+    table_angles: tuple[float, ...],
+    targets: tuple[Point, ...],
+    pairs: Iterable[tuple[int, int]],
+    approaches: Sequence[Approach],
+) -> Plan:
+    """Return the plan with one step for each pair (arrival, target), in their order."""
     steps = tuple(
         Step(
             index=number,
@@ -116,6 +210,14 @@ def plan_of(
         for number, (arrival, target) in enumerate(pairs)
     )
     return Plan(METHOD, table_angles, targets, steps)
+
+
+def targets_of(settings: TracerPlanSettings) -> tuple[Point, ...]:
+    """Return the explicit targets (m), or those of the block."""
+    if not settings.targets_m:
+        return block_of_targets(settings)
+    every = iter(settings.targets_m)
+    return tuple(zip(every, every, every, strict=True))
 
 
 def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:

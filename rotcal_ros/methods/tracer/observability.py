@@ -23,16 +23,17 @@ CURE: Final = (
 
 
 def check_counts(grid: Grid) -> None:
-    """Raise ObservabilityError unless m >= 4 and lengths >= 4 m + 3 n (Eq. 2)."""
+    """Raise ObservabilityError unless m >= 4, and in a free network lengths >= 4 m + 3 n."""
     m, n = grid.used.shape
-    if missing := what_is_missing(m, n, int(grid.used.sum())):
+    if missing := what_is_missing(m, n, int(grid.used.sum()), grid.free):
         raise ObservabilityError(missing)
 
 
-def what_is_missing(m: int, n: int, lengths: int) -> str:
-    """Return what m stations and n targets lack; empty for m >= 4, lengths >= 4 m + 3 n (Eq. 2).
+def what_is_missing(m: int, n: int, lengths: int, free: bool) -> str:
+    """Return what m stations and n targets lack; empty when they can be solved (Eq. 2).
 
-    A station is one with at least 5 usable lengths.
+    A station is one with at least 5 usable lengths. Where the machine tells the targets, three
+    coordinates of each are observed and their unknowns count for nothing: 5 m lengths are enough.
     """
     unknowns = 4 * m + 3 * n
     if m < 4:
@@ -40,7 +41,7 @@ def what_is_missing(m: int, n: int, lengths: int) -> str:
             f"{m} stations with at least 5 usable lengths each, at least 4 are needed (Eq. 2): "
             "measure at more table angles"
         )
-    if lengths < unknowns:
+    if free and lengths < unknowns:
         return (
             f"{lengths} usable lengths from {m} stations to {n} targets are fewer than the "
             f"4 m + 3 n = {unknowns} unknowns (Eq. 2): measure more targets (with 4 stations at "

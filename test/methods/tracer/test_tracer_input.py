@@ -256,12 +256,15 @@ def test_blocked_station_is_left_out_and_said():
 
 
 @pytest.mark.parametrize(
-    ("m", "n", "text"),
-    [(3, 20, "3 stations .* at least 4"), (4, 15, "60 usable lengths .* 61 unknowns")],
+    ("m", "n", "free", "text"),
+    [
+        (3, 20, {}, "3 stations .* at least 4"),
+        (4, 15, {"variant": "joint", "datum": "free"}, "60 usable lengths .* 61 unknowns"),
+    ],
 )
-def test_counting_names_both_numbers(m, n, text):
+def test_counting_names_both_numbers(m, n, free, text):
     with pytest.raises(ObservabilityError, match=text):
-        solve(simulate(angles=arc(m), n=n).problem())
+        solve(simulate(angles=arc(m), n=n).problem(**free))
 
 
 def test_least_that_counting_allows():

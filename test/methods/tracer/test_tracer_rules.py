@@ -236,7 +236,7 @@ def test_a_station_may_be_known_to_a_share_of_the_radius(share):
 
 def test_counting_allows_as_many_lengths_as_unknowns():
     scene = simulate(3, angles=arc(4), n=16, layout=low_ring)
-    grid, _ = arrange(scene.problem())
+    grid, _ = arrange(scene.problem(variant="joint", datum="free"))
     check_counts(grid)  # 64 lengths, 16 + 48 unknowns
     used = grid.used.copy()
     used[0, 0] = False
@@ -244,6 +244,7 @@ def test_counting_allows_as_many_lengths_as_unknowns():
         ObservabilityError, match="63 usable lengths from 4 stations to 16 targets"
     ):
         check_counts(replace(grid, used=used))
+    check_counts(replace(grid, used=used, free=False))  # the machine tells the targets
 
 
 def blocks_of(rng, count, size):
