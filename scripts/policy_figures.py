@@ -151,7 +151,12 @@ def as_planned(cell: Cell) -> Run:
 
 
 def _judged(
-    cell: Cell, factor: float, share: float, met: bool, slowest: float, reasons: tuple[str, ...] = ()
+    cell: Cell,
+    factor: float,
+    share: float,
+    met: bool,
+    slowest: float,
+    reasons: tuple[str, ...] = (),
 ) -> Run:
     known = cell.of.information(cell.lengths, factor)
     spread = np.sqrt(known.variances())

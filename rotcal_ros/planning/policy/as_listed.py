@@ -7,8 +7,6 @@ from collections.abc import Iterable
 
 from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
 
-AS_LISTED = "as_listed"
-
 
 class AsListed:
     """Measures ``steps`` in their order; a step that is given up is not asked for again."""

@@ -1,7 +1,7 @@
 """The lengths of a laser tracer as an experiment: what any choice of steps would give.
 
-Everything is linear about the nominal place of the tracer (:class:`Information`); what was observed
-enters only the estimate of the noise and the tests.
+Everything is linear about the nominal place of the tracer (:class:`Information`); what was
+observed enters only the estimate of the noise and the tests.
 """
 
 from __future__ import annotations
@@ -107,9 +107,9 @@ class LengthExperiment:
     ) -> list[int]:
         """Return further steps that grant the wish, the best gain per time first.
 
-        ``allowed`` (k,): candidates; ``chance`` (k,): how probably the beam is free. ``sweep``: all
-        stations are visited anyway, so that a turn of the table costs nothing extra. Stops short of
-        the wish when no candidate helps.
+        ``allowed`` (k,): candidates; ``chance`` (k,): how probably the beam is free. ``sweep``:
+        all stations are visited anyway, so that a turn of the table costs nothing extra. Stops
+        short of the wish when no candidate helps.
         """
         chosen: list[int] = []
         free = allowed.copy()
@@ -214,8 +214,9 @@ class LengthExperiment:
         errors = np.zeros((len(steps), len(seen), 3))
         errors[np.arange(len(steps)), own] = unit * self.scene.target_std[seen][own]
         time = np.array([o.window_end_ns for o in kept], dtype=np.float64)
-        weighted = [rows / std[:, None] for rows in (design, errors.reshape(len(steps), -1))]
-        return estimate_noise(*weighted, y / std, time - time[0]), tuple(steps)
+        errors = errors.reshape(len(steps), -1) / std[:, None]
+        found = estimate_noise(design / std[:, None], errors, y / std, time - time[0])
+        return found, tuple(steps)
 
     def _noisier(self, factor: float) -> Scene:
         return replace(
@@ -243,9 +244,9 @@ def _mean_places(reported: Floats, own: Ints, count: int) -> Floats:
 def _placed(
     nominal: Floats, position: Ints, targets: Floats, length: Floats
 ) -> tuple[Floats, Floats]:
-    """Return unit vectors (k, 3) and lengths less computed ones (k,), each station placed by its own.
+    """Return unit vectors (k, 3) and lengths less computed ones (k,), from stations in place.
 
-    Gauss-Newton on all stations at once, targets (k, 3) being known.
+    Gauss-Newton on each station by its own lengths, targets (k, 3) being known.
     """
     ids, own = np.unique(position, return_inverse=True)
     stations = nominal[ids].copy()

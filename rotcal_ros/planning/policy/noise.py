@@ -8,8 +8,8 @@ values of variance s^2 + lambda. Restricted maximum likelihood (Patterson and Th
 w = 1 / (s^2 + lambda); its information sum w^2 / 2 gives the degrees of freedom s^4 sum w^2, which
 is the number of contrasts where the targets play no part.
 
-Stein (Ann. Math. Statist. 16 (1945) 243): a number of further lengths that depends on this estimate
-alone leaves the final mean independent of it, so that Student's t with these degrees of freedom
+Stein (Ann. Math. Statist. 16 (1945) 243): a number of further lengths that depends on this
+estimate alone leaves the final mean independent of it, so that Student's t with these degrees of freedom
 holds for the final interval, however many lengths follow. An estimate renewed on the way would
 stop where it happens to be small: intervals that promise too much.
 """
@@ -36,8 +36,9 @@ SETTLED: Final = 1e-10
 class LengthNoise:
     """Factor on the planned standard deviation of the lengths, its degrees of freedom, and tests.
 
-    ``test_value`` (k,): normalised residual of each length in standard deviations, 0 where no other
-    length checks it; ``drift_value``: the same for a change of all lengths in proportion to time.
+    ``test_value`` (k,): normalised residual of each length in standard deviations, 0 where no
+    other length checks it; ``drift_value``: the same for a change of all lengths in proportion to
+    time.
     """
 
     factor: float

@@ -29,7 +29,6 @@ from rotcal_ros.planning.policy.lengths import LengthExperiment, Wish
 from rotcal_ros.planning.policy.noise import LengthNoise, student_factor
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
-UNTIL_GOAL: Final = "until_goal"
 PLANNED_FACTOR: Final = student_factor(math.inf)
 BLOCKED_WIDTH: Final = 15.0 * DEGREE
 """A beam so near to a blocked one is as likely blocked as free."""
@@ -54,8 +53,8 @@ class UntilGoal:
     """Chooses among the steps of ``experiment`` until ``limits`` are met.
 
     ``again``: steps that a resumed plan measures again first; ``earlier`` is what the earlier runs
-    observed, ``given_up`` the steps that they gave up. The noise of a resumed plan is estimated when
-    its first sweep is complete, from all lengths there are then.
+    observed, ``given_up`` the steps that they gave up. The noise of a resumed plan is estimated
+    when its first sweep is complete, from all lengths there are then.
     """
 
     def __init__(
