@@ -18,7 +18,7 @@ from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.policy.noise import LengthNoise, estimate_noise
+from rotcal_ros.planning.policy.noise import LengthNoise, estimate_noise, tested
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
 
@@ -28,6 +28,8 @@ SHORTLIST: Final = 1200
 """Only so many of the best candidates are looked at again in every round."""
 PLACING_STEPS: Final = 8
 """Gauss-Newton steps that place a station from its nominal place, a few centimetres off."""
+MOST_PER_STATION: Final = 3
+"""No more lengths of a station are taken in one round: they would all be alike."""
 LEAST_GAIN: Final = 5e-4
 """A length that lowers the mean variance by less than this share is not worth its time."""
 
@@ -60,6 +62,7 @@ class LengthExperiment:
         self.position = np.array([step.table_position for step in plan.steps], dtype=np.int64)
         self.target = np.array([step.target for step in plan.steps], dtype=np.int64)
         self._first: dict[float, list[int]] = {}
+        self._scenes: dict[float, Scene] = {}
 
     @cached_property
     def directions(self) -> Floats:
@@ -68,8 +71,7 @@ class LengthExperiment:
 
     def information(self, steps: Collection[int], noise: float) -> Information:
         """Return what the lengths of ``steps`` tell."""
-        scene = self.scene if noise == 1.0 else self._noisier(noise)
-        return Information(scene, self._lengths(steps), len(self.plan.table_angles))
+        return Information(self._noisier(noise), self._lengths(steps), len(self.plan.table_angles))
 
     def uncertainty(self, steps: Collection[int], noise: float, coverage_factor: float) -> float:
         """Return the expanded uncertainty (rad, rms over the angles) that ``steps`` give.
@@ -125,14 +127,14 @@ class LengthExperiment:
                 break
             needed = max(missing, 0.0) * max(len(done) + len(chosen), STATION_MINIMUM)
             batch = batch or max(1, round(needed / ROUNDS))
-            batch = min(batch, len(visited), max(1, round(0.5 * needed)))
+            batch = min(batch, MOST_PER_STATION * len(visited), max(1, round(0.5 * needed)))
             value = self._value(known, shortlist, chance, visited)
             if lacking.any():
                 value = value * lacking[self.position[shortlist]]
                 batch = len(visited)
             elif not (value > LEAST_GAIN * known.mean_variance / self._dearest).any():
                 break
-            best = self._each_at_another_station(shortlist, value, batch)
+            best = self._spread_out(shortlist, value, batch)
             if not best:
                 break
             chosen += best
@@ -150,10 +152,17 @@ class LengthExperiment:
         return float((wish.coverage_factor * _rms(known) / wish.uncertainty) ** 2 - 1.0)
 
     def _shortlist(self, known: Information, candidates: Ints, chance: Floats) -> Ints:
+        """Return some candidates of each station: the best ones, and some of all directions."""
         if len(candidates) <= SHORTLIST:
             return candidates
+        share = SHORTLIST // (2 * len(self.plan.table_angles))
         gains = known.gains(self._lengths(candidates)) * chance[candidates]
-        return np.sort(candidates[np.argsort(-gains, kind="stable")[:SHORTLIST]])
+        kept = []
+        for position in np.unique(self.position[candidates]):
+            here = np.flatnonzero(self.position[candidates] == position)
+            kept.append(here[np.argsort(-gains[here], kind="stable")[:share]])
+            kept.append(here[np.linspace(0, len(here) - 1, share).astype(np.int64)])
+        return np.asarray(candidates[np.unique(np.concatenate(kept))])
 
     def _value(
         self, known: Information, candidates: Ints, chance: Floats, visited: Bools
@@ -163,13 +172,20 @@ class LengthExperiment:
         gains = known.gains(self._lengths(candidates))
         return np.asarray(gains * chance[candidates] / (self.costs.step_s + turn))
 
-    def _each_at_another_station(self, candidates: Ints, value: Floats, count: int) -> list[int]:
-        best: dict[int, int] = {}
-        for index in np.argsort(-value, kind="stable"):
-            if value[index] <= 0.0 or len(best) == count:
-                break
-            best.setdefault(int(self.position[candidates[index]]), int(candidates[index]))
-        return list(best.values())
+    def _spread_out(self, candidates: Ints, value: Floats, count: int) -> list[int]:
+        """Return up to ``count`` of the best candidates, shared among the stations."""
+        order = np.argsort(-value, kind="stable")
+        order = order[value[order] > 0.0]
+        position = self.position[candidates[order]]
+        by_station = np.argsort(position, kind="stable")
+        sorted_position = position[by_station]
+        rank = np.empty(len(order), dtype=np.int64)
+        rank[by_station] = np.arange(len(order)) - np.searchsorted(
+            sorted_position, sorted_position
+        )
+        most = -(-count // len(self.plan.table_angles))
+        best: list[int] = candidates[order[rank < most][:count]].tolist()
+        return best
 
     def instead(
         self, position: int, done: Collection[int], allowed: Bools, chance: Floats, noise: float
@@ -193,10 +209,13 @@ class LengthExperiment:
             return sorted(steps, key=lambda step: (-self.position[step], step))
         return ordered
 
-    def noise(self, observed: Mapping[int, Observation]) -> tuple[LengthNoise, tuple[int, ...]]:
+    def noise(
+        self, observed: Mapping[int, Observation], factor: float | None = None
+    ) -> tuple[LengthNoise, tuple[int, ...]]:
         """Return the noise of the lengths ``observed`` by step, and the steps of its tests.
 
-        Stations with too few lengths take no part.
+        With a ``factor`` that is known already only the tests are new. Stations with too few
+        lengths take no part.
         """
         lacking = self._lacking(list(observed))
         steps = [step for step in sorted(observed) if not lacking[self.position[step]]]
@@ -215,15 +234,23 @@ class LengthExperiment:
         errors[np.arange(len(steps)), own] = unit * self.scene.target_std[seen][own]
         time = np.array([o.window_end_ns for o in kept], dtype=np.float64)
         errors = errors.reshape(len(steps), -1) / std[:, None]
-        found = estimate_noise(design / std[:, None], errors, y / std, time - time[0])
+        scaled = (design / std[:, None], errors, y / std, time - time[0])
+        found = estimate_noise(*scaled) if factor is None else tested(*scaled, factor)
         return found, tuple(steps)
 
     def _noisier(self, factor: float) -> Scene:
-        return replace(
-            self.scene,
-            length_std=factor * self.scene.length_std,
-            length_std_relative=factor * self.scene.length_std_relative,
-        )
+        """Return the scene with ``factor`` times the noise; the last few are kept."""
+        found = self._scenes.get(factor)
+        if found is None:
+            if len(self._scenes) > 8:
+                self._scenes.clear()
+            found = self._scenes[factor] = replace(
+                self.scene,
+                length_std=factor * self.scene.length_std,
+                length_std_relative=factor * self.scene.length_std_relative,
+            )
+            found.__dict__.update(motion=self.scene.motion, bearing=self.scene.bearing)
+        return found
 
     def _lengths(self, steps: Collection[int] | Ints) -> Lengths:
         rows = np.fromiter(steps, dtype=np.int64, count=len(steps))

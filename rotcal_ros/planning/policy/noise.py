@@ -9,9 +9,9 @@ w = 1 / (s^2 + lambda); its information sum w^2 / 2 gives the degrees of freedom
 is the number of contrasts where the targets play no part.
 
 Stein (Ann. Math. Statist. 16 (1945) 243): a number of further lengths that depends on this
-estimate alone leaves the final mean independent of it, so that Student's t with these degrees of freedom
-holds for the final interval, however many lengths follow. An estimate renewed on the way would
-stop where it happens to be small: intervals that promise too much.
+estimate alone leaves the final mean independent of it, so that Student's t with these degrees of
+freedom holds for the final interval, however many lengths follow. An estimate renewed on the way
+would stop where it happens to be small: intervals that promise too much.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 from scipy.special import ndtr, stdtrit
 
 from rotcal_ros.arrays import Floats
@@ -85,6 +86,30 @@ def estimate_noise(design: Floats, targets: Floats, length: Floats, time: Floats
     drift = float((slope * weight * z).sum()) / np.sqrt(known) if known > 0.0 else 0.0
     dof = variance**2 * float((weight**2).sum())
     return LengthNoise(float(np.sqrt(variance)), dof, test, float(drift))
+
+
+def tested(
+    design: Floats, targets: Floats, length: Floats, time: Floats, factor: float
+) -> LengthNoise:
+    """Return the tests of :func:`estimate_noise` with a ``factor`` that is known; zero dof.
+
+    With W = V^-1 - V^-1 A (A' V^-1 A)^-1 A' V^-1 and V = factor^2 + T T', without eigenvectors.
+    """
+    covariance = targets @ targets.T
+    covariance.flat[:: len(length) + 1] += factor**2
+    root = cholesky(covariance, lower=True, check_finite=False)
+    scaled = design / np.linalg.norm(design, axis=0)
+    known = np.column_stack([length, time - time.mean(), np.eye(len(length))])
+    known = solve_triangular(root, known, lower=True, check_finite=False)
+    explained = np.linalg.qr(solve_triangular(root, scaled, lower=True, check_finite=False))[0]
+    known -= explained @ (explained.T @ known)
+    y, slope, each = known[:, 0], known[:, 1], known[:, 2:]
+    checked = (each**2).sum(axis=0)
+    seen = checked * factor**2 > CHECKED
+    test = np.where(seen, (each.T @ y) / np.sqrt(np.where(seen, checked, 1.0)), 0.0)
+    weight = float(slope @ slope)
+    drift = float(slope @ y) / np.sqrt(weight) if weight > 0.0 else 0.0
+    return LengthNoise(factor, 0.0, test, float(drift))
 
 
 def _restricted_likelihood(squares: Floats, spread: Floats) -> float:

@@ -32,6 +32,7 @@ from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 PLANNED_FACTOR: Final = student_factor(math.inf)
 BLOCKED_WIDTH: Final = 15.0 * DEGREE
 """A beam so near to a blocked one is as likely blocked as free."""
+TINY: Final = 1e-6
 POOR_CHANCE: Final = 0.5
 """A planned step with a smaller chance gives way to a better one at the same station."""
 UNKNOWN: Final = 1e-3
@@ -70,7 +71,8 @@ class UntilGoal:
         self._lengths: dict[int, Observation] = {o.step: o for o in earlier}
         count = len(experiment.plan.steps)
         self._allowed = np.ones(count, dtype=np.bool_)
-        self._chance = np.ones(count)
+        self._from_blocked, self._from_free = np.full(count, np.pi), np.full(count, np.pi)
+        """Angles (k,) of every beam to the nearest that was blocked, and free, rad."""
         self._at: int | None = None
         self._estimated = False
         self._stated = (1.0, PLANNED_FACTOR)
@@ -95,7 +97,7 @@ class UntilGoal:
         if stop:
             return Choice(None, stop + self._drift, self._standing())
         step, reason = self._queue[0]
-        if self._chance[step] < POOR_CHANCE and step not in self._lengths:
+        if step not in self._lengths and self._chance[step] < POOR_CHANCE:
             step, reason = self._queue[0] = self._better_than(step, reason)
         return Choice(step, reason, self._standing())
 
@@ -106,6 +108,7 @@ class UntilGoal:
             self._queue.popleft()
         self._at = int(self._experiment.position[step])
         if outcome.observation is not None:
+            self._from_free = np.minimum(self._from_free, self._angles_from(step))
             if step in self._closing:
                 self._close(step, outcome.observation)
             self._lengths[step] = outcome.observation
@@ -126,7 +129,8 @@ class UntilGoal:
 
     def _plan_further(self) -> str:
         """Queue what is needed next; return why nothing is."""
-        noise, steps = self._experiment.noise(self._lengths)
+        known = self._stated[0] if self._estimated else None
+        noise, steps = self._experiment.noise(self._lengths, known)
         if self._suspect(noise, steps) or self._drifts(noise, steps):
             return ""
         if not self._estimated and noise.dof > 0.0 and self._experiment.solvable(self._lengths):
@@ -185,15 +189,24 @@ class UntilGoal:
 
     def _block(self, step: int) -> None:
         """Hold a beam for blocked, and those near to it in direction for probably so."""
-        directions = self._experiment.directions
-        angle = np.arccos(np.clip(directions @ directions[step], -1.0, 1.0))
-        self._chance *= _chance_at(angle)
+        self._from_blocked = np.minimum(self._from_blocked, self._angles_from(step))
         self._allowed[step] = False
+
+    def _angles_from(self, step: int) -> Floats:
+        directions = self._experiment.directions
+        return np.arccos(np.clip(directions @ directions[step], -1.0, 1.0))
+
+    @property
+    def _chance(self) -> Floats:
+        """How probably each beam (k,) is free: less near a blocked one, more near free ones."""
+        blocked = np.maximum(self._from_blocked, TINY)
+        near = 0.5 ** ((blocked / BLOCKED_WIDTH) ** 2)
+        return np.asarray(1.0 - near * np.minimum(1.0, self._from_free / blocked))
 
     def _better_than(self, step: int, reason: str) -> tuple[int, str]:
         """Return a step at the same station with a better chance, or ``step`` itself."""
-        found = self._instead(step)
-        if found is None or self._chance[found] <= self._chance[step]:
+        found, chance = self._instead(step), self._chance
+        if found is None or chance[found] <= chance[step]:
             return step, reason
         return found, f"the beam of step {step} is probably blocked: another target in its place"
 
@@ -207,11 +220,6 @@ class UntilGoal:
         place = int(self._experiment.position[step])
         noise, _ = self._stated
         return self._experiment.instead(place, planned, self._allowed, self._chance, noise)
-
-
-def _chance_at(angle: Floats) -> Floats:
-    """Return how probably a beam is free that lies ``angle`` (k,) from a blocked one, rad."""
-    return np.asarray(1.0 - 0.5 ** ((angle / BLOCKED_WIDTH) ** 2), dtype=np.float64)
 
 
 def _in_words(uncertainty: float) -> str:
