@@ -18,7 +18,7 @@ from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.policy.noise import LengthNoise, estimate_noise, tested
+from rotcal_ros.planning.policy.noise import LengthNoise, estimate_noise, judge_lengths
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
 
@@ -91,6 +91,14 @@ class LengthExperiment:
         """Whether every station has enough lengths."""
         return not self._lacking(steps).any()
 
+    def lacking_in_words(self, steps: Collection[int]) -> str:
+        """Return which stations have too few lengths; empty when all have enough."""
+        found = np.bincount(self.position[list(steps)], minlength=len(self.plan.table_angles))
+        return ", ".join(
+            f"table position {position} has {found[position]} lengths, {STATION_MINIMUM} are needed"
+            for position in np.flatnonzero(self._lacking(steps))
+        )
+
     def _lacking(self, steps: Collection[int]) -> Bools:
         found = np.bincount(self.position[list(steps)], minlength=len(self.plan.table_angles))
         return np.asarray(found < STATION_MINIMUM)
@@ -128,6 +136,7 @@ class LengthExperiment:
             needed = max(missing, 0.0) * max(len(done) + len(chosen), STATION_MINIMUM)
             batch = batch or max(1, round(needed / ROUNDS))
             batch = min(batch, MOST_PER_STATION * len(visited), max(1, round(0.5 * needed)))
+            batch = 1 if sweep else batch  # before anything moves there is time
             value = self._value(known, shortlist, chance, visited)
             if lacking.any():
                 value = value * lacking[self.position[shortlist]]
@@ -235,7 +244,7 @@ class LengthExperiment:
         time = np.array([o.window_end_ns for o in kept], dtype=np.float64)
         errors = errors.reshape(len(steps), -1) / std[:, None]
         scaled = (design / std[:, None], errors, y / std, time - time[0])
-        found = estimate_noise(*scaled) if factor is None else tested(*scaled, factor)
+        found = estimate_noise(*scaled) if factor is None else judge_lengths(*scaled, factor)
         return found, tuple(steps)
 
     def _noisier(self, factor: float) -> Scene:

@@ -88,7 +88,7 @@ def estimate_noise(design: Floats, targets: Floats, length: Floats, time: Floats
     return LengthNoise(float(np.sqrt(variance)), dof, test, float(drift))
 
 
-def tested(
+def judge_lengths(
     design: Floats, targets: Floats, length: Floats, time: Floats, factor: float
 ) -> LengthNoise:
     """Return the tests of :func:`estimate_noise` with a ``factor`` that is known; zero dof.

@@ -146,7 +146,9 @@ class UntilGoal:
         wish = Wish(goal, factor, student)
         more = self._experiment.pick(self._lengths, self._allowed, self._chance, wish, False)
         if not more:
-            return f"no further step helps: {_in_words(now)} > {_in_words(goal)}, {learnt}"
+            lacking = self._experiment.lacking_in_words(self._lengths)
+            worse = lacking or f"{_in_words(now)} > {_in_words(goal)}"
+            return f"no further step helps: {worse}, {learnt}"
         why = f"{learnt}: {len(more)} more lengths to {_in_words(goal)}"
         self._queue += ((step, why) for step in self._experiment.as_sweep(more, self._at))
         return ""
