@@ -18,7 +18,12 @@ from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.planning.policy.noise import LengthNoise, estimate_noise, judge_lengths
+from rotcal_ros.planning.policy.noise import (
+    LengthNoise,
+    estimate_noise,
+    judge_lengths,
+    suspect_length,
+)
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
 
@@ -95,7 +100,7 @@ class LengthExperiment:
         """Return which stations have too few lengths; empty when all have enough."""
         found = np.bincount(self.position[list(steps)], minlength=len(self.plan.table_angles))
         return ", ".join(
-            f"table position {position} has {found[position]} lengths, {STATION_MINIMUM} are needed"
+            f"table position {position} has {found[position]} lengths of {STATION_MINIMUM} needed"
             for position in np.flatnonzero(self._lacking(steps))
         )
 
@@ -219,17 +224,17 @@ class LengthExperiment:
         return ordered
 
     def noise(
-        self, observed: Mapping[int, Observation], factor: float | None = None
-    ) -> tuple[LengthNoise, tuple[int, ...]]:
-        """Return the noise of the lengths ``observed`` by step, and the steps of its tests.
+        self, observed: Mapping[int, Observation], significance: float, factor: float | None = None
+    ) -> tuple[LengthNoise, tuple[int, float] | None]:
+        """Return the noise of the lengths ``observed`` by step, and the most suspect step.
 
-        With a ``factor`` that is known already only the tests are new. Stations with too few
-        lengths take no part.
+        That comes with its test value; None: no length is suspect. With a ``factor``
+        that is known already only the tests are new. Stations with too few lengths take no part.
         """
         lacking = self._lacking(list(observed))
         steps = [step for step in sorted(observed) if not lacking[self.position[step]]]
         if not steps:
-            return LengthNoise(1.0, 0.0, np.zeros(0), 0.0), ()
+            return LengthNoise(1.0, 0.0, np.zeros(0), 0.0), None
         kept = [observed[step] for step in steps]
         position, target = self.position[steps], self.target[steps]
         length = np.array([o.mean[0] for o in kept])
@@ -245,7 +250,8 @@ class LengthExperiment:
         errors = errors.reshape(len(steps), -1) / std[:, None]
         scaled = (design / std[:, None], errors, y / std, time - time[0])
         found = estimate_noise(*scaled) if factor is None else judge_lengths(*scaled, factor)
-        return found, tuple(steps)
+        suspect = suspect_length(scaled, found, significance)
+        return found, None if suspect is None else (steps[suspect[0]], suspect[1])
 
     def _noisier(self, factor: float) -> Scene:
         """Return the scene with ``factor`` times the noise; the last few are kept."""

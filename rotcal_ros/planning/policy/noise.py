@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtr, ndtri, stdtrit
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COVERAGE_FACTOR
@@ -110,6 +110,24 @@ def judge_lengths(
     weight = float(slope @ slope)
     drift = float(slope @ y) / np.sqrt(weight) if weight > 0.0 else 0.0
     return LengthNoise(factor, 0.0, test, float(drift))
+
+
+def suspect_length(
+    rows: tuple[Floats, Floats, Floats, Floats], noise: LengthNoise, significance: float
+) -> tuple[int, float] | None:
+    """Return which of the lengths is the most suspect, and its test value; None: none is.
+
+    ``rows``: the arguments of :func:`estimate_noise`. The test is against the noise that the
+    others show; ``significance``: probability of suspecting any when all are good.
+    """
+    tail = 1.0 - 0.5 * significance / len(noise.test_value)
+    worst = int(np.argmax(np.abs(noise.test_value)))
+    value, limit = float(noise.test_value[worst]), float(ndtri(tail))
+    if noise.dof > 1.0:
+        others = estimate_noise(*(np.delete(row, worst, axis=0) for row in rows))
+        value = float(judge_lengths(*rows, others.factor).test_value[worst])
+        limit = float(stdtrit(max(others.dof, 1.0), tail))
+    return (worst, value) if abs(value) > limit else None
 
 
 def _restricted_likelihood(squares: Floats, spread: Floats) -> float:

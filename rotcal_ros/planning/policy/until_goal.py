@@ -109,7 +109,7 @@ class UntilGoal:
         self._at = int(self._experiment.position[step])
         if outcome.observation is not None:
             self._from_free = np.minimum(self._from_free, self._angles_from(step))
-            if step in self._closing:
+            if math.isnan(self._closing.get(step, 0.0)):
                 self._close(step, outcome.observation)
             self._lengths[step] = outcome.observation
         elif step not in self._lengths:
@@ -130,8 +130,12 @@ class UntilGoal:
     def _plan_further(self) -> str:
         """Queue what is needed next; return why nothing is."""
         known = self._stated[0] if self._estimated else None
-        noise, steps = self._experiment.noise(self._lengths, known)
-        if self._suspect(noise, steps) or self._drifts(noise, steps):
+        significance = self._limits.significance
+        noise, suspect = self._experiment.noise(self._lengths, significance, known)
+        if suspect is not None:
+            self._measure_again(*suspect)
+            return ""
+        if self._drifts(noise):
             return ""
         if not self._estimated and noise.dof > 0.0 and self._experiment.solvable(self._lengths):
             self._estimated = True
@@ -153,30 +157,23 @@ class UntilGoal:
         self._queue += ((step, why) for step in self._experiment.as_sweep(more, self._at))
         return ""
 
-    def _suspect(self, noise: LengthNoise, steps: tuple[int, ...]) -> bool:
-        """Queue the most suspect length again, or another target for it; False: there is none."""
-        if not steps:
-            return False
-        worst = int(np.argmax(np.abs(noise.test_value)))
-        value, step = float(noise.test_value[worst]), steps[worst]
-        if abs(value) <= normal_isf(0.5 * self._limits.significance / len(steps)):
-            return False
+    def _measure_again(self, step: int, value: float) -> None:
+        """Queue a suspect length again, or another target for it when it was suspect before."""
         why = f"the length of step {step} is suspect ({value:+.1f} standard deviations)"
         if step not in self._asked_again:
             self._asked_again.add(step)
             self._queue.append((step, f"{why}: measured again"))
-            return True
+            return
         del self._lengths[step]
         self._allowed[step] = False
         self._replace(step, f"{why} once more: another target in its place")
-        return True
 
-    def _drifts(self, noise: LengthNoise, steps: tuple[int, ...]) -> bool:
+    def _drifts(self, noise: LengthNoise) -> bool:
         """Queue steps that close a sweep that drifts; False: it does not, or is closed already."""
         limit = normal_isf(0.5 * self._limits.significance)
         if self._closing or abs(noise.drift_value) <= limit:
             return False
-        by_time = sorted(steps, key=lambda step: self._lengths[step].window_end_ns)
+        by_time = sorted(self._lengths, key=lambda step: self._lengths[step].window_end_ns)
         why = f"the lengths drift with time ({noise.drift_value:+.1f} standard deviations)"
         for step in (by_time[0], by_time[len(by_time) // 2]):
             self._closing[step] = math.nan

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from rotcal_ros.planning.policy.noise import estimate_noise, student_factor, judge_lengths
+from rotcal_ros.planning.policy.noise import estimate_noise, judge_lengths, student_factor
 
 SIZES = (40, 9, 15)
 
