@@ -193,7 +193,8 @@ class UntilGoal:
 
     def _angles_from(self, step: int) -> Floats:
         directions = self._experiment.directions
-        return np.arccos(np.clip(directions @ directions[step], -1.0, 1.0))
+        cosine = np.clip(directions @ directions[step], -1.0, 1.0)
+        return np.asarray(np.arccos(cosine), dtype=np.float64)
 
     @property
     def _chance(self) -> Floats:
