@@ -21,8 +21,10 @@ from rotcal_ros.catalogue.configuration import (
     Configuration,
     parse_configuration,
 )
-from rotcal_ros.errors import BagError
+from rotcal_ros.errors import BagError, RotcalError
 from rotcal_ros.observations import Observation
+from rotcal_ros.planning.policy.names import UNTIL_GOAL
+from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
@@ -39,7 +41,7 @@ class Recording:
     ``observations`` are those of the chosen source, ``recorded`` those that the live capture
     had published; ``counts`` is what the capture counted per stream (empty when the
     observations were taken from the bag), ``broken`` the messages per topic that could not be
-    decoded, and ``sha256`` maps file names to hashes.
+    decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -56,6 +58,7 @@ class Recording:
     broken: Mapping[str, int]
     sha256: Mapping[str, str]
     attachments: Mapping[str, bytes]
+    choices: tuple[RecordedChoice, ...] = ()
 
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit."""
@@ -76,6 +79,22 @@ class Recording:
         behind = all(o.window_end_ns > newest[run] for (run, _), o in further.items())
         return behind and again == {**live, **further}
 
+    def choices_that_differ(self) -> tuple[str, ...]:
+        """Return where the policy chooses otherwise with the observations of this recording.
+
+        It is that of the configuration in the bag, with which the steps were chosen.
+        """
+        if not self.choices or names.CONFIGURATION not in self.attachments:
+            return ()
+        text = self.attachments[names.CONFIGURATION].decode(errors="replace")
+        if UNTIL_GOAL not in text:
+            return ()
+        try:
+            calibration = catalogue.prepare(parse_configuration(text, "the bag's configuration"))
+            return differences(calibration, self.choices, self.observations)
+        except RotcalError as error:
+            return (f"the policy cannot be asked again: {error}",)
+
     def warnings(self) -> tuple[str, ...]:
         """Return what the reader of a result must know about the bag."""
         texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
@@ -83,6 +102,7 @@ class Recording:
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
+        texts += self.choices_that_differ()
         return tuple(texts)
 
 
@@ -114,6 +134,7 @@ def read_recording(
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
     )
     recorded: list[Observation] = []
+    choices: list[RecordedChoice] = []
     scans: list[Scan] = []
     decoders: Decoders = {}
     run = "0"
@@ -128,6 +149,8 @@ def read_recording(
         for part in parts:
             if part.role == names.OBSERVATION:
                 recorded += (records.observation(m) for _, m in part.messages(block))
+            elif part.role == names.STEP_CHOICE:
+                choices += (RecordedChoice.of(m) for _, m in part.messages(block))
         if source == "streams":
             feeder.feed(block, parts)
     verdicts = tuple(scan.verdict() for scan in scans)
@@ -143,6 +166,7 @@ def read_recording(
         broken={c.topic: d.broken for c, d in decoders.items() if d.broken},
         sha256={file.name: sha256_of(file) for file in files},
         attachments={n: a.data for scan in scans for n, a in scan.attachments.items()},
+        choices=tuple(choices),
     )
 
 

@@ -78,6 +78,12 @@ class TracerPlanSettings(TableAngleSettings):
         "step,table_position,target; read into pairs",
     )
 
+    tracer_m: tuple[float, ...] = setting(
+        (),
+        doc="m, where the tracer stands on the table at angle 0, to a few centimetres: x, y, z; "
+        "for the policy until_goal; absent: that of the simulation",
+    )
+
     def __post_init__(self) -> None:
         """Refuse lists that are incomplete, and files whose content is not here."""
         for name, length, what in (
