@@ -88,6 +88,7 @@ setup(
             "mypy",
             "pre-commit",
             "pytest",
+            "pytest-xdist",
             "ruff",
         ],
     },
