@@ -26,6 +26,9 @@ class Source(IntEnum):
     PROBE_REPEAT = 8
     FOLLOWING = 9
     TEMPERATURE = 10
+    ARRIVAL_MOTION = 11
+    MOUNTING = 20
+    MOUNTED_ZERO = 21
     TRACKER = 30
     STAND = 31
     NEST = 32
