@@ -1,10 +1,19 @@
-"""A block of targets: places on a grid, in an order that keeps ways short."""
+"""Points of a plan: as settings list them, or on a grid in an order that keeps ways short."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from rotcal_ros.errors import PlanError
 from rotcal_ros.planning.plan import Point
+
+
+def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
+    """Return a flat list of coordinates as points; PlanError when it is not made of triples."""
+    if len(values) % 3:
+        raise PlanError(f"plan: {name} has {len(values)} values, expected x y z of each point")
+    rows = np.reshape(values, (-1, 3)).tolist()
+    return tuple((x, y, z) for x, y, z in rows)
 
 
 def block(

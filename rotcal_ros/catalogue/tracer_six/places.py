@@ -1,0 +1,74 @@
+"""Where the tracer is fixed on the table: places that tell all six deviations, or do not."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.errors import PlanError
+from rotcal_ros.planning.plan import Point
+from rotcal_ros.units import DEGREE, MILLIMETRE
+
+LEAST_PLACES: Final = 3
+LEAST_WIDTH_M: Final = 0.005
+"""Places reach at least this far (m, rms) to the side of the line that fits them best."""
+
+
+def around(
+    count: int, radius: float, azimuth: float, height: float, height_step: float
+) -> tuple[Point, ...]:
+    """Return ``count`` places evenly around the axis, the first at ``azimuth`` (rad), in metres.
+
+    Each is ``height_step`` higher than the one before, the first at ``height``. Table frame at
+    angle 0.
+    """
+    angles = azimuth + 2.0 * np.pi * np.arange(count) / count
+    heights = height + height_step * np.arange(count)
+    rows = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), heights])
+    return tuple((x, y, z) for x, y, z in rows.tolist())
+
+
+def lost_turn(places: Floats) -> Floats | None:
+    """Return the unit vector (3,) of the line about which nothing shows a turn; None: no such.
+
+    Two places (p, 3), or several in a line, stay where they are when the table turns about that
+    line: at every angle one of the six deviations is missing.
+    """
+    centred = places - places.mean(axis=0)
+    _, spread, axes = np.linalg.svd(centred, full_matrices=False)
+    width = spread[1] / np.sqrt(len(places)) if len(spread) > 1 else 0.0
+    return np.asarray(axes[0]) if width < LEAST_WIDTH_M else None
+
+
+def require_a_triangle(places: tuple[Point, ...]) -> None:
+    """Raise PlanError, with the direction that is lost, unless the places span a triangle."""
+    points = np.array(places)
+    if len(places) < 2 or np.ptp(points, axis=0).max() < LEAST_WIDTH_M:
+        raise PlanError(
+            f"plan: the tracer stands at {len(places)} place(s) of the table: six deviations need "
+            f"{LEAST_PLACES} that do not lie in a line; raise plan.places"
+        )
+    lost = lost_turn(points)
+    if lost is None:
+        return
+    x, y, z = lost.tolist()
+    elevation = np.arcsin(min(1.0, abs(z))) / DEGREE
+    what = "ECC" if elevation > 45.0 else "a mixture of EAC and EBC that turns with the table"
+    lie = f"the {len(places)} places" + (" lie in a line:" if len(places) > 2 else ":")
+    raise PlanError(
+        f"plan: {lie} a turn of the table about the line through them ({x:.3f}, {y:.3f}, {z:.3f}) "
+        f"moves none of them, so that lengths cannot tell {what}; six deviations need "
+        f"{LEAST_PLACES} places that do not lie in a line, at best 120 degrees apart"
+    )
+
+
+def described(place: Point) -> str:
+    """Return a place in words a person can work with."""
+    x, y, z = place
+    azimuth = np.arctan2(y, x) / DEGREE % 360.0
+    return (
+        f"{np.hypot(x, y) / MILLIMETRE:.0f} mm from the table axis towards {azimuth:.0f} deg of "
+        f"the table, its centre {z / MILLIMETRE:.0f} mm above it"
+    )
