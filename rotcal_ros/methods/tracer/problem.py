@@ -6,10 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.methods.columns import broadcast as _broadcast
+from rotcal_ros.methods.columns import indices as _indices
+from rotcal_ros.methods.columns import matrix as _matrix
+from rotcal_ros.methods.columns import require as _require
+from rotcal_ros.methods.columns import vector as _vector
 from rotcal_ros.methods.tracer.settings import Datum, TracerLimits, TracerSolverSettings, Variant
 
 _DEFAULTS = TracerSolverSettings()
@@ -122,51 +127,3 @@ class TracerProblem:
         values.setflags(write=False)
         object.__setattr__(self, name, values)
         return values
-
-
-def _vector(name: str, values: ArrayLike, size: int | None = None) -> Floats:
-    array = np.array(values, dtype=np.float64)
-    if array.ndim != 1 or (size is not None and len(array) != size):
-        expected = "one dimension" if size is None else f"shape ({size},), one value per row"
-        raise DataError(f"{name} has shape {array.shape}, expected {expected}")
-    return _require(np.isfinite(array), array, name, "a finite number")
-
-
-def _matrix(name: str, values: ArrayLike) -> Floats:
-    array = np.array(values, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise DataError(f"{name} has shape {array.shape}, expected (n, 3)")
-    return _require(np.isfinite(array), array, name, "a finite number")
-
-
-def _broadcast(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape not in ((), shape):
-        raise DataError(f"{name} has shape {array.shape}, expected one number or {shape}")
-    return _require(np.isfinite(array), np.full(shape, array), name, "a finite number")
-
-
-def _indices(name: str, values: ArrayLike, limit: int, size: int | None = None) -> NDArray[Any]:
-    array = np.asarray(values)
-    if array.size == 0:
-        raise DataError("there are no lengths: no observation was accepted")
-    if (
-        array.ndim != 1
-        or array.dtype.kind not in "iu"
-        or (size is not None and len(array) != size)
-    ):
-        raise DataError(
-            f"{name} is {array.dtype} of shape {array.shape}, expected whole numbers, one per row"
-        )
-    inside = (array >= 0) & (array < limit)
-    return _require(inside, array.astype(np.int64), f"{name} index", f"0 to {limit - 1}")
-
-
-def _require(good: Bools, array: NDArray[Any], name: str, what: str) -> NDArray[Any]:
-    """Return ``array`` where all is ``good``; else raise DataError naming the first bad entry."""
-    good = np.broadcast_to(good, array.shape)
-    if not good.all():
-        place = tuple(int(i) for i in np.argwhere(~good)[0])
-        row = place[0] if len(place) == 1 else place
-        raise DataError(f"{name} in row {row} is {array[place]}, expected {what}")
-    return array
