@@ -16,8 +16,8 @@ from rotcal_ros.methods.tracer.observability import what_is_missing
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.points import block
+from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.visits import visits
 from rotcal_ros.settings import setting
 

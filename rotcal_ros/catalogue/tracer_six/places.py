@@ -12,6 +12,8 @@ from rotcal_ros.planning.plan import Point
 from rotcal_ros.units import DEGREE, MILLIMETRE
 
 LEAST_PLACES: Final = 3
+_UPRIGHT: Final = 0.7
+"""From this vertical part on, what is lost about a line is mostly ECC."""
 LEAST_WIDTH_M: Final = 0.005
 """Places reach at least this far (m, rms) to the side of the line that fits them best."""
 
@@ -42,8 +44,11 @@ def lost_turn(places: Floats) -> Floats | None:
     return np.asarray(axes[0]) if width < LEAST_WIDTH_M else None
 
 
-def require_a_triangle(places: tuple[Point, ...]) -> None:
-    """Raise PlanError, with the direction that is lost, unless the places span a triangle."""
+def require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
+    """Raise PlanError, with the direction that is lost, unless the places tell six deviations.
+
+    ``tilt_known``: a lost tilt is tolerated, because it is stated beforehand.
+    """
     points = np.array(places)
     if len(places) < 2 or np.ptp(points, axis=0).max() < LEAST_WIDTH_M:
         raise PlanError(
@@ -54,13 +59,16 @@ def require_a_triangle(places: tuple[Point, ...]) -> None:
     if lost is None:
         return
     x, y, z = lost.tolist()
-    elevation = np.arcsin(min(1.0, abs(z))) / DEGREE
-    what = "ECC" if elevation > 45.0 else "a mixture of EAC and EBC that turns with the table"
+    upright = abs(z) > _UPRIGHT
+    if tilt_known and not upright:
+        return
+    what = "ECC" if upright else "EAC from EBC and both from the shifts"
     lie = f"the {len(places)} places" + (" lie in a line:" if len(places) > 2 else ":")
+    stated = "" if upright else ", or state solver.tilt_std_rad"
     raise PlanError(
         f"plan: {lie} a turn of the table about the line through them ({x:.3f}, {y:.3f}, {z:.3f}) "
-        f"moves none of them, so that lengths cannot tell {what}; six deviations need "
-        f"{LEAST_PLACES} places that do not lie in a line, at best 120 degrees apart"
+        f"moves none of them, so that no length tells {what}; take {LEAST_PLACES} places that do "
+        f"not lie in a line, at best 120 degrees apart{stated}"
     )
 
 

@@ -13,8 +13,9 @@ from typing import Final
 
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.tracer.plan import STATIONS_PER_TARGET, TARGETS_PER_STATION
-from rotcal_ros.catalogue.tracer_six.places import around, described, require_a_triangle
+from rotcal_ros.catalogue.tracer_six.places import around, described, require_six
 from rotcal_ros.errors import PlanError
+from rotcal_ros.methods.tracer_six import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Pause, Plan, Point, Step
 from rotcal_ros.planning.points import block, triples
@@ -22,7 +23,6 @@ from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
 
-METHOD: Final = "tracer_six"
 LOCATING: Final = 6
 """Targets after which the lengths at a table angle show where the tracer stands: 4 unknowns."""
 LEAST_ANGLES: Final = 3
@@ -102,16 +102,19 @@ class SixPlanSettings(TableAngleSettings):
 def plan(configuration: Configuration) -> Plan:
     """Return the plan of a configuration; PlanError where its places lose a deviation."""
     try:
-        return six_plan(configuration.plan)
+        return six_plan(
+            configuration.plan, tilt_known=configuration.solver.tilt_std_rad is not None
+        )
     except PlanError as error:
         raise PlanError(f"{configuration.source}: {error}") from error
 
 
-def six_plan(settings: SixPlanSettings) -> Plan:
+def six_plan(settings: SixPlanSettings, *, tilt_known: bool = False) -> Plan:
     """Return the plan of one calibration.
 
     ``Step.station`` is the number of the place. Raises PlanError for places that lose a deviation
-    at every angle, and for several arrivals in an order that cannot keep them apart.
+    at every angle, unless it is a tilt and ``tilt_known`` beforehand, and for several arrivals in
+    an order that cannot keep them apart.
     """
     if settings.arrivals > 1 and settings.order != TARGETS_PER_STATION:
         raise PlanError(
@@ -119,7 +122,7 @@ def six_plan(settings: SixPlanSettings) -> Plan:
             "the table arrives anew for every target, and no arrival could be told from another"
         )
     places = places_of(settings)
-    require_a_triangle(places)
+    require_six(places, tilt_known=tilt_known)
     return plan_of(settings, table_angles(settings), targets_of(settings))
 
 
@@ -149,7 +152,7 @@ def plan_of(
     pauses = tuple(
         Pause(
             first := number * length,
-            _located(steps[first : first + length]),
+            _located(steps[first : first + length], settings.order),
             _instruction(number, places, len(targets), angles),
         )
         for number in range(len(places))
@@ -186,8 +189,8 @@ def check_plan(planned: Plan) -> None:
         )
     if n < LOCATING:
         raise PlanError(
-            f"{n} targets: a place and its zero are 4 unknowns, and every target has errors of its "
-            f"own; at least {LOCATING} targets are needed"
+            f"{n} targets: a place and its zero are 4 unknowns, and every target has errors of "
+            f"its own; at least {LOCATING} targets are needed"
         )
     if len(planned.table_angles) < LEAST_ANGLES:
         raise PlanError(
@@ -205,16 +208,15 @@ def _rows(
     return ((place, at, target) for target, at in product(range(n_targets), visited))
 
 
-def _located(steps: Sequence[Step]) -> int:
-    """Return the step after which LOCATING targets, or all, were measured at the first angle."""
-    enough = min(LOCATING, len({step.target for step in steps}))
-    seen: set[int] = set()
-    for step in steps:
-        if step.table_position == steps[0].table_position:
-            seen.add(step.target)
-        if len(seen) == enough:
-            return step.index
-    return steps[-1].index
+def _located(steps: Sequence[Step], order: str) -> int:
+    """Return the step after which enough targets were measured at the first angle.
+
+    All of them, where they are measured before the table turns; else LOCATING.
+    """
+    at_first = [step for step in steps if step.table_position == steps[0].table_position]
+    targets = {step.target: step.index for step in reversed(at_first)}
+    indices = sorted(targets.values())
+    return indices[-1] if order == TARGETS_PER_STATION else indices[:LOCATING][-1]
 
 
 def _instruction(

@@ -24,8 +24,8 @@ _MOST: Final = 1000
 class CarriedTracer(TracerAndReflector):
     """The tracer stands where the order's station says, missed by a little at each mounting.
 
-    An order for another place, or for an earlier step at the same one, comes after a new mounting:
-    the person has fixed the tracer anew, and its zero is another one.
+    An order for another place, or for a step that was left behind already, comes after a new
+    mounting: the person has fixed the tracer anew, and its zero is another one.
     """
 
     def __init__(
@@ -41,13 +41,16 @@ class CarriedTracer(TracerAndReflector):
         self._placing = IndexedNoise(settings.seed, Source.MOUNTING)
         self._mounted_zero = IndexedNoise(settings.seed, Source.MOUNTED_ZERO)
         self._mountings: dict[int, int] = {}
-        self._at: tuple[int, int] | None = None
+        self._place, self._step = -1, -1
+        self._done: set[int] = set()
 
     def order(self, now_ns: int, command: Command) -> None:
         """Go to the position of ``command``, the tracer being at the place of its station."""
-        if self._at is None or command.station != self._at[0] or command.step < self._at[1]:
+        left_behind = command.step in self._done and command.step != self._step
+        if command.station != self._place or left_behind:
             self._fix(command.station)
-        self._at = (command.station, command.step)
+        self._step = command.step
+        self._done.add(command.step)
         super().order(now_ns, command)
 
     def _fix(self, place: int) -> None:
@@ -59,6 +62,8 @@ class CarriedTracer(TracerAndReflector):
             )
         count = self._mountings.get(place, 0)
         self._mountings[place] = count + 1
+        self._place = place
+        self._done.clear()
         number, settings = place + _MOST * count, self.tracer_settings
         off: Floats = settings.placing_mm * self._placing.normal(3 * number, 3)
         if place == settings.misplaced_place and count < settings.misplaced_mountings:

@@ -1,0 +1,155 @@
+"""From observations to the problem of six deviations, its result, and a person's work."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.tracer.lengths import mean_targets, reported_positions, time_order
+from rotcal_ros.catalogue.tracer_six.places import described
+from rotcal_ros.catalogue.tracer_six.plan import LOCATING, places_of
+from rotcal_ros.errors import DataError
+from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods import tracer_six
+from rotcal_ros.methods.tracer.station import locate_stations
+from rotcal_ros.methods.tracer_six.problem import SixProblem
+from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero
+from rotcal_ros.observations import Observation
+from rotcal_ros.planning.plan import Plan, Point
+from rotcal_ros.results import Result
+from rotcal_ros.units import MILLIMETRE
+
+
+def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
+    """Solve the accepted observations of a plan."""
+    return tracer_six.solve(problem(configuration, plan, observations))
+
+
+def problem(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> SixProblem:
+    """Return the problem that observations of a plan pose.
+
+    The coordinates of a target are the mean of what the machine reported there, from all places.
+    An arrival lasts as long as the plan leaves the table where it is. A run that was interrupted
+    and taken up again may count from another zero: its lengths have one of their own.
+
+    Raises DataError when an observation does not fit the plan.
+    """
+    settings: TracerSixSolverSettings = configuration.solver
+    places = np.array(places_of(configuration.plan))
+    _require_planned(plan, places, observations)
+    target = np.array([o.target for o in observations], dtype=np.int64)
+    targets = mean_targets(np.array(plan.targets), target, reported_positions(observations))
+    relative_std = settings.length_std_relative * np.linalg.norm(targets, axis=1)[target]
+    window_std = np.array([o.std[0] for o in observations])
+    zero, segment = _zeros(settings.zero, observations)
+    arrival = arrivals(plan)
+    return SixProblem(
+        position=np.array([o.table_position for o in observations], dtype=np.int64),
+        place=np.array([o.station for o in observations], dtype=np.int64),
+        target=target,
+        length=np.array([o.mean[0] for o in observations]),
+        length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
+        distance_std=relative_std,
+        targets=targets,
+        target_std=np.full(targets.shape, settings.target_std_m),
+        table_angles=np.array(plan.table_angles),
+        places=places,
+        datum=settings.datum,
+        zero=zero,
+        segment=segment,
+        scatter_translation_std=settings.scatter_translation_std_m,
+        scatter_rotation_std=settings.scatter_rotation_std_rad,
+        arrival=np.array(
+            [arrival[o.step] + len(plan.steps) * o.run for o in observations], dtype=np.int64
+        ),
+        tilt_std=settings.tilt_std_rad,
+        order=time_order(observations),
+        settings=settings,
+    )
+
+
+def arrivals(plan: Plan) -> Ints:
+    """Return the number of the table's arrival at each step (n,), all places counted on."""
+    place_and_position = [(step.station, step.table_position) for step in plan.steps]
+    stays = [a == b for a, b in zip(place_and_position[1:], place_and_position, strict=False)]
+    return np.cumsum([0, *(not stay for stay in stays)])
+
+
+def _require_planned(plan: Plan, places: Floats, observations: Sequence[Observation]) -> None:
+    if not observations:
+        raise DataError("no length was measured: there is nothing to solve")
+    for o in observations:
+        if not (
+            o.table_position < len(plan.table_angles)
+            and o.target < len(plan.targets)
+            and o.station < len(places)
+            and o.step < len(plan.steps)
+        ):
+            raise DataError(
+                f"step {o.step}: place {o.station}, position {o.table_position}, target "
+                f"{o.target} are not in the plan of {len(places)} places, "
+                f"{len(plan.table_angles)} angles and {len(plan.targets)} targets"
+            )
+
+
+def _zeros(zero: Zero, observations: Sequence[Observation]) -> tuple[Zero, Ints | None]:
+    """Return which lengths share a zero, with the segment (k,) of each where runs were resumed."""
+    resumed = len({(o.station, o.run) for o in observations}) > len(
+        {o.station for o in observations}
+    )
+    if zero != "segments" and not resumed:
+        return zero, None
+    by_station = zero == "per_station"
+    keys = [(o.station, o.run, o.table_position if by_station else 0) for o in observations]
+    _, segment = np.unique(np.array(keys), axis=0, return_inverse=True)
+    return "segments", np.asarray(segment.ravel(), dtype=np.int64)
+
+
+def check(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> tuple[str, ...]:
+    """Return in words how far the newest place is from where the plan has it, if too far.
+
+    Only the lengths at the first angle of that place are looked at, with targets and table as the
+    plan has them: what matters here are millimetres.
+    """
+    if not observations:
+        return ()
+    number = max(o.station for o in observations)
+    here = [o for o in observations if o.station == number]
+    first = [o for o in here if o.table_position == here[0].table_position]
+    if len({o.target for o in first}) <= LOCATING - 2:
+        return ()
+    planned = np.array(places_of(configuration.plan))[number]
+    found = _located(plan, first, planned)
+    away, allowed = float(np.linalg.norm(found - planned)), configuration.plan.place_tolerance_m
+    if away <= allowed:
+        return ()
+    return (
+        f"place {number}: the tracer stands {away / MILLIMETRE:.1f} mm from its place, allowed "
+        f"{allowed / MILLIMETRE:g}: its centre is {described(_point(found))}, planned "
+        f"{described(_point(planned))}",
+    )
+
+
+def _located(plan: Plan, observations: Sequence[Observation], planned: Floats) -> Floats:
+    """Return where the tracer stands (3,), m, table frame; nearest to ``planned`` (3,)."""
+    targets = np.array([plan.targets[o.target] for o in observations])
+    length = np.array([[o.mean[0] for o in observations]])
+    turn = rotation_about_z(plan.table_angles[observations[0].table_position])
+    start = turn @ planned
+    zero = np.mean(np.linalg.norm(targets - start, axis=1) - length)
+    state, _ = locate_stations(
+        targets, length, np.ones_like(length), np.array([[*start.tolist(), float(zero)]])
+    )
+    return np.asarray(turn.T @ state[0, :3], dtype=np.float64)
+
+
+def _point(values: Floats) -> Point:
+    x, y, z = values.tolist()
+    return x, y, z
