@@ -41,7 +41,10 @@ def lost_turn(places: Floats) -> Floats | None:
     centred = places - places.mean(axis=0)
     _, spread, axes = np.linalg.svd(centred, full_matrices=False)
     width = spread[1] / np.sqrt(len(places)) if len(spread) > 1 else 0.0
-    return np.asarray(axes[0]) if width < LEAST_WIDTH_M else None
+    if width >= LEAST_WIDTH_M:
+        return None
+    line = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))])
+    return np.asarray(line + 0.0, dtype=np.float64)  # no negative zeros
 
 
 def require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
@@ -62,7 +65,7 @@ def require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
     upright = abs(z) > _UPRIGHT
     if tilt_known and not upright:
         return
-    what = "ECC" if upright else "EAC from EBC and both from the shifts"
+    what = "ECC" if upright else "the tilt about it"
     lie = f"the {len(places)} places" + (" lie in a line:" if len(places) > 2 else ":")
     stated = "" if upright else ", or state solver.tilt_std_rad"
     raise PlanError(
