@@ -37,6 +37,7 @@ _MODULES = {
     "plane_mirror": "api.plane_mirror",
     "ros": "ros",
     "tracer": "api.tracer",
+    "tracer_six": "api.tracer_six",
 }
 """Name -> the module that it is."""
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}

@@ -4,6 +4,7 @@ from rotcal_ros import ros as ros
 from rotcal_ros.api import ball_plate as ball_plate
 from rotcal_ros.api import plane_mirror as plane_mirror
 from rotcal_ros.api import tracer as tracer
+from rotcal_ros.api import tracer_six as tracer_six
 from rotcal_ros.api.compensating import correction as correction
 from rotcal_ros.api.compensating import make_table as make_table
 from rotcal_ros.api.compensating import write_controller_files as write_controller_files

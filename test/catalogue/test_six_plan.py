@@ -79,7 +79,7 @@ def test_a_person_fixes_the_tracer_at_every_place_and_the_first_lengths_show_it(
     [
         (["plan.places=1"], "1 place"),
         (["plan.places=2"], r"the 2 places: a turn of the table about the line through them "
-         r"\(1.000, 0.000, 0.000\) moves none of them.*no length tells the tilt.*or state solver.tilt"),
+         r"\(1.000, 0.000, 0.000\) moves none of them.*no length tells the tilt.*solver.tilt"),
         (["plan.places_m=[0.15, 0, 0.1, -0.15, 0, 0.1, 0.05, 0, 0.1]"], "3 places lie in a line"),
         (["plan.places_m=[0.1, 0, 0.1, 0.1, 0, 0.2, 0.1, 0, 0.3]"],
          r"\(0.000, 0.000, 1.000\).*no length tells ECC"),

@@ -44,7 +44,7 @@ def lost_turn(places: Floats) -> Floats | None:
     if width >= LEAST_WIDTH_M:
         return None
     line = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))])
-    return np.asarray(line + 0.0, dtype=np.float64)  # no negative zeros
+    return np.asarray(line, dtype=np.float64)
 
 
 def require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
@@ -61,7 +61,7 @@ def require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
     lost = lost_turn(points)
     if lost is None:
         return
-    x, y, z = lost.tolist()
+    x, y, z = (lost.round(3) + 0.0).tolist()  # without negative zeros
     upright = abs(z) > _UPRIGHT
     if tilt_known and not upright:
         return
