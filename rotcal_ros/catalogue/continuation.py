@@ -86,10 +86,11 @@ def continued(
 
 def _joining(plan: Plan, accepted: set[int], missing: Sequence[int]) -> Sequence[int]:
     """Return the done steps from which those that join the runs are chosen."""
-    opened = [plan.steps[index] for index in missing]
-    stations, angles = {s.station for s in opened}, {s.table_position for s in opened}
-    here = [index for index in sorted(accepted) if plan.steps[index].station in stations]
-    return [index for index in here if plan.steps[index].table_position in angles] or here
+    opened = {(plan.steps[k].station, plan.steps[k].table_position) for k in missing}
+    stations = {station for station, _ in opened}
+    here = [plan.steps[k] for k in sorted(accepted) if plan.steps[k].station in stations]
+    at_open_angles = [step for step in here if (step.station, step.table_position) in opened]
+    return [step.index for step in at_open_angles or here]
 
 
 def _spread(values: Sequence[int], count: int) -> tuple[int, ...]:
