@@ -8,7 +8,8 @@ import pytest
 
 from rotcal_ros.catalogue import changed, prepare, read_configuration
 from rotcal_ros.catalogue.measurements import read_measurements
-from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.catalogue.setup_file import read_setup
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
 SMALL = (
@@ -64,3 +65,28 @@ def test_what_cannot_be_names_row_and_place(configuration, tmp_path):
         read_measurements(table_of(wrong, path), configuration)
     with pytest.raises(BagError, match="place,position,target,length_m"):
         read_measurements(table_of(good, path, "place,target,position,length_m"), configuration)
+
+
+SHORT = """
+method: tracer_six
+table_angles_deg: [0, 90, 180, 270]
+places_m: [[0.15, 0, 0.1], [-0.07, 0.13, 0.1], [-0.07, -0.13, 0.12]]
+length_std_m: 3.0e-7
+zero: per_station
+"""
+
+
+def test_a_short_setup_lists_settings_and_points(tmp_path):
+    file = tmp_path / "setup.yaml"
+    file.write_text(SHORT)
+    made = read_setup(file)
+    assert made.method.name == "tracer_six"
+    assert made.plan.places_m == (0.15, 0.0, 0.1, -0.07, 0.13, 0.1, -0.07, -0.13, 0.12)
+    assert made.plan.table_angles_deg == (0.0, 90.0, 180.0, 270.0)
+    assert (made.solver.length_std_m, made.solver.zero) == (3e-7, "per_station")
+    assert made.solver.datum == "prior"
+    file.write_text(SHORT + "target_std: 1.0e-6\n")
+    with pytest.raises(
+        ConfigurationError, match=r"setup\.yaml: .*'target_std'; did you mean 'target_"
+    ):
+        read_setup(file)

@@ -54,6 +54,7 @@ METHOD: Final = Method(
     nominal=nominal,
     gauge=without_axis_and_artefact,
     table=TableReader(table.HEADERS, table.read),
+    short_setup=table.short_setup,
     figures=lambda result, _truth: residual_figures(result),
     disturbances=DISTURBANCES,
 )

@@ -1,17 +1,24 @@
-"""Lengths as a plain table: ``place,position,target,length_m``, and beside it ``targets.csv``."""
+"""Lengths as a plain table: ``place,position,target,length_m``, and beside it ``targets.csv``.
+
+A short set-up lists settings of the plan and of the solver by their names, points as x, y, z.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.catalogue.calibration import Calibration, prepare
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.measurements import PlannedMeasurements, StepFinder
 from rotcal_ros.catalogue.tracer.table import TARGETS_FILE, read_targets
-from rotcal_ros.catalogue.tracer_six.plan import plan_of
+from rotcal_ros.catalogue.tracer_six.plan import SixPlanSettings, plan_of
 from rotcal_ros.catalogue.tracer_six.plausibility import PlaceLengths
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.methods.tracer_six import TracerSixSolverSettings
+from rotcal_ros.plugins import nearest
+from rotcal_ros.settings import declarations
 from rotcal_ros.tables import Header, Table, hashes
 
 HEADERS: Final[tuple[Header, ...]] = (("place", "position", "target", "length_m"),)
@@ -42,3 +49,32 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
     return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
+
+
+def short_setup(document: Mapping[str, Any], where: str) -> Mapping[str, Any]:
+    """Return the groups of settings that the entries of a short set-up state.
+
+    Raises ConfigurationError, with the nearest name, for an entry that is no setting.
+    """
+    group_of = {
+        declared.name: group
+        for group, cls in (("plan", SixPlanSettings), ("solver", TracerSixSolverSettings))
+        for declared in declarations(cls)
+    }
+    groups: dict[str, dict[str, Any]] = {"plan": {}, "solver": {}}
+    for name, value in document.items():
+        if name == "method":
+            continue
+        if name not in group_of:
+            raise ConfigurationError(
+                f"{where}: unknown entry {name!r}{nearest(str(name), group_of)}"
+            )
+        groups[group_of[name]][name] = _flat(value)
+    return groups
+
+
+def _flat(value: Any) -> Any:
+    """Return a list of points as a flat list of their coordinates, anything else as it is."""
+    if isinstance(value, list) and value and all(isinstance(point, list) for point in value):
+        return [coordinate for point in value for coordinate in point]
+    return value
