@@ -57,7 +57,7 @@ def test_each_length_has_its_place_position_target_and_arrival():
         np.testing.assert_array_equal(made.place, step // (2 * PER_PLACE))
         np.testing.assert_array_equal(made.position, step // 8 % 4)
         np.testing.assert_array_equal(made.target, step % 8)
-        np.testing.assert_array_equal(made.arrival, step // 8)
+        np.testing.assert_array_equal(made.arrival, step // PER_PLACE % 2)
         np.testing.assert_array_equal(np.argsort(made.order), np.argsort(step))
         distance = np.linalg.norm(np.array(calibration.plan.targets), axis=1)[made.target]
         np.testing.assert_allclose(made.length_std, np.hypot(1.2e-7, 1e-6 * distance))
@@ -78,6 +78,21 @@ def test_a_place_that_was_interrupted_counts_from_another_zero_afterwards(zero, 
     at = [made.segment[row] for row in (PER_PLACE + 11, PER_PLACE + 12)]
     assert at[0] != at[1]
     assert made.arrival[PER_PLACE + 11] != made.arrival[PER_PLACE + 12]
+
+
+def test_where_every_length_has_an_arrival_of_its_own_the_scatter_joins_it():
+    stated = ("solver.scatter_translation_std_m=3e-7", "solver.scatter_rotation_std_rad=2e-6")
+    by_station, by_target = (
+        small(*stated, f"plan.order={order}")
+        for order in ("targets_per_station", "stations_per_target")
+    )
+    made = posed(by_station, by_station.nominal_observations())
+    assert (made.scatter_translation_std, made.scatter_rotation_std) == (3e-7, 2e-6)
+    np.testing.assert_allclose(made.length_std, 1.2e-7)
+    made = posed(by_target, by_target.nominal_observations())
+    assert (made.scatter_translation_std, made.scatter_rotation_std) == (0.0, 0.0)
+    arm = np.hypot(0.15, 0.12)
+    np.testing.assert_allclose(made.length_std**2, 1.2e-7**2 + 3e-7**2 + (arm * 2e-6) ** 2)
 
 
 def test_what_is_not_in_the_plan_is_refused():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.tracer.lengths import mean_targets, reported_positions, time_order
+from rotcal_ros.catalogue.tracer.plan import TARGETS_PER_STATION
 from rotcal_ros.catalogue.tracer_six.places import described
 from rotcal_ros.catalogue.tracer_six.plan import LOCATING, places_of
 from rotcal_ros.errors import DataError
@@ -34,8 +36,9 @@ def problem(
     """Return the problem that observations of a plan pose.
 
     The coordinates of a target are the mean of what the machine reported there, from all places.
-    An arrival lasts as long as the plan leaves the table where it is. A run that was interrupted
-    and taken up again may count from another zero: its lengths have one of their own.
+    Where all targets are measured at one arrival, they share its scatter; else every length has
+    an arrival of its own. A run that was interrupted and taken up again may count from another
+    zero, which its lengths share.
 
     Raises DataError when an observation does not fit the plan.
     """
@@ -48,12 +51,14 @@ def problem(
     window_std = np.array([o.std[0] for o in observations])
     zero, segment = _zeros(settings.zero, observations)
     arrival = arrivals(plan)
+    shift, turn, own_std = _scatter(configuration)
+    variance = settings.length_std_m**2 + relative_std**2 + window_std**2 + own_std**2
     return SixProblem(
         position=np.array([o.table_position for o in observations], dtype=np.int64),
         place=np.array([o.station for o in observations], dtype=np.int64),
         target=target,
         length=np.array([o.mean[0] for o in observations]),
-        length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
+        length_std=np.sqrt(variance),
         distance_std=relative_std,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
@@ -62,8 +67,8 @@ def problem(
         datum=settings.datum,
         zero=zero,
         segment=segment,
-        scatter_translation_std=settings.scatter_translation_std_m,
-        scatter_rotation_std=settings.scatter_rotation_std_rad,
+        scatter_translation_std=shift,
+        scatter_rotation_std=turn,
         arrival=np.array(
             [arrival[o.step] + len(plan.steps) * o.run for o in observations], dtype=np.int64
         ),
@@ -74,10 +79,30 @@ def problem(
 
 
 def arrivals(plan: Plan) -> Ints:
-    """Return the number of the table's arrival at each step (n,), all places counted on."""
-    place_and_position = [(step.station, step.table_position) for step in plan.steps]
-    stays = [a == b for a, b in zip(place_and_position[1:], place_and_position, strict=False)]
-    return np.cumsum([0, *(not stay for stay in stays)])
+    """Return at which arrival (n,) of the table at its angle each step is measured, from 0 on.
+
+    From each place on its own: it is how often the plan has measured the same before.
+    """
+    count: Counter[tuple[int, int, int]] = Counter()
+    numbers = []
+    for step in plan.steps:
+        key = (step.station, step.table_position, step.target)
+        numbers.append(count[key])
+        count[key] += 1
+    return np.array(numbers, dtype=np.int64)
+
+
+def _scatter(configuration: Configuration) -> tuple[float | None, float | None, float]:
+    """Return the scatter of an arrival (m, rad) for the solver, and what joins a length (m).
+
+    Where the table arrives anew for every length, its scatter is noise of the lengths.
+    """
+    settings: TracerSixSolverSettings = configuration.solver
+    shift, turn = settings.scatter_translation_std_m, settings.scatter_rotation_std_rad
+    if configuration.plan.order == TARGETS_PER_STATION:
+        return shift, turn, 0.0
+    arm = np.linalg.norm(places_of(configuration.plan), axis=1).max()
+    return 0.0, 0.0, float(np.hypot(shift or 0.0, arm * (turn or 0.0)))
 
 
 def _require_planned(plan: Plan, places: Floats, observations: Sequence[Observation]) -> None:
