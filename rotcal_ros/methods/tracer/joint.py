@@ -73,7 +73,7 @@ def adjust_network(grid: Grid, start: Floats, targets: Floats | None = None) -> 
         dof=n_lengths - rank if grid.free else n_lengths - network.state.size,
         unknowns=unknowns,
         rank=rank,
-        target_test=_target_test(corrections, redundancy),
+        target_test=target_test(corrections, redundancy),
         corrections=corrections,
         target_redundancy=np.diagonal(redundancy, axis1=1, axis2=2),
         coupling=coupling,
@@ -181,7 +181,7 @@ def _felt_by_targets(
     return corrections, redundancy, np.asarray(coupling, dtype=np.float64)
 
 
-def _target_test(corrections: Floats, redundancy: Floats) -> Floats:
+def target_test(corrections: Floats, redundancy: Floats) -> Floats:
     """Return (n,) the largest normalised correction of each target's machine coordinates.
 
     In the directions that the lengths check at all (redundancy above CHECKED), each correction is
