@@ -8,7 +8,6 @@ import pytest
 
 from rotcal_ros.catalogue import changed, prepare_to_measure, read_configuration
 from rotcal_ros.catalogue.tracer_six.calibration import arrivals
-from rotcal_ros.catalogue.tracer_six.places import lost_turn
 from rotcal_ros.catalogue.tracer_six.plan import SixPlanSettings, places_of, six_plan
 from rotcal_ros.errors import PlanError
 
@@ -101,12 +100,3 @@ def test_two_places_are_enough_where_the_tilt_is_stated_and_lost():
     above = "plan.places_m=[0.1, 0, 0.1, 0.1, 0, 0.2]"
     with pytest.raises(PlanError, match="no length tells ECC"):
         made(above, "solver.tilt_std_rad=1e-6")
-
-
-def test_the_lost_turn_is_along_the_line_through_the_places():
-    line = np.array([1.0, 2.0, -0.5])
-    places = 0.1 + np.outer([-0.1, 0.03, 0.08], line)
-    found = lost_turn(places)
-    np.testing.assert_allclose(abs(found @ line), np.linalg.norm(line))
-    places[1] += np.array([0.02, -0.01, 0.0])  # 22 mm aside
-    assert lost_turn(places) is None

@@ -6,16 +6,14 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import PlanError
+from rotcal_ros.methods.tracer_six.layout import lost_direction
 from rotcal_ros.planning.plan import Point
 from rotcal_ros.units import DEGREE, MILLIMETRE
 
 LEAST_PLACES: Final = 3
 _UPRIGHT: Final = 0.7
 """From this vertical part on, what is lost about a line is mostly ECC."""
-LEAST_WIDTH_M: Final = 0.005
-"""Places reach at least this far (m, rms) to the side of the line that fits them best."""
 
 
 def around(
@@ -32,33 +30,18 @@ def around(
     return tuple((x, y, z) for x, y, z in rows.tolist())
 
 
-def lost_turn(places: Floats) -> Floats | None:
-    """Return the unit vector (3,) of the line about which nothing shows a turn; None: no such.
-
-    Two places (p, 3), or several in a line, stay where they are when the table turns about that
-    line: at every angle one of the six deviations is missing.
-    """
-    centred = places - places.mean(axis=0)
-    _, spread, axes = np.linalg.svd(centred, full_matrices=False)
-    width = spread[1] / np.sqrt(len(places)) if len(spread) > 1 else 0.0
-    if width >= LEAST_WIDTH_M:
-        return None
-    line = axes[0] * np.sign(axes[0][np.argmax(np.abs(axes[0]))])
-    return np.asarray(line, dtype=np.float64)
-
-
 def require_six(places: tuple[Point, ...], *, tilt_known: bool = False) -> None:
     """Raise PlanError, with the direction that is lost, unless the places tell six deviations.
 
     ``tilt_known``: a lost tilt is tolerated, because it is stated beforehand.
     """
     points = np.array(places)
-    if len(places) < 2 or np.ptp(points, axis=0).max() < LEAST_WIDTH_M:
+    if len(set(places)) < 2:
         raise PlanError(
             f"plan: the tracer stands at {len(places)} place(s) of the table: six deviations need "
             f"{LEAST_PLACES} that do not lie in a line; raise plan.places"
         )
-    lost = lost_turn(points)
+    lost = lost_direction(points)
     if lost is None:
         return
     x, y, z = (lost.round(3) + 0.0).tolist()  # without negative zeros

@@ -65,13 +65,13 @@ class SixPlanSettings(TableAngleSettings):
         0.01,
         doc="m, by which the tracer may miss its place before the person is asked again",
         minimum=1e-5,
-        maximum=10.0,
+        maximum=0.05,
     )
     box_centre_m: tuple[float, float, float] = setting(
-        (0.0, 0.0, 0.7), doc="m, centre of the block of targets"
+        (0.0, 0.0, 0.61), doc="m, centre of the block of targets"
     )
     box_size_m: tuple[float, float, float] = setting(
-        (1.2, 1.0, 0.6), doc="m, size of the block of targets", minimum=0.0
+        (1.0, 1.0, 0.82), doc="m, size of the block of targets", minimum=0.0
     )
     box_points: tuple[int, int, int] = setting(
         (4, 3, 2), doc="number of targets along x, y and z", minimum=1, maximum=1000
