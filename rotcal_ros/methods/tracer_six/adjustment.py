@@ -44,7 +44,9 @@ class RigidAdjuster:
         self, grid: Grid, start: Floats, targets: Floats | None = None
     ) -> RigidAdjustment:
         """Return the adjustment of ``grid``; it starts from its own state, whatever is given."""
-        rig, scatter = solve_network(grid, self.layout, self.state, self.stated, self.significance)
+        rig, scatter = solve_network(
+            grid, self.layout, self.state, self.stated, self.significance
+        )
         return _adjustment(rig, scatter)
 
 
@@ -95,7 +97,9 @@ def _adjustment(rig: Rig, scatter: Scatter) -> RigidAdjustment:
     )
 
 
-def _felt_by_targets(grid: Grid, state: State, after: Posterior) -> tuple[Floats, Floats, Floats]:
+def _felt_by_targets(
+    grid: Grid, state: State, after: Posterior
+) -> tuple[Floats, Floats, Floats]:
     """Return corrections (n, 3), redundancy (n, 3, 3) and coupling (3, 3), as Adjustment has them."""
     n = len(grid.targets)
     if grid.free:
