@@ -1,0 +1,88 @@
+"""Monte Carlo trials of six deviations: every trial is solved to the end.
+
+Gauss-Newton with the exact slopes of each trial and the normal matrix of the measurement. Its error
+is of the order of noise over distance (1e-5), so that a few steps leave nothing but rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.methods.tracer.grid import Grid
+from rotcal_ros.methods.tracer_six.curves import table_curves
+from rotcal_ros.methods.tracer_six.rig import Rig, State, relax, slopes
+from rotcal_ros.methods.tracer_six.scatter import Scatter, turned
+
+MOST_STEPS: Final = 6
+"""Noise of 1e-6 m needs three; what has not settled then is linearised anew."""
+SETTLED: Final = 1e-10
+"""Squared length, in standard deviations, of a last step that left nothing to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class SixTrials:
+    """Draws measurements like the one that ``rig`` solved, and solves them.
+
+    The measured lengths and targets get fresh noise, every arrival a fresh scatter. How large that
+    is follows the ``scatter`` of the measurement: as stated, or as likely as it was found.
+    """
+
+    rig: Rig
+    scatter: Scatter
+
+    def __post_init__(self) -> None:
+        if self.rig.layout.tilt_std is not None:
+            raise ConfigurationError(
+                "Monte Carlo trials draw measurements; what is stated about the tilt "
+                "(solver.tilt_std_rad) is none: measure from three places"
+            )
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles, (count, 6 m)."""
+        return np.array([self._solved(self._drawn(rng)) for _ in range(count)])
+
+    def _drawn(self, rng: np.random.Generator) -> Grid:
+        grid, layout = self.rig.grid, self.rig.layout
+        arms = self.rig.state.arms(layout)
+        chosen = rng.choice(len(self.scatter.weights), p=self.scatter.weights)
+        shift, turn = self.scatter.variances[chosen]
+        spread = np.linalg.cholesky(
+            (shift + _TINY) * np.eye(3) + turn * turned(arms)
+        ) @ rng.standard_normal((len(arms), 3, 1))
+        along = (self.rig.slopes.unit @ spread)[:, :, 0]
+        length = grid.length + along + grid.length_std * rng.standard_normal(grid.length.shape)
+        if grid.free:
+            return replace(grid, length=length)
+        targets = grid.targets + grid.target_std * rng.standard_normal(grid.targets.shape)
+        return replace(grid, length=length, targets=targets)
+
+    def _solved(self, grid: Grid) -> Floats:
+        state = self._settled(grid)
+        curves = table_curves(state.rotation, state.translation, self.rig.layout.angles)
+        return np.concatenate([curves.translation.T.ravel(), curves.rotation.T.ravel()])
+
+    def _settled(self, grid: Grid) -> State:
+        state = self.rig.state
+        for _ in range(MOST_STEPS):
+            here = slopes(grid, self.rig.layout, self.rig.scatter, state)
+            kept, poses = self._step(-here.kept, -here.poses)
+            state = state.moved(kept, poses.reshape(-1, 6))
+            if abs(float(here.kept @ kept + here.poses.ravel() @ poses)) < SETTLED:
+                return state
+        return relax(grid, self.rig.layout, self.rig.scatter, state).state
+
+    def _step(self, kept: Floats, poses: Floats) -> tuple[Floats, Floats]:
+        """Return the steps (K,) and (6 m,) for right-hand sides (K,) and (m, 6)."""
+        reduced = self.rig.reduced
+        x = reduced.covariance() @ (kept - reduced.transfer @ poses.ravel())
+        own = (reduced.inverse @ poses[:, :, None]).ravel()
+        return x, own - reduced.transfer.T @ x
+
+
+_TINY: Final = 1e-30
+"""Squared metres, so that no scatter at all has a root too."""
