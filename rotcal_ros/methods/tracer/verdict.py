@@ -121,7 +121,7 @@ def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
     noise = evidence.noise
     larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
     doubts = [
-        f"{_times(noise, k)}: the estimate is used; state it, or look for drift"
+        f"{times_stated(noise, k)}: the estimate is used; state it, or look for drift"
         for k in np.flatnonzero(larger).tolist()
     ]
     if evidence.unexplained > 1.0:
@@ -167,7 +167,7 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
 def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
     noise = evidence.noise
     remarks = [
-        f"{_times(noise, k)}, and so the estimate is used"
+        f"{times_stated(noise, k)}, and so the estimate is used"
         for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
         if noise.factors[k] < 1.0 or not noise.contradicted(settings.test_significance)[k]
     ]
@@ -189,6 +189,6 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
     return remarks
 
 
-def _times(noise: Noise, k: int) -> str:
-    """Return how many times its statement component ``k`` is."""
+def times_stated(noise: Noise, k: int) -> str:
+    """Return how many times its statement component ``k`` is, in words."""
     return f"{WORDS[k]} is {noise.factors[k]:.2g} times its stated {noise.stated[k]:.2g} m"
