@@ -9,6 +9,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.catalogue.tracer.lengths import mean_targets, reported_positions, time_order
 from rotcal_ros.catalogue.tracer.plan import TARGETS_PER_STATION
 from rotcal_ros.catalogue.tracer_six.places import described
@@ -30,12 +31,20 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     return tracer_six.solve(problem(configuration, plan, observations))
 
 
+def trials(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Trials:
+    """Prepare Monte Carlo trials about what :func:`solve` solves."""
+    return tracer_six.six_trials(problem(configuration, plan, observations))
+
+
 def problem(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> SixProblem:
     """Return the problem that observations of a plan pose.
 
-    The coordinates of a target are the mean of what the machine reported there, from all places.
+    The coordinates of a target are the mean of what the machine reported there, from all places;
+    what it reported beside that at one visit is taken off the length along the beam.
     Where all targets are measured at one arrival, they share its scatter; else every length has
     an arrival of its own. A run that was interrupted and taken up again may count from another
     zero, which its lengths share.
@@ -46,7 +55,8 @@ def problem(
     places = np.array(places_of(configuration.plan))
     _require_planned(plan, places, observations)
     target = np.array([o.target for o in observations], dtype=np.int64)
-    targets = mean_targets(np.array(plan.targets), target, reported_positions(observations))
+    reported = reported_positions(observations)
+    targets = mean_targets(np.array(plan.targets), target, reported)
     relative_std = settings.length_std_relative * np.linalg.norm(targets, axis=1)[target]
     window_std = np.array([o.std[0] for o in observations])
     zero, segment = _zeros(settings.zero, observations)
@@ -57,7 +67,7 @@ def problem(
         position=np.array([o.table_position for o in observations], dtype=np.int64),
         place=np.array([o.station for o in observations], dtype=np.int64),
         target=target,
-        length=np.array([o.mean[0] for o in observations]),
+        length=_at_mean_target(observations, places, targets[target], reported),
         length_std=np.sqrt(variance),
         distance_std=relative_std,
         targets=targets,
@@ -76,6 +86,20 @@ def problem(
         order=time_order(observations),
         settings=settings,
     )
+
+
+def _at_mean_target(
+    observations: Sequence[Observation], places: Floats, mean: Floats, reported: Floats
+) -> Floats:
+    """Return the lengths (k,) as they are to the ``mean`` targets (k, 3), not the ``reported``.
+
+    Seen from the planned place: the tracer is near enough to it for some tenths of a micrometre.
+    """
+    length = np.array([o.mean[0] for o in observations])
+    turn = rotation_about_z(np.array([o.table_angle for o in observations]))
+    beam = mean - np.einsum("kij,kj->ki", turn, places[[o.station for o in observations]])
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    return np.asarray(length - np.einsum("ki,ki->k", beam, reported - mean), dtype=np.float64)
 
 
 def arrivals(plan: Plan) -> Ints:

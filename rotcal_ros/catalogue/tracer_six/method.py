@@ -50,6 +50,7 @@ METHOD: Final = Method(
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (PlaceLengths(plan),)),
     solve=calibration.solve,
     joins_runs=True,
+    trials=calibration.trials,
     check=calibration.check,
     nominal=nominal,
     gauge=without_axis_and_artefact,

@@ -7,5 +7,6 @@ what comes out. docs/tracer_six.md has the derivation.
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings
 from rotcal_ros.methods.tracer_six.solve import METHOD, solve
+from rotcal_ros.methods.tracer_six.trials import six_trials
 
-__all__ = ["METHOD", "SixProblem", "TracerSixSolverSettings", "solve"]
+__all__ = ["METHOD", "SixProblem", "TracerSixSolverSettings", "six_trials", "solve"]

@@ -1,7 +1,7 @@
 """Monte Carlo trials of six deviations: every trial is solved to the end.
 
-Gauss-Newton with the exact slopes of each trial and the normal matrix of the measurement. Its error
-is of the order of noise over distance (1e-5), so that a few steps leave nothing but rounding.
+Gauss-Newton with the exact slopes of each trial and the normal matrix of the measurement, whose
+error is of the order of noise over distance (1e-5): a few steps leave nothing but rounding.
 """
 
 from __future__ import annotations
@@ -15,11 +15,15 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer_six.curves import table_curves
+from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.rig import Rig, State, relax, slopes
 from rotcal_ros.methods.tracer_six.scatter import Scatter, turned
+from rotcal_ros.methods.tracer_six.solution import adjust
 
 MOST_STEPS: Final = 6
 """Noise of 1e-6 m needs three; what has not settled then is linearised anew."""
+TINY: Final = 1e-30
+"""Squared metres, so that no scatter at all has a root too."""
 SETTLED: Final = 1e-10
 """Squared length, in standard deviations, of a last step that left nothing to do."""
 
@@ -30,10 +34,12 @@ class SixTrials:
 
     The measured lengths and targets get fresh noise, every arrival a fresh scatter. How large that
     is follows the ``scatter`` of the measurement: as stated, or as likely as it was found.
+    ``scale`` enlarges the noise as the solution does.
     """
 
     rig: Rig
     scatter: Scatter
+    scale: float = 1.0
 
     def __post_init__(self) -> None:
         if self.rig.layout.tilt_std is not None:
@@ -51,15 +57,14 @@ class SixTrials:
         arms = self.rig.state.arms(layout)
         chosen = rng.choice(len(self.scatter.weights), p=self.scatter.weights)
         shift, turn = self.scatter.variances[chosen]
-        spread = np.linalg.cholesky(
-            (shift + _TINY) * np.eye(3) + turn * turned(arms)
-        ) @ rng.standard_normal((len(arms), 3, 1))
-        along = (self.rig.slopes.unit @ spread)[:, :, 0]
-        length = grid.length + along + grid.length_std * rng.standard_normal(grid.length.shape)
+        root = np.linalg.cholesky((shift + TINY) * np.eye(3) + turn * turned(arms))
+        spread = root @ rng.standard_normal((len(arms), 3, 1))
+        noise = self.scale * grid.length_std * rng.standard_normal(grid.length.shape)
+        length = grid.length + noise + (self.rig.slopes.unit @ spread)[:, :, 0]
         if grid.free:
             return replace(grid, length=length)
-        targets = grid.targets + grid.target_std * rng.standard_normal(grid.targets.shape)
-        return replace(grid, length=length, targets=targets)
+        missed = self.scale * grid.target_std * rng.standard_normal(grid.targets.shape)
+        return replace(grid, length=length, targets=grid.targets + missed)
 
     def _solved(self, grid: Grid) -> Floats:
         state = self._settled(grid)
@@ -84,5 +89,7 @@ class SixTrials:
         return x, own - reduced.transfer.T @ x
 
 
-_TINY: Final = 1e-30
-"""Squared metres, so that no scatter at all has a root too."""
+def six_trials(problem: SixProblem) -> SixTrials:
+    """Prepare trials about the lengths of ``problem`` that its solution uses."""
+    solution = adjust(problem)
+    return SixTrials(solution.rig, solution.scatter, solution.scale)
