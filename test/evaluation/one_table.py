@@ -128,6 +128,8 @@ def by_tracer_at_places(
         target_std=np.full(targets.shape, own.target),
         table_angles=angles,
         places=places,
+        scatter_translation_std=0.0,  # this table comes back to the same place
+        scatter_rotation_std=0.0,
     )
 
 

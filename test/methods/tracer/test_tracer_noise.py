@@ -198,7 +198,7 @@ def test_a_machine_that_is_far_off_fails():
 
 @pytest.mark.parametrize("variant", ["joint", "station"])
 def test_lengths_without_any_noise_are_made_up_and_the_statements_stay(variant):
-    problem, _ = measured(1, length=0.0, target=0.0, variant=variant)
+    problem, _, _ = measured(1, length=0.0, target=0.0, variant=variant)
     result = solve(problem)
     assert [noise["factor"] for noise in result.details["noise"]] == [1.0] * 4
     assert result.warnings == ()
