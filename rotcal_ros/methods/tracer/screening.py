@@ -116,7 +116,7 @@ def _settled(
     if chance.min() >= significance / len(chance):
         return as_stated(grid), stated
     noise, fit = estimate_noise(adjust, grid, stated, before.factors, bent)
-    if noise.factors[0] < LEAST_FACTOR * (1.0 + 1e-9):  # it was the logarithm that stopped there
+    if noise.factors[0] < LEAST_FACTOR * (1.0 + 1e-9):
         return as_stated(grid), stated
     return noise, fit
 
