@@ -21,14 +21,14 @@ pytestmark = pytest.mark.ros
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
 SHORT = (
-    "plan.table_positions=4",
-    "plan.table_step_deg=90.0",
+    "plan.table_positions=3",
+    "plan.table_step_deg=120.0",
     "plan.box_points=[3, 2, 2]",
     "planner.preflight_timeout_s=30.0",
     "simulation.tracer.misplaced_place=1",
     "simulation.tracer.misplaced_mm=40.0",
 )
-PER_PLACE = 4 * 12
+PER_PLACE = 3 * 12
 
 
 def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
