@@ -47,13 +47,15 @@ class SparseSix:
         return np.concatenate([lengths / self.length_std, *prior])
 
     def _turned(self, c):
-        return (Rotation.from_rotvec(c) * Rotation.from_euler("z", self.angles[:, None])).as_matrix()
+        return (
+            Rotation.from_rotvec(c) * Rotation.from_euler("z", self.angles[:, None])
+        ).as_matrix()
 
     def _arms(self, turned, q):
         return (turned[self.position] @ q[self.place][:, :, None])[:, :, 0]
 
     def slope(self, x):
-        c, d, q, z, a = self.split(x)
+        c, d, q, _, a = self.split(x)
         turned = self._turned(c)
         arms = self._arms(turned, q)
         difference = arms + d[self.position] - a[self.target]

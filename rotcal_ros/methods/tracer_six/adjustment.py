@@ -22,7 +22,7 @@ NONE: Final = stated(0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class RigidAdjustment(Adjustment):
-    """An adjustment whose stations follow a rigid table: with its ``posterior`` and ``scatter``."""
+    """An adjustment whose stations follow a rigid table, ``posterior`` and ``scatter`` with it."""
 
     posterior: Posterior = None  # type: ignore[assignment]
     scatter: Scatter = NONE
@@ -44,9 +44,7 @@ class RigidAdjuster:
         self, grid: Grid, start: Floats, targets: Floats | None = None
     ) -> RigidAdjustment:
         """Return the adjustment of ``grid``; it starts from its own state, whatever is given."""
-        rig, scatter = solve_network(
-            grid, self.layout, self.state, self.stated, self.significance
-        )
+        rig, scatter = solve_network(grid, self.layout, self.state, self.stated, self.significance)
         return _adjustment(rig, scatter)
 
 
@@ -97,10 +95,8 @@ def _adjustment(rig: Rig, scatter: Scatter) -> RigidAdjustment:
     )
 
 
-def _felt_by_targets(
-    grid: Grid, state: State, after: Posterior
-) -> tuple[Floats, Floats, Floats]:
-    """Return corrections (n, 3), redundancy (n, 3, 3) and coupling (3, 3), as Adjustment has them."""
+def _felt_by_targets(grid: Grid, state: State, after: Posterior) -> tuple[Floats, Floats, Floats]:
+    """Return corrections (n, 3), redundancy (n, 3, 3), coupling (3, 3) as Adjustment has them."""
     n = len(grid.targets)
     if grid.free:
         return np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((3, 3))

@@ -1,7 +1,7 @@
 """From poses of the table to its six curves, in the gauge that all methods share.
 
-R_i = U R(c_i) Rz(theta_i) Q' and R_i o + t_i = v + U d_i: the axis stands at v, turned by U, in the
-machine; the table's own frame lies at o, turned by Q. U has no turn about z, v no height: x points
+R_i = U R(c_i) Rz(theta_i) Q' and R_i o + t_i = v + U d_i: the axis stands at v, turned by U, in
+the machine; the table's own frame lies at o, turned by Q. U has no turn about z, v no height: x points
 to the machine's x, heights count from its z = 0. The other ten are chosen so that nothing of a
 motion of either frame is left in the curves: sum c = sum d = 0, and in x and y also
 sum Rz' c = sum Rz' d = 0.
@@ -48,15 +48,14 @@ def table_curves(rotation: Floats, translation: Floats, angles: Floats) -> Curve
     axes, origin = np.eye(3), np.zeros(3)
     turn, place = np.eye(3), np.zeros(3)
     about = rotation_about_z(angles)
-    design, in_plane = gauge_design(angles)
+    _, in_plane = gauge_design(angles)
     for _ in range(MAX_ITERATIONS):
         c = rotation_vector(axes.T @ rotation @ turn @ about.swapaxes(1, 2))
         d = (rotation @ place + translation - origin) @ axes
         tilt, turned = in_plane @ c[:, :2].ravel(), float(c[:, 2].mean())
         shift, height = in_plane @ d[:, :2].ravel(), float(d[:, 2].mean())
-        if max(np.abs(tilt).max(), abs(turned)) < ROUNDING:
-            if max(np.abs(shift).max(), abs(height)) < ROUNDING:
-                break
+        if np.abs([*tilt, *shift, turned, height]).max() < ROUNDING:
+            break
         # to first order c gains u + Rz w, d gains v + Rz o, from motions of both frames
         axes = axes @ rotation_from_vector([tilt[0], tilt[1], 0.0])
         axes = axes @ rotation_from_vector([0.0, 0.0, -_heading(axes)])

@@ -63,5 +63,3 @@ def _flex(layout: Layout, state: State) -> Floats | None:
     shrunk = np.column_stack([-places[:, :2], np.zeros(p)])
     flex[3 * n : 3 * (n + p)] = (shrunk @ curves.table_turn.T).ravel()
     return flex
-
-

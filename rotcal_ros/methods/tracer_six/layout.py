@@ -74,7 +74,7 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """The number of unknowns beside the poses: targets, places, zeros, and the tilts' frame."""
+        """The number of unknowns beside the poses: targets, places, zeros, the tilts' frame."""
         tilts = 0 if self.tilt_std is None else 4
         return 3 * len(self.grid.targets) + 3 * len(self.places) + self.n_zeros + tilts
 
@@ -127,7 +127,7 @@ def lay_out(problem: SixProblem) -> tuple[Layout, dict[int, str]]:
 
 
 def renamed(text: str, names: dict[int, str]) -> str:
-    """Return a text of the tracer's with the stations of ``names`` called by place and position."""
+    """Return a text of the tracer's with its stations called by their ``names``."""
     return re.sub(r"\bstation (\d+)", lambda found: names[int(found[1])], text)
 
 
@@ -174,9 +174,12 @@ def _zeros(problem: SixProblem, grid: Grid, place: Ints) -> tuple[Ints, int]:
 
 def _arranged(problem: SixProblem, stations: Ints, row_station: Ints, rows: Ints) -> _Arranged:
     """Return the grid of some rows of ``problem``, and why others of them have no place."""
-    grid, absent = arrange(_as_tracer(problem, stations, row_station, rows))
-    grid = replace(grid, row=np.where(grid.row >= 0, rows[grid.row], -1))
     names = {s: f"place {k}, position {i}" for s, (k, i, _) in enumerate(stations.tolist())}
+    try:
+        grid, absent = arrange(_as_tracer(problem, stations, row_station, rows))
+    except DataError as error:
+        raise DataError(renamed(str(error), names)) from None
+    grid = replace(grid, row=np.where(grid.row >= 0, rows[grid.row], -1))
     why = absent.repeated | absent.unfit | absent.spare
     return grid, {int(rows[row]): renamed(text, names) for row, text in why.items()}
 

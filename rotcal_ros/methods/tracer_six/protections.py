@@ -1,4 +1,4 @@
-"""What protects six curves from lengths against each effect that could spoil them, and how well."""
+"""What protects six curves against each effect that could spoil them, and how well."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
     return ordered(
         (
             _felt("drift", drift, "a machine that drifts in each run alike moves the curves"),
-            _felt("knock", knock, "a tracer that slips on the table deforms the places"),
+            _felt(
+                "knock", knock, "a tracer that slips on the table, up above all, tilts the curves"
+            ),
             _noise(solution),
             Protection("error motion", "estimated", "EXC, EYC and EZC are measured"),
             _repeatability(solution),
@@ -101,5 +103,7 @@ def _tilt(solution: SixSolution) -> Protection:
     if std is None:
         return Protection("tilt", "estimated", "EAC and EBC are measured")
     return Protection(
-        "tilt", "bounded", f"EAC and EBC are held to a stated {std:.2g} rad, which the budget holds"
+        "tilt",
+        "bounded",
+        f"EAC and EBC are held to a stated {std:.2g} rad, which the budget holds",
     )

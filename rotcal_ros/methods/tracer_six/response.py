@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.distributions import noncentrality
 from rotcal_ros.methods.tracer_six.solution import PLACE, SixSolution
@@ -52,7 +52,7 @@ def worst(solution: SixSolution, patterns: Floats, largest: float) -> Worst:
 def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
     """Return moves of the curves (k, 6, m), and what is left in chi-squared (k,)."""
     rig, layout = solution.rig, solution.layout
-    k, v, n = patterns.shape
+    k, _, n = patterns.shape
     here = rig.slopes
     weighted = rig.grid.weights * patterns
     if here.factor is not None:
@@ -100,7 +100,7 @@ def timing(solution: SixSolution) -> Timing:
     return Timing(np.where(there, whole[row], 0.0), np.where(there, own[row], 0.0))
 
 
-def _share(order: Floats, here: Bools) -> Floats:
+def _share(order: Ints, here: Bools) -> Floats:
     share = np.zeros(len(order))
     rows = np.flatnonzero(here)
     share[rows[np.argsort(order[rows], kind="stable")]] = np.linspace(0.0, 1.0, len(rows))

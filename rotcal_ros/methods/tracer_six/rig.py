@@ -243,7 +243,8 @@ def _reduced(poses: Floats, cross: Floats, matrix: Floats, gauge: Floats) -> Red
     schur = matrix - transfer @ flat
     schur = 0.5 * (schur + schur.T)
     scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
-    return Reduced(schur, inverse, transfer, scale, np.linalg.qr(gauge * scale[:, None])[0])
+    columns = np.asarray(np.linalg.qr(gauge * scale[:, None])[0], dtype=np.float64)
+    return Reduced(schur, np.asarray(inverse), transfer, scale, columns)
 
 
 def relax(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> Rig:

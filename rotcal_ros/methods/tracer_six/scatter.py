@@ -83,7 +83,7 @@ def stated(translation: float, rotation: float) -> Scatter:
 
 @dataclass(frozen=True, eq=False)
 class Contrasts:
-    """``value`` (q,), what noise makes N(0, 1), and ``spread`` (2, q, q): K_t, K_r; ``radius`` m."""
+    """``value`` (q,), which noise makes N(0, 1), ``spread`` (2, q, q): K_t, K_r; ``radius`` m."""
 
     value: Floats
     spread: Floats

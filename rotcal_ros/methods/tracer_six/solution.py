@@ -141,7 +141,9 @@ def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
         slope = np.stack(
             [
                 (by_station**2).sum(axis=(1, 2)),
-                ((by_station.swapaxes(0, 1) @ across).swapaxes(0, 1) * by_station).sum(axis=(1, 2)),
+                ((by_station.swapaxes(0, 1) @ across).swapaxes(0, 1) * by_station).sum(
+                    axis=(1, 2)
+                ),
             ]
         )
         factor = enlargement(fit.scatter, covariance.diagonal(), slope)
@@ -156,8 +158,6 @@ def _closures(
     """Return for each component what whole turns apart should agree."""
     columns = np.concatenate([table.curves.translation, table.curves.rotation], axis=1)
     return {
-        name: closures(
-            layout.angles, columns[:, at], covariance[at, :, at], layout.position_ids
-        )
+        name: closures(layout.angles, columns[:, at], covariance[at, :, at], layout.position_ids)
         for name, at in PLACE.items()
     }

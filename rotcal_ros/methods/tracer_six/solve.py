@@ -107,9 +107,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "scatter": _scatter(solution),
         "noise": _noise(solution),
         "length_test": asdict(solution.lengths),
-        "rejection_limit": rejection_limit(
-            solution.grid, problem.settings.rejection_significance
-        ),
+        "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
             name: [asdict(closure) for closure in found]
             for name, found in solution.closures.items()

@@ -17,8 +17,8 @@ from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer_six.curves import table_curves
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.rig import Rig, State, relax, slopes
-from rotcal_ros.methods.tracer_six.scatter import Scatter, turned
-from rotcal_ros.methods.tracer_six.solution import adjust
+from rotcal_ros.methods.tracer_six.scatter import turned
+from rotcal_ros.methods.tracer_six.solution import SixSolution, adjust
 
 MOST_STEPS: Final = 6
 """Noise of 1e-6 m needs three; what has not settled then is linearised anew."""
@@ -30,40 +30,42 @@ SETTLED: Final = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class SixTrials:
-    """Draws measurements like the one that ``rig`` solved, and solves them.
+    """Draws measurements like the given one and solves them; made by :func:`six_trials`.
 
     The measured lengths and targets get fresh noise, every arrival a fresh scatter. How large that
-    is follows the ``scatter`` of the measurement: as stated, or as likely as it was found.
-    ``scale`` enlarges the noise as the solution does.
+    is follows the scatter of the solution: as stated, or as likely as it was found.
     """
 
-    rig: Rig
-    scatter: Scatter
-    scale: float = 1.0
+    solution: SixSolution
 
     def __post_init__(self) -> None:
-        if self.rig.layout.tilt_std is not None:
+        if self.solution.layout.tilt_std is not None:
             raise ConfigurationError(
                 "Monte Carlo trials draw measurements; what is stated about the tilt "
                 "(solver.tilt_std_rad) is none: measure from three places"
             )
+
+    @property
+    def rig(self) -> Rig:
+        """The network of the measurement."""
+        return self.solution.rig
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles, (count, 6 m)."""
         return np.array([self._solved(self._drawn(rng)) for _ in range(count)])
 
     def _drawn(self, rng: np.random.Generator) -> Grid:
-        grid, layout = self.rig.grid, self.rig.layout
+        grid, layout, scale = self.rig.grid, self.rig.layout, self.solution.scale
+        known = self.solution.scatter
         arms = self.rig.state.arms(layout)
-        chosen = rng.choice(len(self.scatter.weights), p=self.scatter.weights)
-        shift, turn = self.scatter.variances[chosen]
+        shift, turn = known.variances[rng.choice(len(known.weights), p=known.weights)]
         root = np.linalg.cholesky((shift + TINY) * np.eye(3) + turn * turned(arms))
         spread = root @ rng.standard_normal((len(arms), 3, 1))
-        noise = self.scale * grid.length_std * rng.standard_normal(grid.length.shape)
+        noise = scale * grid.length_std * rng.standard_normal(grid.length.shape)
         length = grid.length + noise + (self.rig.slopes.unit @ spread)[:, :, 0]
         if grid.free:
             return replace(grid, length=length)
-        missed = self.scale * grid.target_std * rng.standard_normal(grid.targets.shape)
+        missed = scale * grid.target_std * rng.standard_normal(grid.targets.shape)
         return replace(grid, length=length, targets=grid.targets + missed)
 
     def _solved(self, grid: Grid) -> Floats:
@@ -90,6 +92,8 @@ class SixTrials:
 
 
 def six_trials(problem: SixProblem) -> SixTrials:
-    """Prepare trials about the lengths of ``problem`` that its solution uses."""
-    solution = adjust(problem)
-    return SixTrials(solution.rig, solution.scatter, solution.scale)
+    """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
+
+    Rejected lengths stay rejected.
+    """
+    return SixTrials(adjust(problem))

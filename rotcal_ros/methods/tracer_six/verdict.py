@@ -2,8 +2,8 @@
 
 suspect
     a component of the noise is larger than stated (the estimate is used), or chi-squared of the
-    lengths is too large all the same (the covariance is then enlarged by it); the distances between
-    the places contradict the stated scatter (the estimate is used); more than
+    lengths is too large all the same (the covariance is then enlarged by it); the distances
+    between the places contradict the stated scatter (the estimate is used); more than
     ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
     allows; a position of the plan is missing.
 failed

@@ -90,7 +90,9 @@ def dense_covariance(problem, zero, target_std):
 
 
 @pytest.mark.parametrize("zero", ["per_run", "per_station"])
-@pytest.mark.parametrize(("datum", "heights"), [("prior", 0.0), ("free", 0.0), ("free", [0, 0.04, 0.1])])
+@pytest.mark.parametrize(
+    ("datum", "heights"), [("prior", 0.0), ("free", 0.0), ("free", [0, 0.04, 0.1])]
+)
 def test_covariance_is_that_of_the_dense_jacobian(zero, datum, heights):
     places = on_circle(heights=heights)
     truth = scene(
