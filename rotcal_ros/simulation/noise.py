@@ -29,6 +29,9 @@ class Source(IntEnum):
     BREAK = 11
     BREAK_SHIFT = 12
     SLIP = 13
+    ARRIVAL_MOTION = 14
+    MOUNTING = 20
+    MOUNTED_ZERO = 21
     TRACKER = 30
     STAND = 31
     NEST = 32

@@ -10,6 +10,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
+from rotcal_ros.catalogue.tracer.lengths import mean_targets, reported_positions, time_order
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
@@ -76,7 +77,7 @@ def _equal_places(
 ) -> TracerProblem:
     """Return the problem of one run, its lengths reduced to the mean place of their target."""
     posed = problem(configuration, plan, observations)
-    return at_equal_places(posed, _positions(observations) - posed.targets[posed.target])
+    return at_equal_places(posed, reported_positions(observations) - posed.targets[posed.target])
 
 
 def _in_segments(configuration: Configuration) -> bool:
@@ -144,10 +145,10 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
                 row=row,
                 length=twin.length[: len(again)],
                 length_std=twin.length_std[: len(again)],
-                shift=_positions(again) - place[row],
+                shift=reported_positions(again) - place[row],
             )
         )
-    return Runs(posed, run, _positions(kept) - place, pairs)
+    return Runs(posed, run, reported_positions(kept) - place, pairs)
 
 
 def problem(
@@ -170,8 +171,8 @@ def problem(
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
     target = np.array([o.target for o in observations], dtype=np.int64)
-    reported = _positions(observations)
-    targets = _reported_targets(np.array(plan.targets), target, reported)
+    reported = reported_positions(observations)
+    targets = mean_targets(np.array(plan.targets), target, reported)
     distance = np.linalg.norm(targets, axis=1)[target]
     window_std = np.array([o.std[0] for o in observations])
     relative_std = settings.length_std_relative * distance
@@ -181,7 +182,7 @@ def problem(
         length=np.array([o.mean[0] for o in observations]),
         length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
         distance_std=relative_std,
-        order=_order(observations),
+        order=time_order(observations),
         segment=_segments(observations) if _in_segments(configuration) else None,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
@@ -192,27 +193,3 @@ def problem(
         settings=settings,
         repeated_runs=configuration.plan.repeated,
     )
-
-
-def _order(observations: Sequence[Observation]) -> Ints:
-    """Return the rank (k,) in time of each observation: by run, then by step of the plan."""
-    keys = ([o.step for o in observations], [o.run for o in observations])
-    rank = np.empty(len(observations), dtype=np.int64)
-    rank[np.lexsort(keys)] = np.arange(len(observations))
-    return rank
-
-
-def _positions(observations: Sequence[Observation]) -> Floats:
-    """Return where the machine says the probe was, shape (k, 3)."""
-    return np.array([o.probe_position for o in observations]).reshape(-1, 3)
-
-
-def _reported_targets(nominal: Floats, target: Ints, reported: Floats) -> Floats:
-    """Return the mean reported position of each target, shape (n, 3)."""
-    count = np.bincount(target, minlength=len(nominal))
-    total = np.zeros_like(nominal)
-    np.add.at(total, target, reported)
-    seen = count > 0
-    total[seen] /= count[seen, None]
-    total[~seen] = nominal[~seen]
-    return total

@@ -71,7 +71,7 @@ LISTED: Final = (
 
 
 @dataclass(frozen=True, eq=False)
-class _Steps:
+class Steps:
     """The steps of a plan as arrays (n,): position, target, time."""
 
     position: Ints
@@ -87,24 +87,37 @@ def measure(
     The tracer stands where the simulation mounts it. True deviations are zero.
     """
     noise, other = streams(seed)
-    steps, solver = _steps(plan), configuration.solver
+    steps = steps_of(plan)
     stations = _stations(configuration, plan, steps, sizes, (noise, other))
-    places = _places(configuration, plan, steps, sizes, noise)
-    distance = np.linalg.norm(places - stations, axis=1)
-    height = 0.5 * (places[:, 2] + stations[:, 2])
-    optical = distance * (1.0 + sizes.get("scale", 0.0))
-    optical = optical * (1.0 + sizes.get("refraction", 0.0) * (height - height.mean()))
-    std = np.hypot(solver.length_std_m, solver.length_std_relative * distance)
-    read = optical + std * noise.standard_normal(len(distance))
-    read = read - configuration.simulation.tracer.dead_distance_m
+    places = reflector_places(configuration, plan, steps, sizes, noise)
+    read = readings(configuration, stations, places, sizes, noise)
     observations = tuple(
         step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
     )
     return DisturbedMeasurement(observations, {"ECC": np.zeros(len(plan.table_angles))})
 
 
-def _steps(plan: Plan) -> _Steps:
-    return _Steps(
+def readings(
+    configuration: Configuration,
+    stations: Floats,
+    places: Floats,
+    sizes: Sizes,
+    noise: np.random.Generator,
+) -> Floats:
+    """Return the lengths (n,) read from ``stations`` (n, 3) to reflectors at ``places`` (n, 3)."""
+    solver = configuration.solver
+    distance = np.linalg.norm(places - stations, axis=1)
+    height = 0.5 * (places[:, 2] + stations[:, 2])
+    optical = distance * (1.0 + sizes.get("scale", 0.0))
+    optical = optical * (1.0 + sizes.get("refraction", 0.0) * (height - height.mean()))
+    std = np.hypot(solver.length_std_m, solver.length_std_relative * distance)
+    read = optical + std * noise.standard_normal(len(distance))
+    return np.asarray(read - configuration.simulation.tracer.dead_distance_m)
+
+
+def steps_of(plan: Plan) -> Steps:
+    """Return the steps of a plan as arrays."""
+    return Steps(
         position=np.array([step.table_position for step in plan.steps], dtype=np.int64),
         target=np.array([step.target for step in plan.steps], dtype=np.int64),
         time=times(plan),
@@ -114,7 +127,7 @@ def _steps(plan: Plan) -> _Steps:
 def _stations(
     configuration: Configuration,
     plan: Plan,
-    steps: _Steps,
+    steps: Steps,
     sizes: Sizes,
     streams: tuple[np.random.Generator, np.random.Generator],
 ) -> Floats:
@@ -134,10 +147,10 @@ def _stations(
     return np.asarray(leant + shift[at], dtype=np.float64)
 
 
-def _places(
+def reflector_places(
     configuration: Configuration,
     plan: Plan,
-    steps: _Steps,
+    steps: Steps,
     sizes: Sizes,
     noise: np.random.Generator,
 ) -> Floats:

@@ -21,6 +21,7 @@ from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.points import block
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.visits import visits
 from rotcal_ros.settings import setting
@@ -230,21 +231,4 @@ def targets_of(settings: TracerPlanSettings) -> tuple[Point, ...]:
 
 def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:
     """Return the targets (m), layer by layer in a serpentine: neighbours are close together."""
-    axes = [
-        np.linspace(c - s / 2, c + s / 2, n) if n > 1 else np.array([c])
-        for c, s, n in zip(
-            settings.box_centre_m, settings.box_size_m, settings.box_points, strict=True
-        )
-    ]
-    x_axis, y_axis, z_axis = axes
-    rows = [(y, z) for k, z in enumerate(z_axis) for y in y_axis[:: _zigzag(k)]]
-    return tuple(
-        (float(x), float(y), float(z))
-        for k, (y, z) in enumerate(rows)
-        for x in x_axis[:: _zigzag(k)]
-    )
-
-
-def _zigzag(row: int) -> int:
-    """Return the direction of travel (1 or -1) of a row of a serpentine."""
-    return -1 if row % 2 else 1
+    return block(settings.box_centre_m, settings.box_size_m, settings.box_points)

@@ -10,7 +10,10 @@ from math import nan
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Stamps
-from rotcal_ros.catalogue.tracer.simulation_settings import FaultSettings, SimulatedTracerSettings
+from rotcal_ros.catalogue.tracer.simulation_settings import (
+    FaultSettings,
+    SimulatedReadingsSettings,
+)
 from rotcal_ros.observations import LengthStatus, TracerSample
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.units import MICROMETRE
@@ -24,7 +27,7 @@ class SimulatedTracer:
 
     def __init__(
         self,
-        settings: SimulatedTracerSettings,
+        settings: SimulatedReadingsSettings,
         faults: FaultSettings,
         seed: int,
         start_ns: int = 0,

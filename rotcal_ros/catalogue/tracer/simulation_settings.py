@@ -16,12 +16,9 @@ TRACER: Final = "tracer"
 
 
 @dataclass(frozen=True)
-class SimulatedTracerSettings:
-    """The simulated laser tracer on the table."""
+class SimulatedReadingsSettings:
+    """How the simulated laser tracer reads."""
 
-    mount_m: tuple[float, float, float] = setting(
-        (0.0569, -0.0318, 0.1225), doc="m, centre of the tracer in the table frame at angle 0"
-    )
     dead_distance_m: float = setting(
         1.0, doc="m, distance at which the tracer reads zero", minimum=0.0
     )
@@ -33,6 +30,15 @@ class SimulatedTracerSettings:
     noise_um: float = setting(0.2, doc="um, noise of one reading at distance 0", minimum=0.0)
     noise_um_per_m: float = setting(
         0.2, doc="um/m, growth of the noise with the distance", minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class SimulatedTracerSettings(SimulatedReadingsSettings):
+    """The simulated laser tracer on the table."""
+
+    mount_m: tuple[float, float, float] = setting(
+        (0.0569, -0.0318, 0.1225), doc="m, centre of the tracer in the table frame at angle 0"
     )
 
 
@@ -107,15 +113,22 @@ class FaultSettings:
 
 
 @dataclass(frozen=True)
-class TracerSimulationSettings(SimulationSettings):
-    """The simulated cell of the laser-tracer method."""
+class LengthsSimulationSettings(SimulationSettings):
+    """A simulated cell with a tracer on the table and a reflector on a machine."""
 
     instrument: str = setting(
         TRACER, doc="a laser tracer, with a machine for its reflector", choices=(TRACER,)
     )
-    tracer: SimulatedTracerSettings = group(SimulatedTracerSettings)
+    tracer: SimulatedReadingsSettings = group(SimulatedReadingsSettings)
     probe: SimulatedProbeSettings = group(SimulatedProbeSettings)
     faults: FaultSettings = group(FaultSettings)
+
+
+@dataclass(frozen=True)
+class TracerSimulationSettings(LengthsSimulationSettings):
+    """The simulated cell of the laser-tracer method."""
+
+    tracer: SimulatedTracerSettings = group(SimulatedTracerSettings)
 
     def make_instrument(
         self, table: Table, temperature: SimulatedTemperature, start_ns: int
@@ -123,4 +136,4 @@ class TracerSimulationSettings(SimulationSettings):
         """Return the tracer on the table and the reflector that the machine carries."""
         from rotcal_ros.catalogue.tracer.simulated_cell import TracerAndReflector
 
-        return TracerAndReflector(self, table, temperature, start_ns)
+        return TracerAndReflector(self, self.tracer.mount_m, table, temperature, start_ns)

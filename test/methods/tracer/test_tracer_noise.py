@@ -191,3 +191,11 @@ def test_single_lengths_go_alone_where_whole_targets_would_cost_more():
 def test_a_machine_that_is_far_off_fails():
     problem, _, _ = measured(1, PAPER, target=1e-4)
     assert solve(problem).verdict == "failed"
+
+
+@pytest.mark.parametrize("variant", ["joint", "station"])
+def test_lengths_without_any_noise_are_made_up_and_the_statements_stay(variant):
+    problem, _, _ = measured(1, length=0.0, target=0.0, variant=variant)
+    result = solve(problem)
+    assert [noise["factor"] for noise in result.details["noise"]] == [1.0] * 4
+    assert result.warnings == ()
