@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.reliability import SEED
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.protection import TOLERABLE
 
@@ -98,8 +99,9 @@ def _orders(calibration: Calibration, model: TimeModel, seed: int) -> tuple[Meas
         for name in ("table_position", "target")
     )
     costs = model.costs(np.array(plan.table_angles), np.array(plan.targets), position, target)
-    exact = problem(calibration.configuration, plan, calibration.nominal_observations())
-    return measuring_orders(position, target, costs, OrderForecast(exact), seed=seed)
+    noisy = calibration.measured({}, SEED).observations
+    forecast = OrderForecast(problem(calibration.configuration, plan, noisy))
+    return measuring_orders(position, target, costs, forecast, seed=seed)
 
 
 def _row(way: MeasuringOrder) -> dict[str, Any]:

@@ -75,12 +75,12 @@ def test_the_order_of_a_plan_is_found_and_written(tmp_path):
     assert found["lengths"] == 88
     assert found["listed_s"] == pytest.approx(87 * 5.0 + 10 * 10.0, abs=0.01)
     assert found["bound_s"] == pytest.approx(found["listed_s"], abs=0.01)
-    assert found["best"] == "quickest"
+    assert found["best"] == "closed"  # nothing bounds what drifts in the quickest
     pairs = np.reshape(read_pairs(written), (-1, 2))
     assert {tuple(pair) for pair in pairs.tolist()} == {
         (j, i) for j in range(11) for i in range(8)
     }
-    assert (np.diff(pairs[:, 0]) != 0).sum() == 10
+    assert (np.diff(pairs[:, 0]) != 0).sum() == 11
 
 
 def test_only_tracer_plans_have_such_orders():

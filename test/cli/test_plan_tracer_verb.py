@@ -1,0 +1,61 @@
+"""The verb ``plan tracer``: what it prints and writes, and what it refuses."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rotcal_ros.catalogue import prepare, read_configuration
+from rotcal_ros.cli import main
+
+SMALL = (
+    "--set", "table_positions=6", "--set", "table_step_deg=60", "--set", "spacing_m=0.3",
+    "--set", "exchanges=6", "--set", "starts=1",
+)  # fmt: skip
+
+
+def run(*arguments):
+    return CliRunner().invoke(main.rotcal, ("plan", "tracer", *arguments), prog_name="rotcal")
+
+
+def test_a_plan_is_printed_and_written_and_can_be_measured(tmp_path):
+    result = run("--need", "ECC=2.5", *SMALL, "-o", str(tmp_path), "--json")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["expanded_rms_arcsec"] <= 2.5
+    assert found["bound"] <= found["ideal"] <= found["lengths"]
+    assert found["gap"] <= 0.1
+    assert found["smallest_redundancy"] >= 0.25
+    assert found["largest_undetected_in_u"] <= 1.0 + 1e-6
+    plan = prepare(read_configuration(tmp_path / "plan.yaml")).plan
+    assert len(plan.steps) == found["lengths"]
+    assert len(plan.targets) == found["targets"]
+    assert np.degrees(plan.table_angles) == pytest.approx(np.arange(6) * 60.0)
+    assert np.abs(np.array(plan.targets)[:, 0]).max() <= 0.6
+    assert len({(s.table_position, s.target) for s in plan.steps}) == found["lengths"]
+    # every angle once, 10 s for a turn, 5 s for a length, moves of the machine besides
+    assert found["time_s"] >= 5.0 * (found["lengths"] - 1) + 10.0 * 5
+
+
+def test_the_plain_minimum_warns():
+    result = run("--need", "ECC=2.5", *SMALL, "--plain")
+    assert result.exit_code == 0, result.stderr
+    assert "do not check each other" in result.stderr
+    assert "bound: no plan in this volume" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (("--need", "EXC=1"), "expected ECC=ARCSEC"),
+        (("--need", "ECC=0.0001", *SMALL), "out of reach"),
+        (("--set", "sigma=3"), "unknown setting 'sigma'"),
+        (("--set", "error_motion_std_m=1.0e-6", *SMALL), "no number of lengths helps"),
+        (("missing.yaml",), "missing.yaml"),
+    ],
+)
+def test_refusals(arguments, text):
+    result = run(*arguments)
+    assert result.exit_code == 2
+    assert text in result.stderr
