@@ -187,6 +187,7 @@ def problem(
         distance_std=relative_std,
         order=_order(observations),
         segment=_segments(observations) if _in_segments(configuration) else None,
+        zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),

@@ -162,8 +162,8 @@ def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
         target_gradient = target_gradient + correction / grid.target_std
         blocks[:, [0, 1, 2], [0, 1, 2]] += grid.target_std**-2
     if layout.tension is not None:
-        pull = layout.tension @ state[layout.first_of_zero, 3]
-        chi2 += float(state[layout.first_of_zero, 3] @ pull)
+        steps, pull = layout.stretch(state[layout.first_of_zero, 3])
+        chi2 += float((steps**2).sum())
         station_gradient[layout.first_of_zero, 3] += pull
     cross = -(weighted.swapaxes(1, 2)[:, :, :, None] * unit[:, None]).reshape(4 * p, 3 * n)
     stations_kept = grid.free or layout.shared or 4 * p <= 3 * n
