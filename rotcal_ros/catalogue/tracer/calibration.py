@@ -89,6 +89,11 @@ def _in_segments(configuration: Configuration) -> bool:
 
 def _segments(observations: Sequence[Observation]) -> Ints:
     """Return the segment (k,) of each observation; another run is another segment."""
+    if any(o.segment < 0 for o in observations):
+        raise DataError(
+            "these observations were recorded before they told the segment of the beam: solve "
+            "from the streams, or set solver.zero to per_station"
+        )
     both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
     return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
