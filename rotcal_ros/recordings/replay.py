@@ -72,6 +72,10 @@ class Recording:
         readings on disk before they could tell what they are.
         """
         again, live = map(catalogue.last_accepted, (self.observations, self.recorded))
+        live = {
+            key: replace(o, segment=again[key].segment) if o.segment < 0 and key in again else o
+            for key, o in live.items()
+        }
         newest = {run: 0 for run, _ in again}
         for (run, _), observation in live.items():
             newest[run] = max(newest[run], observation.window_end_ns)

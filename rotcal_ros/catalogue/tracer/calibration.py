@@ -86,6 +86,11 @@ def _in_segments(configuration: Configuration) -> bool:
 
 def _segments(observations: Sequence[Observation]) -> Ints:
     """Return the segment (k,) of each observation; another run is another segment."""
+    if any(o.segment < 0 for o in observations):
+        raise DataError(
+            "these observations were recorded before they told the segment of the beam: solve "
+            "from the streams, or set solver.zero to per_station"
+        )
     both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
     return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
@@ -184,6 +189,7 @@ def problem(
         distance_std=relative_std,
         order=time_order(observations),
         segment=_segments(observations) if _in_segments(configuration) else None,
+        zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),

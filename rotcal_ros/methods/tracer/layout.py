@@ -21,6 +21,7 @@ class Layout:
     ``index`` (p, 4): places of (X, Y, Z, d) of a strip among ``size`` unknowns; ``places`` (3 m,):
     those of all coordinates, station by station. ``first_strip`` (m,), ``first_of_zero`` (s,).
     ``tension`` (s, s): inverse covariance of zeros that wander, 1/m^2; None: they do not.
+    ``walk`` (s,): as in the grid.
     """
 
     index: Ints
@@ -30,6 +31,7 @@ class Layout:
     first_strip: Ints
     first_of_zero: Ints
     tension: Floats | None
+    walk: Floats | None = None
 
     @classmethod
     def of(cls, grid: Grid) -> Layout:
@@ -47,7 +49,21 @@ class Layout:
             first_strip=grid.first_strip,
             first_of_zero=grid.first_of_zero,
             tension=None if grid.walk is None else _tension(grid.walk),
+            walk=grid.walk,
         )
+
+    def stretch(self, zeros: Floats) -> tuple[Floats, Floats]:
+        """Return steps of ``zeros`` (..., s) in standard deviations, and their pull (..., s).
+
+        From the differences: their squares would drown in those of the zeros.
+        """
+        assert self.walk is not None
+        steps = np.diff(zeros, axis=-1) / self.walk[:-1]
+        tight = steps / self.walk[:-1]
+        pull = np.zeros_like(zeros)
+        pull[..., :-1] -= tight
+        pull[..., 1:] += tight
+        return steps, pull
 
     def collect(self, of_strips: Floats) -> Floats:
         """Return gradients (..., p, 4) of the strips as one (..., size) of the unknowns."""
@@ -67,6 +83,8 @@ class Layout:
         if self.tension is not None:
             zeros = slice(len(self.places), None)
             kept[zeros, zeros] += self.tension
+        idle = np.flatnonzero(kept.diagonal() == 0.0)  # zeros that lost all their lengths
+        kept[idle, idle] = 1.0
         together = np.zeros((self.size, cross.shape[1]))
         np.add.at(together, self.index.ravel(), cross)
         return kept, targets, together

@@ -11,6 +11,7 @@ strips are added up into one matrix of three unknowns per station and one per ze
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -40,9 +41,10 @@ class Network:
     """One linearisation: ``state`` (p, 4), ``targets`` (n, 3), errors, gradient and normal matrix.
 
     ``f`` (p, n) is computed - observed, ``rows`` (p, n, 4) the design's station part (its target
-    part is minus the first three columns). ``blocks`` are those of strips (p, 4, 4), of targets
-    (n, 3, 3), and between them (4 p, 3 n). ``stations_kept``: the targets were eliminated.
-    ``layout``: where the strips' coordinates and zeros are among the unknowns.
+    part is minus the first three columns). ``stations_kept``: the targets are eliminated.
+    ``layout``: where the strips' coordinates and zeros are among the unknowns. ``prior`` (n, 3):
+    weights of the machine's coordinates, 1/m^2; None in a ``free`` network. Normal matrices are
+    made when they are asked for.
     """
 
     state: Floats
@@ -52,13 +54,33 @@ class Network:
     chi2: float
     station_gradient: Floats
     target_gradient: Floats
-    blocks: tuple[Floats, Floats, Floats]
-    reduced: Reduced
+    prior: Floats | None
     stations_kept: bool
     free: bool
     lengths: Floats
     weights: Floats
     layout: Layout
+
+    @cached_property
+    def blocks(self) -> tuple[Floats, Floats, Floats]:
+        """Normal blocks of strips (p, 4, 4), of targets (n, 3, 3), and between them (4 p, 3 n)."""
+        p, n = self.f.shape
+        unit, weights = self.rows[:, :, :3], self.weights
+        weighted = self.rows * weights[:, :, None]
+        by_target = np.ascontiguousarray(unit.swapaxes(0, 1))
+        stations = self.rows.swapaxes(1, 2) @ weighted
+        targets = by_target.swapaxes(1, 2) @ (by_target * weights.T[:, :, None])
+        if self.prior is not None:
+            targets[:, [0, 1, 2], [0, 1, 2]] += self.prior
+        cross = -(weighted.swapaxes(1, 2)[:, :, :, None] * unit[:, None]).reshape(4 * p, 3 * n)
+        return stations, targets, cross
+
+    @cached_property
+    def reduced(self) -> Reduced:
+        """The normal matrix with one side eliminated."""
+        return _reduce(
+            self.blocks, self.stations_kept, self.layout, self.state if self.free else None
+        )
 
     @property
     def stiffness(self) -> float:
@@ -102,13 +124,14 @@ class Network:
 def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
     """Return the least-squares network near ``state`` (p, 4) and ``targets`` (n, 3).
 
-    Gauss-Newton while chi-squared falls. A free network may have a long bent valley: no length
-    feels the height of a target that is level with the tracer, to first order. Once a step has
-    gone wrong the steps follow the bend (Transtrum and Sethna, arXiv:1201.5885), and are damped
-    (Levenberg) until chi-squared falls. Where the valley is flat, any place of it will do.
+    Gauss-Newton while chi-squared falls. A free network may have a long bent valley:
+    no length feels the height of a target that is level with the tracer, to first order. Once a
+    step has gone wrong the steps follow the bend (Transtrum and Sethna, arXiv:1201.5885), and are
+    damped (Levenberg) until chi-squared falls. Where the valley is flat, any place of it will do.
     """
     network, before = linearise(grid, state, targets), np.inf
     damping, curved = 0.0, False
+    least = LEAST_DAMPING * network.stiffness
     for _ in range(MAX_ITERATIONS):
         reduced = network.damped(damping)
         by_station, by_target = network.step(reduced)
@@ -120,7 +143,6 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
             more = network.bend(reduced, by_station, by_target)
             by_station, by_target = by_station + more[0], by_target + more[1]
         trial = linearise(grid, network.state + by_station, network.targets + by_target)
-        least = LEAST_DAMPING * network.stiffness
         if trial.chi2 > network.chi2 + 1e-9 * max(network.chi2, 1.0):
             if squared < STAGNANT and damping < 2.0 * least:
                 return network  # what is left to gain drowns in the rounding of chi-squared
@@ -142,17 +164,14 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
 
 
 def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
-    """Return the network at ``state`` (p, 4), ``targets`` (n, 3): errors, gradient, normals."""
+    """Return the network at ``state`` (p, 4), ``targets`` (n, 3): its errors and gradient."""
     p, n = grid.used.shape
     layout, weights = Layout.of(grid), grid.weights
     distance, unit = ranges(state[:, :3], targets)
     f = distance - state[:, 3:] - grid.length
     rows = np.concatenate([unit, np.full((p, n, 1), -1.0)], axis=2)
     weighted = rows * weights[:, :, None]
-    by_target = np.ascontiguousarray(unit.swapaxes(0, 1))
-    weighted_by_target = by_target * weights.T[:, :, None]
-    stations = rows.swapaxes(1, 2) @ weighted
-    blocks = by_target.swapaxes(1, 2) @ weighted_by_target
+    prior = None
     station_gradient = np.einsum("jia,ji->ja", weighted, f)
     target_gradient = -np.einsum("jia,ji->ia", weighted[:, :, :3], f)
     chi2 = float((weights * f**2).sum())
@@ -160,18 +179,15 @@ def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
         correction = (targets - grid.targets) / grid.target_std
         chi2 += float((correction**2).sum())
         target_gradient = target_gradient + correction / grid.target_std
-        blocks[:, [0, 1, 2], [0, 1, 2]] += grid.target_std**-2
+        prior = grid.target_std**-2
     if layout.tension is not None:
-        pull = layout.tension @ state[layout.first_of_zero, 3]
-        chi2 += float(state[layout.first_of_zero, 3] @ pull)
+        steps, pull = layout.stretch(state[layout.first_of_zero, 3])
+        chi2 += float((steps**2).sum())
         station_gradient[layout.first_of_zero, 3] += pull
-    cross = -(weighted.swapaxes(1, 2)[:, :, :, None] * unit[:, None]).reshape(4 * p, 3 * n)
     stations_kept = grid.free or layout.shared or 4 * p <= 3 * n
-    whole = (stations, blocks, cross)
-    reduced = _reduce(whole, stations_kept, layout, state if grid.free else None)
     return Network(
-        state, targets, f, rows, chi2, station_gradient, target_gradient, whole, reduced,
-        stations_kept, grid.free, grid.length, weights, layout,
+        state, targets, f, rows, chi2, station_gradient, target_gradient, prior, stations_kept,
+        grid.free, grid.length, weights, layout,
     )  # fmt: skip
 
 

@@ -44,6 +44,16 @@ class Reduced:
 
         Raises ObservabilityError when the matrix is singular in spite of its constraints.
         """
+        factor = self._factor
+        reduced = self.scale * (kept - self.transfer @ other)
+        both = cho_solve(factor, np.column_stack([reduced, self.constraints]), check_finite=False)
+        x = self.scale * (both[:, 0] - self._violation(both[:, 1:], both[:, :1])[:, 0])
+        q, t, _ = self.inverse.shape
+        y = (self.inverse @ other.reshape(q, t, 1)).ravel() - self.transfer.T @ x
+        return x, y
+
+    @cached_property
+    def _factor(self) -> tuple[Floats, bool]:
         try:
             factor = cho_factor(self.regular(), lower=True, check_finite=False)
         except np.linalg.LinAlgError:
@@ -51,12 +61,7 @@ class Reduced:
                 "the lengths do not determine stations and targets together: the normal matrix is "
                 "singular; measure more targets from more stations, or use the datum 'prior'"
             ) from None
-        reduced = self.scale * (kept - self.transfer @ other)
-        both = cho_solve(factor, np.column_stack([reduced, self.constraints]), check_finite=False)
-        x = self.scale * (both[:, 0] - self._violation(both[:, 1:], both[:, :1])[:, 0])
-        q, t, _ = self.inverse.shape
-        y = (self.inverse @ other.reshape(q, t, 1)).ravel() - self.transfer.T @ x
-        return x, y
+        return np.asarray(factor[0], dtype=np.float64), bool(factor[1])
 
     def covariance(self) -> Floats:
         """Return the covariance (p s, p s) of the kept side, under the constraints."""

@@ -96,6 +96,13 @@ class TracerSolverSettings(TracerLimits):
         "beam, which measures better and needs the variant joint; auto: per segment for a table "
         "with the column segment, else per station",
     )
+    zero_walk_std_m: float | None = setting(
+        0.0,
+        doc="m, with a zero per_segment: standard deviation of its change from one length to the "
+        "next, as by temperature; 0: it stands; absent: estimated from the lengths",
+        minimum=0.0,
+        maximum=1e-4,
+    )
     error_motion_std_m: float | None = setting(
         None,
         doc="m, standard deviation of the table's radial error motion at the tracer's height; "

@@ -40,6 +40,7 @@ from rotcal_ros.methods.tracer.uncertainty import (
     length_test,
 )
 from rotcal_ros.methods.tracer.verdict import Evidence, closures
+from rotcal_ros.methods.tracer.zero_walk import likely_walk, wandering
 
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
@@ -193,11 +194,17 @@ def _screened_together(
         start = with_zeros(grid, start[source, :3])
         return True
 
-    while broken(_missing(grid), _known_targets(grid, start), GROSS):
+    walk = problem.zero_walk_std
+    while walk == 0.0 and broken(_missing(grid), _known_targets(grid, start), GROSS):
         pass
     while True:
         coarse, gross = reject_gross(_known_targets, grid, start, limits.rejection_significance)
-        screened = adjust_and_screen(joint.adjust_network, coarse, start, limits)
+        std = likely_walk(coarse, start, order) if walk is None else walk
+        begin = start
+        if std:
+            coarse, source = wandering(coarse, order, std)
+            begin = with_zeros(coarse, start[source, :3])
+        screened = adjust_and_screen(joint.adjust_network, coarse, begin, limits)
         if not broken(scaled(screened.grid, screened.noise.factors), screened.fit, 1.0):
             return replace(screened, why=screened.why | gross), tuple(jumps)
 

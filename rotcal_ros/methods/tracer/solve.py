@@ -14,6 +14,7 @@ from rotcal_ros.methods.tracer.observability import weakest_direction
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.protections import protections
 from rotcal_ros.methods.tracer.screening import rejection_limit
+from rotcal_ros.methods.tracer.segments import segment_report
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.verdict import judge
 from rotcal_ros.results import Rejection, Residuals, Result
@@ -116,6 +117,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         "covariance_scale": solution.scale * float(solution.noise.factors[0]),
         "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(solution),
+        **_zeros(solution),
         "closure": [asdict(closure) for closure in solution.evidence.closures],
     }
 
@@ -157,6 +159,17 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squared / np.maximum(redundancy, 1e-9)),
         "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
+    }
+
+
+def _zeros(solution: TracerSolution) -> dict[str, Any]:
+    """Return the zeros of segments, and their walk per length that was used, m."""
+    if solution.grid.zero is None:
+        return {}
+    walk = solution.grid.walk
+    return {
+        "segments": segment_report(solution),
+        "zero_walk_std": 0.0 if walk is None else float(walk.min()),
     }
 
 

@@ -66,6 +66,8 @@ class TracerTrials:
         grid = self.grid
         m, n = grid.used.shape
         length = grid.length + self.scale * grid.length_std * rng.standard_normal((count, m, n))
+        if grid.walk is not None:
+            length += _walks(grid.walk, rng, count)[:, grid.zero, None]
         if len(self.zeros):
             length += np.tensordot(rng.standard_normal((count, len(self.zeros))), self.zeros, 1)
         places = rng.standard_normal((count, n, 3))
@@ -90,6 +92,9 @@ class TracerTrials:
         targets = np.broadcast_to(self.targets, places.shape).copy()
         for _ in range(MOST_STEPS):
             by_station, by_target = self._gradients(state, targets, length)
+            if (layout := gain.layout).tension is not None:
+                _, pull = layout.stretch(state[:, layout.first_of_zero, 3])
+                by_station[:, layout.first_of_zero, 3] += pull
             if not self.grid.free:
                 by_target += (targets - places) / self.grid.target_std**2
             steps = gain.step(by_station, by_target)
@@ -111,6 +116,16 @@ class TracerTrials:
         push = difference * (pull / distance)[..., None]
         by_station = np.concatenate([push.sum(axis=2), -pull.sum(axis=2)[..., None]], axis=2)
         return by_station, -push.sum(axis=1)
+
+
+def _walks(std: Floats, rng: np.random.Generator, count: int) -> Floats:
+    """Return walks (count, s) of zeros with these standard deviations to the next; 0 at begins."""
+    linked = np.isfinite(std)
+    steps = np.where(linked, std, 0.0) * rng.standard_normal((count, len(std)))
+    total = np.cumsum(steps, axis=1) - steps
+    chain = np.append(0, np.cumsum(~linked)[:-1])
+    begin = np.unique(chain, return_index=True)[1]
+    return np.asarray(total - total[:, begin][:, chain], dtype=np.float64)
 
 
 def tracer_trials(problem: TracerProblem) -> TracerTrials:

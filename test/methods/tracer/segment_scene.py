@@ -114,6 +114,9 @@ class Dense:
     def solve(self, stations):
         start = np.concatenate([stations.ravel(), np.zeros(self.s), self.p.targets.ravel()])
         x = start
-        for _ in range(8):
-            x = x + np.linalg.lstsq(self.slope(x), -self.misfit(x))[0]
+        for _ in range(5):
+            jacobian = self.slope(x)
+            scale = 1.0 / np.linalg.norm(jacobian, axis=0)
+            q, r = np.linalg.qr(jacobian * scale)
+            x = x - scale * np.linalg.solve(r, q.T @ self.misfit(x))
         return x

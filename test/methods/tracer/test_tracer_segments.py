@@ -149,3 +149,48 @@ def test_segments_need_the_joint_variant_and_lengths_enough():
         run.problem(0.5, None, zero_walk_std=1e-8)
     with pytest.raises(ObservabilityError, match="0 stations"):
         solve(run.problem(0.5, np.arange(140)))
+
+
+def wandered(run, seed, std=5e-8, **options):
+    steps = std * np.random.default_rng(seed).standard_normal(140)
+    return run.problem(0.5 + np.cumsum(steps), 0, **options)
+
+
+def test_a_zero_that_wanders_is_that_of_dense_least_squares():
+    run = measure()
+    problem = wandered(run, 2, zero_walk_std=5e-8)
+    solution = adjust(problem)
+    dense = Dense(problem, walk=5e-8)
+    at = dense.solve(run.stations)
+    assert np.abs(solution.fit.stations - at[:21].reshape(7, 3)).max() < 1e-11
+    covariance, _ = dense_covariance(dense, at)
+    expected = ecc_covariance(solution.fit.stations, run.angles, covariance[:21, :21])
+    assert np.abs(solution.angles.covariance - expected).max() < 1e-8 * np.abs(expected).max()
+    assert solution.fit.dof == 140 + 139 - 21 - 140
+    drawn = tracer_trials(problem)(np.random.default_rng(1), 1000)
+    assert drawn.std(axis=0)[1:] == pytest.approx(solution.angles.std[1:], rel=0.1)
+
+
+def test_the_walk_is_estimated():
+    run = measure(m=5, n=18)
+    problem = run.problem(
+        0.5 + np.cumsum(3e-7 * np.random.default_rng(7).standard_normal(90)), 0, zero_walk_std=None
+    )
+    assert solve(problem).details["zero_walk_std"] == pytest.approx(3e-7, rel=0.3)
+    assert solve(run.problem(0.5, 0, zero_walk_std=None)).details["zero_walk_std"] < 3e-8
+
+
+def test_a_slip_is_found_where_it_is_and_a_break_is_told_from_none():
+    run = measure(n=40, by_target=False)
+    k = np.arange(280)
+    result = solve(run.problem(0.5 + 316e-9 * (k >= 160), 0))
+    assert result.verdict == "suspect"
+    assert "the zero of segment 0 jumps by -3" in result.warnings[0]
+    first, second = result.details["segments"]
+    assert first["lengths"] + second["lengths"] == 280
+    assert abs(first["lengths"] - 160) < 20
+    assert second["step"] == pytest.approx(316e-9, abs=4 * second["step_std"])
+    assert second["probability"] < 1e-4
+    stayed = solve(run.problem(0.5, k // 160))
+    assert stayed.verdict == "ok"
+    assert stayed.details["segments"][1]["probability"] > 1e-3
