@@ -135,12 +135,14 @@ def plan_check(
         scene,
         rule,
         np.sqrt(np.diagonal(expected)),
+        one_zero=solver.zero == "per_segment",
         least_redundancy=least_redundancy,
         progress=progress,
     )
     used, target = np.unique(found.lengths.target, return_inverse=True)
     pairs = np.column_stack([found.lengths.position, target])
-    unseen = OrderForecast(_exact_lengths(scene, offered[used], pairs))
+    segment = found.lengths.segment if solver.zero == "per_segment" else None
+    unseen = OrderForecast(_exact_lengths(scene, offered[used], pairs, segment))
     costs = cell_time(configuration).costs(angles, offered[used], pairs[:, 0], pairs[:, 1])
     order = _order(costs, pairs, unseen)
     return CheckPlan(
@@ -179,7 +181,9 @@ def _require_fitting(configuration: Configuration) -> None:
         )
 
 
-def _exact_lengths(scene: Scene, targets: Floats, pairs: Ints) -> TracerProblem:
+def _exact_lengths(
+    scene: Scene, targets: Floats, pairs: Ints, segment: Ints | None
+) -> TracerProblem:
     """Return the lengths of ``pairs`` (k, 2) as a problem without any error."""
     position, target = pairs.T
     distance = np.linalg.norm(scene.stations[position] - targets[target], axis=1)
@@ -193,6 +197,7 @@ def _exact_lengths(scene: Scene, targets: Floats, pairs: Ints) -> TracerProblem:
         table_angles=scene.table_angles,
         error_motion_std=scene.error_motion_std,
         start_stations=scene.stations,
+        segment=segment,
     )
 
 
