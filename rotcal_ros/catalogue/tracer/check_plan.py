@@ -120,15 +120,7 @@ def plan_check(
     angles = earlier.angles[rows]
     offered = np.array(candidates or block_of_targets(configuration.plan))
     solver = configuration.solver
-    scene = Scene(
-        stations=on_table(configuration.simulation.tracer.mount_m, angles),
-        table_angles=angles,
-        targets=offered,
-        target_std=solver.target_std_m,
-        length_std=solver.length_std_m,
-        length_std_relative=solver.length_std_relative,
-        error_motion_std=solver.error_motion_std_m,
-    )
+    scene = _scene(configuration, angles, offered)
     keep = without_harmonics(angles, 0)
     expected = rule.expected(earlier.covariance[np.ix_(rows, rows)], keep)
     found = fewest_lengths(
@@ -158,6 +150,20 @@ def plan_check(
         offered=len(angles) * len(offered),
         seconds=order.seconds,
         unseen=unseen(order.order),
+    )
+
+
+def _scene(configuration: Configuration, angles: Floats, offered: Floats) -> Scene:
+    """Return the stations at ``angles`` (m,) rad, the targets offered, and the stated noise."""
+    solver = configuration.solver
+    return Scene(
+        stations=on_table(configuration.simulation.tracer.mount_m, angles),
+        table_angles=angles,
+        targets=offered,
+        target_std=solver.target_std_m,
+        length_std=solver.length_std_m,
+        length_std_relative=solver.length_std_relative,
+        error_motion_std=solver.error_motion_std_m,
     )
 
 
