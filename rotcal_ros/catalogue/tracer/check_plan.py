@@ -120,27 +120,21 @@ def plan_check(
     angles = earlier.angles[rows]
     offered = np.array(candidates or block_of_targets(configuration.plan))
     solver = configuration.solver
-    scene = Scene(
-        stations=on_table(configuration.simulation.tracer.mount_m, angles),
-        table_angles=angles,
-        targets=offered,
-        target_std=solver.target_std_m,
-        length_std=solver.length_std_m,
-        length_std_relative=solver.length_std_relative,
-        error_motion_std=solver.error_motion_std_m,
-    )
+    scene = _scene(configuration, angles, offered)
     keep = without_harmonics(angles, 0)
     expected = rule.expected(earlier.covariance[np.ix_(rows, rows)], keep)
     found = fewest_lengths(
         scene,
         rule,
         np.sqrt(np.diagonal(expected)),
+        one_zero=solver.zero == "per_segment",
         least_redundancy=least_redundancy,
         progress=progress,
     )
     used, target = np.unique(found.lengths.target, return_inverse=True)
     pairs = np.column_stack([found.lengths.position, target])
-    unseen = OrderForecast(_exact_lengths(scene, offered[used], pairs))
+    segment = found.lengths.segment if solver.zero == "per_segment" else None
+    unseen = OrderForecast(_exact_lengths(scene, offered[used], pairs, segment))
     costs = cell_time(configuration).costs(angles, offered[used], pairs[:, 0], pairs[:, 1])
     order = _order(costs, pairs, unseen)
     return CheckPlan(
@@ -156,6 +150,20 @@ def plan_check(
         offered=len(angles) * len(offered),
         seconds=order.seconds,
         unseen=unseen(order.order),
+    )
+
+
+def _scene(configuration: Configuration, angles: Floats, offered: Floats) -> Scene:
+    """Return the stations at ``angles`` (m,) rad, the targets offered, and the stated noise."""
+    solver = configuration.solver
+    return Scene(
+        stations=on_table(configuration.simulation.tracer.mount_m, angles),
+        table_angles=angles,
+        targets=offered,
+        target_std=solver.target_std_m,
+        length_std=solver.length_std_m,
+        length_std_relative=solver.length_std_relative,
+        error_motion_std=solver.error_motion_std_m,
     )
 
 
@@ -179,7 +187,9 @@ def _require_fitting(configuration: Configuration) -> None:
         )
 
 
-def _exact_lengths(scene: Scene, targets: Floats, pairs: Ints) -> TracerProblem:
+def _exact_lengths(
+    scene: Scene, targets: Floats, pairs: Ints, segment: Ints | None
+) -> TracerProblem:
     """Return the lengths of ``pairs`` (k, 2) as a problem without any error."""
     position, target = pairs.T
     distance = np.linalg.norm(scene.stations[position] - targets[target], axis=1)
@@ -193,6 +203,7 @@ def _exact_lengths(scene: Scene, targets: Floats, pairs: Ints) -> TracerProblem:
         table_angles=scene.table_angles,
         error_motion_std=scene.error_motion_std,
         start_stations=scene.stations,
+        segment=segment,
     )
 
 
