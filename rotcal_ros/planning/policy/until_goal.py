@@ -30,7 +30,7 @@ from rotcal_ros.planning.policy.noise import LengthNoise, student_factor
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
 PLANNED_FACTOR: Final = student_factor(math.inf)
-RESERVE: Final = 0.95
+RESERVE: Final = 0.9
 """The first sweep aims so far below the goal: a few lengths more then save turns of the table."""
 BLOCKED_WIDTH: Final = 15.0 * DEGREE
 """A beam so near to a blocked one is as likely blocked as free."""
