@@ -17,7 +17,7 @@ SHORT = (
     "plan.box_points=[3, 2, 2]",
     "solver.length_std_m=2.0e-7",
     "planner.policy=until_goal",
-    "planner.goal_arcsec=5.5",
+    "planner.goal_arcsec=7.0",
 )
 GIVEN_UP = 3
 

@@ -30,6 +30,8 @@ from rotcal_ros.planning.policy.noise import LengthNoise, student_factor
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
 
 PLANNED_FACTOR: Final = student_factor(math.inf)
+RESERVE: Final = 0.9
+"""The first sweep aims so far below the goal: a few lengths more then save turns of the table."""
 BLOCKED_WIDTH: Final = 15.0 * DEGREE
 """A beam so near to a blocked one is as likely blocked as free."""
 TINY: Final = 1e-6
@@ -85,9 +87,16 @@ class UntilGoal:
         )
         for step in given_up:
             self._block(step)
-        first = experiment.first_sweep(limits.uncertainty)
+        first = self._first_sweep()
         left = [s for s in first if s not in self._lengths and self._allowed[s]]
         self._queue += ((step, "first sweep") for step in left)
+
+    def _first_sweep(self) -> list[int]:
+        """Return the steps of the first sweep, with the reserve where there are enough."""
+        goal = self._limits.uncertainty
+        first = self._experiment.first_sweep(RESERVE * goal)
+        reached = self._experiment.uncertainty(first, 1.0, PLANNED_FACTOR) <= RESERVE * goal
+        return first if reached else self._experiment.first_sweep(goal)
 
     def choose(self) -> Choice:
         """Return the next step, or why nothing more is measured."""
