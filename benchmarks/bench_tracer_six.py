@@ -33,9 +33,9 @@ def joint() -> Row:
         problem.position, problem.place, problem.target, problem.place, problem.length,
         LENGTH_STD, problem.targets, TARGET_STD, problem.table_angles, 3,
     )  # fmt: skip
-    still = np.zeros(scipy.sizes[-1])
-    still = scipy._turned(still[: 3 * len(layout.angles)].reshape(-1, 3))
-    turns = rotation_vector(start.rotation @ still.swapaxes(1, 2))
+    unmoved = np.zeros(scipy.sizes[-1])
+    unmoved = scipy._turned(unmoved[: 3 * len(layout.angles)].reshape(-1, 3))
+    turns = rotation_vector(start.rotation @ unmoved.swapaxes(1, 2))
     parts = (turns, start.translation, start.places, start.zeros, start.targets)
     flat = np.concatenate([part.ravel() for part in parts])
 

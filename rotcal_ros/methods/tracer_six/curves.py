@@ -1,9 +1,9 @@
 """From poses of the table to its six curves, in the gauge that all methods share.
 
 R_i = U R(c_i) Rz(theta_i) Q' and R_i o + t_i = v + U d_i: the axis stands at v, turned by U, in
-the machine; the table's own frame lies at o, turned by Q. U has no turn about z, v no height: x points
-to the machine's x, heights count from its z = 0. The other ten are chosen so that nothing of a
-motion of either frame is left in the curves: sum c = sum d = 0, and in x and y also
+the machine; the table's own frame lies at o, turned by Q. U has no turn about z, v no height: x
+points to the machine's x, heights count from its z = 0. The other ten are chosen so that nothing
+of a motion of either frame is left in the curves: sum c = sum d = 0, and in x and y also
 sum Rz' c = sum Rz' d = 0.
 """
 
@@ -70,8 +70,8 @@ def table_curves(rotation: Floats, translation: Floats, angles: Floats) -> Curve
 def gauge_design(angles: Floats) -> tuple[Floats, Floats]:
     """Return what both frames do to x and y at all angles, (2 m, 4), and its inverse (4, 2 m)."""
     about = rotation_about_z(angles)[:, :2, :2]
-    still = np.broadcast_to(np.eye(2), about.shape)
-    design = np.concatenate([still, about], axis=2).reshape(-1, 4)
+    upright = np.broadcast_to(np.eye(2), about.shape)
+    design = np.concatenate([upright, about], axis=2).reshape(-1, 4)
     return design, np.asarray(np.linalg.pinv(design), dtype=np.float64)
 
 

@@ -80,8 +80,8 @@ def dense_covariance(problem, zero, target_std):
     cos, sin = np.cos(problem.table_angles), np.sin(problem.table_angles)
     about[:, 0, 0] = about[:, 1, 1] = cos
     about[:, 1, 0], about[:, 0, 1], about[:, 2, 2] = sin, -sin, 1.0
-    still = np.tile(np.eye(3), (m, 1))
-    motions = np.hstack([still, about.reshape(-1, 3)])[:, :5]  # z stands and turns alike
+    unmoved = np.tile(np.eye(3), (m, 1))
+    motions = np.hstack([unmoved, about.reshape(-1, 3)])[:, :5]  # z stands and turns alike
     free = np.eye(3 * m) - motions @ np.linalg.pinv(motions)
     size = np.sqrt((jacobian**2).sum(axis=0))
     inverse = np.linalg.pinv(jacobian / size, rcond=1e-9) / size[:, None]
