@@ -11,8 +11,10 @@ from rotcal_ros.methods.tracer import TracerLimits
 from rotcal_ros.methods.tracer_six import SixProblem, six_trials, solve
 
 ANGLES = np.radians(45.0 * np.arange(8))
-KEEP_ALL = TracerLimits(rejection_significance=1e-12, noise_significance=1e-300)
-"""As if there were no rejection and no second thought about the noise."""
+KEEP_ALL = TracerLimits(
+    rejection_significance=1e-12, noise_significance=1e-300, test_significance=1e-300
+)
+"""As if there were no rejection and no second thought about noise and scatter."""
 AROUND = np.radians(120.0 * np.arange(3))
 PLACES = np.column_stack([0.15 * np.cos(AROUND), 0.15 * np.sin(AROUND), [0.1, 0.1, 0.13]])
 
