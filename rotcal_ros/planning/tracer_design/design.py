@@ -21,9 +21,9 @@ from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
 from rotcal_ros.planning.tracer_design.settings import PER_STATION, TracerDesignSettings
 
 ARCSEC: Final = unit_of("ECC")[0]
-POOL_PER_STATION: Final = 100
-POOL_TARGETS: Final = 40
-"""Whole plans are sought among the best pairs of each station and all pairs of good targets."""
+POOL_TARGETS: Final = 64
+POOL_SPACINGS: Final = 1.8
+"""Whole plans are sought among all pairs of so many good targets, so many spacings apart."""
 START_CHECKED: Final = 14
 START_PLAIN: Final = 6
 """Lengths per station to begin with."""
@@ -105,7 +105,8 @@ def design(
         scene, pairs, segments, goal,
         repeats=settings.repeats, gap=IDEAL_GAP, progress=parts.part(0),
     )  # fmt: skip
-    which, weight = _pool(ideal, pairs, len(scene.stations))
+    apart = POOL_SPACINGS * settings.spacing_m if settings.repeats == 1 else 0.0
+    which, weight = _pool(ideal, pairs, scene, apart)
     pool = pairs[which]
     start = _start(weight, pool, ideal.count, settings)
     found: list[Ints] = []
@@ -137,15 +138,18 @@ def _demands(scene: Scene, settings: TracerDesignSettings) -> Demands:
     )
 
 
-def _pool(ideal: Optimum, pairs: Lengths, stations: int) -> tuple[Ints, Floats]:
-    """Return candidates (indices) for whole plans, and how much the ideal plan likes each."""
-    kept = ideal.weight > 0.05 * ideal.weight.max()
-    for station in range(stations):
-        own = np.flatnonzero(pairs.position == station)
-        kept[own[np.argsort(-ideal.slopes[own], kind="stable")[:POOL_PER_STATION]]] = True
-    by_target = np.bincount(pairs.target, weights=ideal.weight)
-    kept |= np.isin(pairs.target, np.argsort(-by_target, kind="stable")[:POOL_TARGETS])
-    which = np.flatnonzero(kept)
+def _pool(ideal: Optimum, pairs: Lengths, scene: Scene, apart: float) -> tuple[Ints, Floats]:
+    """Return candidates (indices) for whole plans, and how much the ideal plan likes each.
+
+    All pairs of the best targets that are ``apart`` (m): shared targets check their lengths.
+    """
+    by_target = np.bincount(pairs.target, weights=ideal.weight, minlength=len(scene.targets))
+    good: list[int] = []
+    for target in np.argsort(-by_target, kind="stable").tolist():
+        away = np.linalg.norm(scene.targets[good] - scene.targets[target], axis=1)
+        if len(good) < POOL_TARGETS and (away >= apart).all():
+            good.append(target)
+    which = np.flatnonzero(np.isin(pairs.target, good))
     liked = ideal.weight[which] + 1e-6 * ideal.slopes[which] / ideal.slopes.max()
     return which, liked
 

@@ -107,7 +107,7 @@ class TracerDesignSettings(TableAngleSettings):
         True, doc="every length is checked by others; false: the plain minimum"
     )
     exchanges: int = setting(200, doc="how long each search for fewer lengths lasts", minimum=1)
-    starts: int = setting(2, doc="searches, of which the best counts", minimum=1, maximum=100)
+    starts: int = setting(4, doc="searches, of which the best counts", minimum=1, maximum=100)
     seed: int = setting(0, doc="of the search", minimum=0)
     length_s: float = setting(5.0, doc="s, at every length, motions apart", minimum=0.0)
     rotation_s: float = setting(10.0, doc="s, for one turn of the table", minimum=0.0)
