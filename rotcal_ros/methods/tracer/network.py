@@ -30,6 +30,8 @@ STAGNANT: Final = 1e-6
 """Squared length below which a step that no longer shrinks is rounding."""
 FLAT: Final = 1e-4
 """Squared length of a damped step, in standard deviations, that no longer matters."""
+SHRINKING: Final = 1e-4
+"""Ratio of squared steps above which the normal matrix is made anew."""
 MAX_ITERATIONS: Final = 200
 LEAST_DAMPING: Final = 1e-9
 """Damping that is none, as a share of the largest weight of a coordinate."""
@@ -124,16 +126,17 @@ class Network:
 def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
     """Return the least-squares network near ``state`` (p, 4) and ``targets`` (n, 3).
 
-    Gauss-Newton while chi-squared falls. A free network may have a long bent valley:
+    Gauss-Newton while chi-squared falls, with the normal matrix of the start as long as its steps
+    shrink fast (chord steps with the gradient of now). A free network may have a long bent valley:
     no length feels the height of a target that is level with the tracer, to first order. Once a
     step has gone wrong the steps follow the bend (Transtrum and Sethna, arXiv:1201.5885), and are
     damped (Levenberg) until chi-squared falls. Where the valley is flat, any place of it will do.
     """
     network, before = linearise(grid, state, targets), np.inf
-    damping, curved = 0.0, False
+    damping, curved, chord = 0.0, False, network.reduced
     least = LEAST_DAMPING * network.stiffness
     for _ in range(MAX_ITERATIONS):
-        reduced = network.damped(damping)
+        reduced = network.damped(damping) if curved else chord
         by_station, by_target = network.step(reduced)
         squared = -float(
             (network.station_gradient * by_station).sum()
@@ -156,6 +159,8 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
         elif damping < 2.0 * least and squared < FLAT:
             return network
         damping = 0.1 * damping if damping > 2.0 * least else 0.0
+        if squared > SHRINKING * before:
+            chord = network.reduced
         before = squared
     raise DataError(
         f"stations and targets do not settle together in {MAX_ITERATIONS} iterations: the lengths "
