@@ -20,7 +20,7 @@ resume: setup  ## continue a demo that was interrupted
 	@$(BIN)/rotcal run config/tracer_demo.yaml --resume out/demo
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
-	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+	@scripts/test.sh $(PYTEST_ARGS)
 
 bench: setup  ## compare speed with well-known alternatives, side by side
 	@$(BIN)/python benchmarks/run.py --json out/benchmarks.json

@@ -12,6 +12,7 @@ METHODS = {
     "tracer_multistation": "tracer",
     "ball_plate": "ball_plate",
     "plane_mirror": "plane_mirror",
+    "tracer_six": "tracer_six",
 }
 CONTROLLERS = {
     "csv": "plain_csv",
@@ -88,6 +89,7 @@ setup(
             "mypy",
             "pre-commit",
             "pytest",
+            "pytest-xdist",
             "ruff",
         ],
     },

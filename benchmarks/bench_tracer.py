@@ -54,7 +54,7 @@ def station_by_station(same_start: bool, m: int = 11, n: int = 64) -> Row:
     def opponent() -> np.ndarray:
         return np.array([locate_station(grid.targets, row, start) for row in grid.length])
 
-    a, b, difference = race(ours, opponent, (60, 20))
+    a, b, difference = race(ours, opponent, (400, 40))
     name = "same start" if same_start else "no start values"
     return Row(f"station by station {m} x {n}, {name}", a, b, b / a, difference)
 

@@ -31,46 +31,11 @@ def joint_residual(problem):
     places of all reflectors in the first frame. Start values come from two exact observations.
     """
     n = len(problem.angles)
-    kind, station, xyz = problem.kind, problem.station, problem.xyz
+    station, xyz = problem.station, problem.xyz
     whiten = np.linalg.inv(np.linalg.cholesky(problem.noise.covariance(xyz)))
-    direct = np.flatnonzero(kind == PointKind.DIRECT)
-    mirrored = np.flatnonzero(kind == PointKind.MIRRORED)  # measured right after its direct point
-    nest = np.flatnonzero(kind == PointKind.NEST)
+    direct, mirrored, nest = rows_of(problem)
     names, nest_index = np.unique(problem.nest[nest], return_inverse=True)
-    poses = [np.zeros(6)]
-    first = {problem.nest[r]: xyz[r] for r in nest if station[r] == 0}
-    for s in range(1, station.max() + 1):
-        rows = [r for r in nest if station[r] == s]
-        here = np.array([xyz[r] for r in rows])
-        there = np.array([first[problem.nest[r]] for r in rows])
-        turn, _ = Rotation.align_vectors(there - there.mean(0), here - here.mean(0))
-        poses.append(np.concatenate([turn.as_rotvec(), there.mean(0) - turn.apply(here.mean(0))]))
-    poses = np.array(poses)
-    turns = Rotation.from_rotvec(poses[station, :3])
-    placed = turns.apply(xyz) + poses[station, 3:]
-    normals = placed[direct] - placed[mirrored]
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    _, _, vt = np.linalg.svd(normals - normals.mean(0))
-    axis = vt[2]
-    if (
-        np.cross(normals[0], normals[-1])
-        @ axis
-        * np.sin(problem.angles[problem.position[direct[-1]]] - problem.angles[0])
-        < 0
-    ):
-        axis = -axis
-    e2 = np.cross(axis, normals[0])
-    e2 /= np.linalg.norm(e2)
-    frame = np.column_stack([np.cross(e2, axis), e2, axis])
-    height = np.einsum("ij,ij->i", normals, 0.5 * (placed[direct] + placed[mirrored]))
-    distance = np.array([height[problem.position[direct] == i].mean() for i in range(n)])
-    places = np.array([placed[nest][nest_index == k].mean(0) for k in range(len(names))])
-    start = np.concatenate([
-        problem.angles - problem.angles[0], distance, np.zeros(n),
-        [np.arcsin((normals @ axis).mean()), 0.0, 0.0], poses[1:].ravel(), places.ravel(),
-        placed[direct].ravel(),
-    ])  # fmt: skip
-    n_stations = len(poses)
+    start, frame, n_stations = start_values(problem)
 
     def residual(x):
         psi, d, eps, rest = x[:n], x[n : 2 * n], x[2 * n : 3 * n], x[3 * n :]
@@ -98,3 +63,57 @@ def joint_residual(problem):
         return np.concatenate([white.ravel(), eps / problem.tilt_std])
 
     return residual, start, n
+
+
+def rows_of(problem):
+    """Rows of the direct points, of their images, and of the nests."""
+    kinds = PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST
+    return tuple(np.flatnonzero(problem.kind == kind) for kind in kinds)
+
+
+def start_values(problem):
+    """Start values of all unknowns, frame (3, 3) of the table's axis, number of stations."""
+    n = len(problem.angles)
+    direct, mirrored, nest = rows_of(problem)  # an image is measured right after its direct point
+    names, nest_index = np.unique(problem.nest[nest], return_inverse=True)
+    poses = station_poses(problem, nest)
+    turns = Rotation.from_rotvec(poses[problem.station, :3])
+    placed = turns.apply(problem.xyz) + poses[problem.station, 3:]
+    normals = placed[direct] - placed[mirrored]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    frame = axis_frame(problem, normals, problem.position[direct[-1]])
+    height = np.einsum("ij,ij->i", normals, 0.5 * (placed[direct] + placed[mirrored]))
+    distance = np.array([height[problem.position[direct] == i].mean() for i in range(n)])
+    places = np.array([placed[nest][nest_index == k].mean(0) for k in range(len(names))])
+    start = np.concatenate([
+        problem.angles - problem.angles[0], distance, np.zeros(n),
+        [np.arcsin((normals @ frame[:, 2]).mean()), 0.0, 0.0], poses[1:].ravel(), places.ravel(),
+        placed[direct].ravel(),
+    ])  # fmt: skip
+    return start, frame, len(poses)
+
+
+def station_poses(problem, nest):
+    """Rotation vector and shift (S, 6) that bring each station's nests to those of the first."""
+    station, xyz = problem.station, problem.xyz
+    poses = [np.zeros(6)]
+    first = {problem.nest[r]: xyz[r] for r in nest if station[r] == 0}
+    for s in range(1, station.max() + 1):
+        rows = [r for r in nest if station[r] == s]
+        here = np.array([xyz[r] for r in rows])
+        there = np.array([first[problem.nest[r]] for r in rows])
+        turn, _ = Rotation.align_vectors(there - there.mean(0), here - here.mean(0))
+        poses.append(np.concatenate([turn.as_rotvec(), there.mean(0) - turn.apply(here.mean(0))]))
+    return np.array(poses)
+
+
+def axis_frame(problem, normals, last):
+    """Frame (3, 3) with the table's axis as z, x towards the first of the mirror's normals."""
+    _, _, vt = np.linalg.svd(normals - normals.mean(0))
+    axis = vt[2]
+    turned = np.cross(normals[0], normals[-1]) @ axis
+    if turned * np.sin(problem.angles[last] - problem.angles[0]) < 0:
+        axis = -axis
+    e2 = np.cross(axis, normals[0])
+    e2 /= np.linalg.norm(e2)
+    return np.column_stack([np.cross(e2, axis), e2, axis])

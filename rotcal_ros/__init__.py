@@ -16,7 +16,7 @@ _NAMES = {
         "capture_records", "simulate_observations", "simulate_records", "simulated_truth", "solve",
     ),
     "api.evaluating": (
-        "combine", "compare", "iso230", "plan_plate", "uncertainty", "write_report",
+        "check", "combine", "compare", "iso230", "plan_plate", "uncertainty", "write_report",
     ),
     "api.compensating": ("correction", "make_table", "write_controller_files"),
     "catalogue.configuration": ("Configuration",),
@@ -37,6 +37,7 @@ _MODULES = {
     "plane_mirror": "api.plane_mirror",
     "ros": "ros",
     "tracer": "api.tracer",
+    "tracer_six": "api.tracer_six",
 }
 """Name -> the module that it is."""
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}

@@ -4,9 +4,11 @@ from rotcal_ros import ros as ros
 from rotcal_ros.api import ball_plate as ball_plate
 from rotcal_ros.api import plane_mirror as plane_mirror
 from rotcal_ros.api import tracer as tracer
+from rotcal_ros.api import tracer_six as tracer_six
 from rotcal_ros.api.compensating import correction as correction
 from rotcal_ros.api.compensating import make_table as make_table
 from rotcal_ros.api.compensating import write_controller_files as write_controller_files
+from rotcal_ros.api.evaluating import check as check
 from rotcal_ros.api.evaluating import combine as combine
 from rotcal_ros.api.evaluating import compare as compare
 from rotcal_ros.api.evaluating import iso230 as iso230

@@ -125,6 +125,7 @@ def observation(message: Any) -> Observation:
         window_end_ns=stamp_ns(message.window_end),
         # Before there was a field for it, a run counted its attempts from 100 times its number.
         run=message.run if hasattr(message, "run") else message.attempt // 100,
+        segment=getattr(message, "segment", -1),
     )
 
 

@@ -121,7 +121,9 @@ class Observation:
     ``mean``, ``std`` (of the mean) and ``scatter`` (standard deviation of one sample) hold one
     value (length) or three (point), in metres. A rejected observation keeps its numbers and
     says why in ``reason``; an accepted one has an empty reason. ``run`` counts from 0 how often an
-    interrupted plan had been taken up again.
+    interrupted plan had been taken up again. Observations of a run with equal
+    ``segment`` were read from one unbroken beam of a tracer, that is from the same zero; -1 in
+    recordings from before there was a field for it.
 
     >>> import rotcal_ros as rc
     >>> first = rc.read_bag("examples/data/ball_plate_bag").observations[0]
@@ -149,3 +151,4 @@ class Observation:
     window_start_ns: int
     window_end_ns: int
     run: int = 0
+    segment: int = 0

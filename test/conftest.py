@@ -11,6 +11,25 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--live", choices=("only", "never"), help="tests that start ROS 2 nodes or LinuxCNC"
+    )
+
+
+def pytest_collection_modifyitems(config, items):
+    """Keep the half that ``--live`` asks for."""
+    wanted = config.getoption("--live")
+    if wanted is None:
+        return
+    halves = {"only": [], "never": []}
+    for item in items:
+        live = any(item.get_closest_marker(name) for name in ("ros", "linuxcnc"))
+        halves["only" if live else "never"].append(item)
+    items[:] = halves.pop(wanted)
+    config.hook.pytest_deselected(items=next(iter(halves.values())))
+
+
 @pytest.fixture(autouse=True)
 def _own_domain(request, monkeypatch):
     """Give each test marked ``ros`` a domain of its own, on this machine only."""

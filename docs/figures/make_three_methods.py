@@ -1,4 +1,4 @@
-"""Draw three_methods.svg: one simulated table by three methods; print how often they agree.
+"""Draw three_methods.svg: one simulated table by four methods; print how often they agree.
 
 usage: make_three_methods.py [RUNS]
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.compare import Comparison, compare_all
-from rotcal_ros.methods import ball_plate, plane_mirror, tracer
+from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six
 from rotcal_ros.report.comparison import curves_and_errors
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "test" / "evaluation"))
@@ -27,6 +27,9 @@ def measure(seed: int) -> dict[str, MeasuredCurve]:
         "laser tracer": tracer.solve(one_table.by_tracer(table, rng, every=2)),
         "ball plate": ball_plate.solve(one_table.by_ball_plate(table, rng, BALLS)),
         "plane mirror": plane_mirror.solve(one_table.by_mirror(table, rng)),
+        "tracer at three places": tracer_six.solve(
+            one_table.by_tracer_at_places(table, np.random.default_rng([seed, 1]), every=2)
+        ),
     }
     return {name: measured_curve(result) for name, result in results.items()}
 

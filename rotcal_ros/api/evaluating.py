@@ -12,9 +12,10 @@ from rotcal_ros.catalogue.calibration import prepare
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.measurements import PlannedMeasurements
 from rotcal_ros.catalogue.method import Measurements
+from rotcal_ros.components import unit_of
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.bidirectional import require_runs
-from rotcal_ros.evaluation.combination import Measured
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.combination import combine as combine_measured
 from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.evaluation.compare import compare as compare_curves
@@ -22,7 +23,9 @@ from rotcal_ros.evaluation.component_groups import Enlargement
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230
 from rotcal_ros.evaluation.iso230 import iso230 as evaluate_runs
 from rotcal_ros.evaluation.propagated import Propagated, propagated
+from rotcal_ros.evaluation.quick_check import QuickCheck, quick_check
 from rotcal_ros.planning.ball_layout import WEIGHTS, Layout, best_layout
+from rotcal_ros.planning.check_rule import RISK, CheckRule
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.sources import read_curve, read_measured, read_repeated_runs
 from rotcal_ros.results import Result
@@ -47,6 +50,39 @@ def compare(
     (True, 11)
     """
     return compare_curves(_curve(first, component), _curve(second, component), align_order)
+
+
+def check(
+    earlier: Curve,
+    new: Curve,
+    component: str = "ECC",
+    *,
+    within: float,
+    ageing_std: float = 0.0,
+    miss: float = RISK,
+    false_alarm: float = RISK,
+    align_order: int = 0,
+) -> QuickCheck:
+    """Judge from a new measurement whether an earlier curve is still within a limit of the table.
+
+    Each is a result, its file, a bag, or a reference table (.csv), measured independently.
+    ``within`` and ``ageing_std``, the usual change since then of each angle (k = 1), in rad or m.
+    ``verdict`` is "still valid", "changed" or "undecided"; ``miss`` and ``false_alarm`` are the
+    risks that the first two are wrong, see docs/quick_check.md. Raises DataError for a result
+    that failed or a new one without uncertainty, ConfigurationError for risks that are none.
+
+    >>> import rotcal_ros as rc
+    >>> folder = "examples/data"
+    >>> curves = (f"{folder}/result_ball_plate.json", f"{folder}/result_tracer.json")
+    >>> rc.check(*curves, within=3 * rc.ARCSEC).verdict
+    'still valid'
+    >>> rc.check(*curves, within=0.1 * rc.ARCSEC).verdict
+    'undecided'
+    """
+    unit, label = unit_of(component)
+    rule = CheckRule(within, miss, false_alarm, ageing_std)
+    curves = _curve(earlier, component), _curve(new, component)
+    return quick_check(*curves, rule, align_order, unit, label)
 
 
 def combine(*results: Curve, enlarge: Enlargement = "birge") -> Result:
@@ -171,11 +207,11 @@ def _curve(curve: Curve, component: str) -> MeasuredCurve:
     return measured_curve(curve, component) if isinstance(curve, Result) else curve
 
 
-def _measured_input(number: int, source: Curve) -> Measured:
+def _measured_input(number: int, source: Curve) -> CombinationInput:
     if isinstance(source, str | PathLike):
         return read_measured(Path(source))
     name = source.method if isinstance(source, Result) else "reference"
-    return Measured.of(f"{name} ({number})", source)
+    return CombinationInput.of(f"{name} ({number})", source)
 
 
 def _measured(source: Configuration | Recording | Measurements) -> Measurements:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +14,7 @@ from rotcal_ros.api.reading import Name
 from rotcal_ros.arrays import Ints
 from rotcal_ros.bags.reader import bag_files, read_blocks
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.observations import ProbeSample, TableSample, TemperatureSample
+from rotcal_ros.observations import ProbeSample, TemperatureSample
 from rotcal_ros.recordings.replay import Decoders, find_configuration
 from rotcal_ros.recordings.streams import StreamFeeder
 from rotcal_ros.recordings.topics import Topics
@@ -54,6 +54,7 @@ class _Collector:
 
     counts: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     lengths: list[Rows] = field(default_factory=list)
+    angles: list[Rows] = field(default_factory=list)
     records: dict[type[Any], list[Any]] = field(default_factory=dict)
 
     def feed(self, record: Any) -> tuple[()]:
@@ -63,11 +64,11 @@ class _Collector:
     def feed_tracer(
         self, stamp_ns: Ints, sequence: NDArray[Any], length: NDArray[Any], status: NDArray[Any]
     ) -> tuple[()]:
-        columns = (stamp_ns, sequence, length, status)
-        rows = np.zeros(len(stamp_ns), _LENGTHS)
-        for (name, _), column in zip(_LENGTHS, columns, strict=True):
-            rows[name] = column
-        self.lengths.append(rows)
+        self.lengths.append(_rows(_LENGTHS, (stamp_ns, sequence, length, status)))
+        return ()
+
+    def feed_table(self, stamp_ns: Ints, angle: NDArray[Any], velocity: NDArray[Any]) -> tuple[()]:
+        self.angles.append(_rows(_ANGLES, (stamp_ns, angle, velocity)))
         return ()
 
     def table(self, kind: type[Any], columns: list[Any]) -> Rows:
@@ -75,6 +76,14 @@ class _Collector:
         names = [column[0] for column in columns]
         rows = [tuple(getattr(r, n) for n in names) for r in self.records.get(kind, ())]
         return np.array(rows, dtype=columns)
+
+
+def _rows(columns: list[tuple[str, str]], values: Sequence[NDArray[Any]]) -> Rows:
+    """Return arrays (n,) side by side."""
+    rows = np.zeros(len(values[0]), columns)
+    for (name, _), column in zip(columns, values, strict=True):
+        rows[name] = column
+    return rows
 
 
 def read_streams(
@@ -103,7 +112,7 @@ def read_streams(
             feeder.feed(block, topics.split(block, scan.channels, decoders))
     return RawStreams(
         lengths=np.concatenate([np.zeros(0, _LENGTHS), *kept.lengths]),
-        angles=kept.table(TableSample, _ANGLES),
+        angles=np.concatenate([np.zeros(0, _ANGLES), *kept.angles]),
         points=kept.table(ProbeSample, _POINTS),
         temperatures=kept.table(TemperatureSample, _TEMPERATURES),
     )

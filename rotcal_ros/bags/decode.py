@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +27,8 @@ from rotcal_ros.errors import BagError
 
 _MAX_LAYOUTS: Final = 64
 _ALWAYS_KNOWN: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_SECONDS: Final = "int32 sec\nuint32 nanosec\n"
+"""The definition of both, in every distribution of ROS 2; a bag may leave it out."""
 
 
 @dataclass(frozen=True)
@@ -131,5 +134,9 @@ def _definitions(channel: ChannelDefinition) -> dict[str, Any]:
         raise BagError(
             f"topic {channel.topic}: the definition of {channel.type_name} cannot be read: {error}"
         ) from error
-    known = get_typestore(Stores.LATEST).fielddefs
-    return {name: known[name] for name in _ALWAYS_KNOWN} | dict(types)
+    return _always_known() | dict(types)
+
+
+@cache
+def _always_known() -> dict[str, Any]:
+    return {name: get_types_from_msg(_SECONDS, name)[name] for name in _ALWAYS_KNOWN}

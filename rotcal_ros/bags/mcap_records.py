@@ -8,6 +8,7 @@ must do neither, so only the package's record classes are used. Layout: https://
 from __future__ import annotations
 
 import struct
+import threading
 import zlib
 from io import BytesIO
 from typing import Final, TypeVar
@@ -127,12 +128,22 @@ def unpack_chunk(chunk: Chunk) -> bytes:
     return data
 
 
+class _Unpackers(threading.local):
+    """One for each thread: to make one takes longer than to unpack a small chunk."""
+
+    def __init__(self) -> None:
+        self.zstd = zstandard.ZstdDecompressor()
+
+
+_unpackers: Final = _Unpackers()
+
+
 def _decompress(chunk: Chunk) -> bytes:
     """Unpack without ever allocating more than the chunk's own size."""
     if chunk.compression == "":
         return chunk.data
     if chunk.compression == "zstd":
-        unpacker = zstandard.ZstdDecompressor().stream_reader(chunk.data)
+        unpacker = _unpackers.zstd.stream_reader(chunk.data)
         zstd_data: bytes = unpacker.read(chunk.uncompressed_size)
         return zstd_data if not unpacker.read(1) else b""
     lz4_data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(

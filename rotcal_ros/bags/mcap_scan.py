@@ -12,7 +12,7 @@ from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema, S
 
 from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
-from rotcal_ros.bags.blocks import Block, block_of_records, split_chunk
+from rotcal_ros.bags.blocks import Block, block_of_records, joined, split_chunk
 from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions
 from rotcal_ros.bags.framing import Framing, Record
 from rotcal_ros.bags.scan import Scan
@@ -20,6 +20,8 @@ from rotcal_ros.bags.verdict import Damage, FileVerdict, State
 from rotcal_ros.errors import BagError
 
 _RUN_BYTES: Final = 1 << 20
+_JOINED_BYTES: Final = 1 << 20
+"""Chunks are yielded together up to this size: a small one costs as much as a large one."""
 
 
 class McapScan(Scan):
@@ -72,8 +74,11 @@ class McapScan(Scan):
     def _blocks(self, framing: Framing) -> Iterator[Block]:
         run: list[bytes] = []
         run_size = 0
+        held = _Held()
         for record in framing.records():
             self.position = record.offset
+            if record.opcode not in (mcap.CHUNK, mcap.MESSAGE_INDEX):
+                yield from self._counted(held.released())  # it may speak of what comes after it
             if record.opcode == mcap.MESSAGE:
                 run.append(record.content)
                 run_size += len(record.content)
@@ -86,7 +91,8 @@ class McapScan(Scan):
                 framing.reject(record, str(fault))
             else:
                 if block is not None:
-                    yield from self._counted(block)
+                    yield from self._counted(held.grown(block))
+        yield from self._counted(held.released())
         if run:
             yield from self._counted(_block_of_run(run))
         self._conclude(framing)
@@ -144,8 +150,10 @@ class McapScan(Scan):
             )
             self.channels.setdefault(channel.id, definition)
 
-    def _counted(self, block: Block) -> Iterator[Block]:
+    def _counted(self, block: Block | None) -> Iterator[Block]:
         """Count the messages and yield those of known channels."""
+        if block is None:
+            return
         unknown = {n: count for n, count in block.counts().items() if n not in self.channels}
         if unknown:
             self._lost.update(unknown)
@@ -196,6 +204,27 @@ class McapScan(Scan):
             except mcap.DamagedRecord:
                 return
             position += length
+
+
+class _Held:
+    """Blocks that are yielded together: a small one costs as much as a large one."""
+
+    def __init__(self) -> None:
+        self._blocks: list[Block] = []
+        self._room = 0  # the first block goes at once: who wants no more need not wait
+
+    def grown(self, block: Block) -> Block | None:
+        """Take ``block``; return all as one when they are large enough."""
+        self._blocks.append(block)
+        self._room -= len(block.data)
+        return None if self._room > 0 else self.released()
+
+    def released(self) -> Block | None:
+        """Return what is held as one block, if anything is."""
+        if not self._blocks:
+            return None
+        blocks, self._blocks, self._room = self._blocks, [], _JOINED_BYTES
+        return joined(blocks)
 
 
 def _block_of_run(run: list[bytes]) -> Block:

@@ -32,9 +32,10 @@ TEMPERATURE: Final = "temperature"
 TABLE_ANGLE: Final = "table_angle"
 PROBE_TARGET: Final = "probe_target"
 OBSERVATION: Final = "observation"
+STEP_CHOICE: Final = "step_choice"
 
 ROLES: Final = frozenset({
     PLAN, TRACER_LENGTH, PROBE_POINT, JOINT_STATES, TEMPERATURE, TABLE_ANGLE, PROBE_TARGET,
-    OBSERVATION,
+    OBSERVATION, STEP_CHOICE,
 })  # fmt: skip
 """Topics that a replay needs, by their last name."""

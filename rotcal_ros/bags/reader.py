@@ -12,7 +12,6 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
 from rotcal_ros.bags.scan import Scan
-from rotcal_ros.bags.sqlite_scan import SqliteScan
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.errors import BagError
 
@@ -44,10 +43,14 @@ def bag_files(path: Path) -> tuple[Path, ...]:
 
 def scan_file(path: Path) -> Scan:
     """Return a pass over the storage file ``path``; raises BagError for any other file."""
-    kinds: dict[str, type[McapScan | SqliteScan]] = {".mcap": McapScan, ".db3": SqliteScan}
-    if path.suffix not in kinds:
+    if path.suffix == ".mcap":
+        return McapScan(path)
+    if path.suffix != ".db3":
         raise BagError(f"{path} is no bag: expected a folder or a file ending in .mcap or .db3")
-    return kinds[path.suffix](path)
+    # rosbags' reader takes a while to load, and few bags need it.
+    from rotcal_ros.bags.sqlite_scan import SqliteScan
+
+    return SqliteScan(path)
 
 
 def read_blocks(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rotcal_ros.bags.writer import WriterSettings
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.settings import group, setting
 
 

@@ -12,7 +12,8 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, check_files, read_blocks
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
-from rotcal_ros.bags.writer import BagWriter, WriterSettings
+from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
 
 

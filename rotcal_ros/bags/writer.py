@@ -7,7 +7,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -17,38 +17,14 @@ from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions
 from rotcal_ros.bags.rosbag2_metadata import FileInfo, bag_information, yaml_text
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
 from rotcal_ros.files import DurableFile, FolderLock, sync_folder, write_atomically
-from rotcal_ros.settings import setting
 
 T = TypeVar("T")
 
 METADATA_FILE: Final = "metadata.yaml"
 LIBRARY: Final = f"rotcal_ros {__version__}"
-
-
-@dataclass(frozen=True)
-class WriterSettings:
-    """When chunks are closed and files are split."""
-
-    sync_interval_s: float = setting(
-        0.5,
-        doc="s, longest time that data wait in memory before they are on disk",
-        minimum=0.01,
-        maximum=1.0,
-    )
-    chunk_bytes: int = setting(
-        262144, doc="bytes, size at which a chunk is closed early", minimum=1024, maximum=67108864
-    )
-    split_bytes: int = setting(
-        0, doc="bytes, size at which a new file is begun; 0: never", minimum=0
-    )
-    split_duration_s: float = setting(
-        0.0, doc="s, recording time after which a new file is begun; 0: never", minimum=0.0
-    )
-    min_free_bytes: int = setting(
-        67108864, doc="bytes of free disk below which recording stops in good order", minimum=0
-    )
 
 
 class BagWriter:

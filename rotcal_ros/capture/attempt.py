@@ -81,6 +81,7 @@ class Attempt:
         window_ns: tuple[int, int] | None = None,
         table_angle_measured: float = nan,
         temperature_c: float | None = None,
+        segment: int = 0,
     ) -> Observation:
         """Return the observation of this attempt; a reason in ``reduced`` rejects it."""
         begin, end = window_ns or (self.begin_ns, self.begin_ns)
@@ -99,6 +100,7 @@ class Attempt:
             window_start_ns=begin,
             window_end_ns=end,
             run=self.run,
+            segment=segment,
         )
 
     def rejection(self, reason: str) -> Observation:

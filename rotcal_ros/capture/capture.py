@@ -20,6 +20,7 @@ from rotcal_ros.capture.attempt import (
     nanoseconds,
     seconds,
 )
+from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
@@ -62,7 +63,11 @@ class Capture:
         tolerance = nanoseconds(settings.clock_tolerance_s)
         self._plan, self._settings, self._rules, self._run = plan, settings, rules, run
         self._streams = Streams(
-            tracer=TracerStream(tolerance, settings.max_length_m),
+            tracer=TracerStream(
+                tolerance,
+                settings.max_length_m,
+                Beam(settings.max_silence_s, settings.max_length_speed_m_s),
+            ),
             table=Stream(2, tolerance),
             temperature=Stream(1, tolerance),
         )
@@ -92,6 +97,14 @@ class Capture:
         """Take many tracer readings at once, all arrays (n,); same answer as one by one."""
         stamps = np.asarray(stamp_ns, dtype=np.int64)
         due = self._streams.tracer.stage_many(stamps, (sequence, length, status))
+        return self._decide() if due else ()
+
+    def feed_table(
+        self, stamp_ns: Stamps, angle: NDArray[Any], velocity: NDArray[Any]
+    ) -> Observations:
+        """Take many feedbacks of the table at once, all arrays (n,); same answer as one by one."""
+        stamps = np.asarray(stamp_ns, dtype=np.int64)
+        due = self._streams.table.stage_many(stamps, (angle, velocity))
         return self._decide() if due else ()
 
     @property

@@ -99,10 +99,12 @@ def _observe(
     tracer = streams.tracer
     stamps, readings = tracer.stamps[first : last + 1], tracer.values[first : last + 1]
     begin_ns, end_ns = int(stamps[0]), int(stamps[-1])
+    since_ns = attempt.begin_ns if streams.since_ns is None else streams.since_ns
     return attempt.observation(
         reduce_window(stamps, readings, settings),
         n_samples=len(stamps),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
         temperature_c=temperature_at(streams, attempt.begin_ns, settings),
+        segment=tracer.beam.segment(since_ns, begin_ns, end_ns),
     )

@@ -56,6 +56,19 @@ class CaptureSettings:
     max_length_m: float = setting(
         20.0, doc="m, largest plausible magnitude of a reading", minimum=1e-3, maximum=1000.0
     )
+    max_length_speed_m_s: float = setting(
+        10.0,
+        doc="m/s, a length that changes faster from one reading to the next has lost its zero: "
+        "a new segment begins",
+        minimum=1e-3,
+        maximum=1e6,
+    )
+    max_silence_s: float = setting(
+        1.0,
+        doc="s, when tracer readings are missing for longer, a new segment begins",
+        minimum=1e-3,
+        maximum=3600.0,
+    )
     probe_tolerance_m: float = setting(
         1e-3, doc="m, largest distance of the probe from its target", minimum=1e-9, maximum=10.0
     )

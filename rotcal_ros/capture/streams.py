@@ -64,6 +64,7 @@ class Stream:
         self._size = 0
         self._stamps = np.empty(1024, dtype=np.int64)
         self._values = np.empty((1024, width), dtype=np.float64)
+        self._admitted = 0  # samples that came many at once since the last decision
         self._staged_stamps: list[int] = []
         self._staged_values: list[tuple[float, ...]] = []
 
@@ -87,29 +88,29 @@ class Stream:
         """Take samples (n,) with columns (n,); return whether a decision may be due."""
         if not len(stamps):
             return False
-        if len(stamps) >= _STAGE:
-            self.flush()
-            self.admit(stamps, np.column_stack(columns).astype(np.float64))
-            return True
-        self._staged_stamps += stamps.tolist()
-        self._staged_values += zip(*(column.tolist() for column in columns), strict=True)
+        self._admit_staged()
+        self.admit(stamps, np.column_stack(columns).astype(np.float64))
+        self._admitted += len(stamps)
         return self._due(int(stamps.max()))
 
     def _due(self, stamp_ns: int) -> bool:
-        staged = len(self._staged_stamps)
+        staged = self._admitted + len(self._staged_stamps)
         if stamp_ns < self.wake_ns:
             return staged >= _STAGE
         return staged >= self.wake_samples or stamp_ns >= self.wake_latest_ns
 
     def flush(self) -> None:
         """Admit the staged samples; without a new decision the next one is worth one."""
+        self._admit_staged()
+        self.wait(-NEVER)
+
+    def _admit_staged(self) -> None:
         if self._staged_stamps:
             stamps = np.array(self._staged_stamps, dtype=np.int64)
             values = np.array(self._staged_values, dtype=np.float64)
             self._staged_stamps.clear()
             self._staged_values.clear()
             self.admit(stamps, values)
-        self.wait(-NEVER)
 
     def admit(self, stamps: Stamps, values: Floats) -> None:
         """Check the order of samples (n,), (n, width) and remember the good ones."""
@@ -119,6 +120,7 @@ class Stream:
     def wait(self, stamp_ns: int, samples: int = 1, latest_ns: int = NEVER) -> None:
         """Ask :meth:`stage` to report the stamp ``stamp_ns``, once ``samples`` are staged."""
         self.wake_ns, self.wake_samples, self.wake_latest_ns = stamp_ns, samples, latest_ns
+        self._admitted = 0
 
     def index(self, stamp_ns: int) -> int:
         """Return the index of the first remembered sample at or after ``stamp_ns``."""
@@ -134,10 +136,10 @@ class Stream:
         if good is not None:
             stamps, values = stamps[good], values[good]
         if len(stamps):
-            self._append(stamps, self._inspect(values))
+            self._append(stamps, self._inspect(stamps, values))
             self.latest, self._newest = int(stamps[-1]), values[-1]
 
-    def _inspect(self, values: Floats) -> Floats:
+    def _inspect(self, _stamps: Stamps, values: Floats) -> Floats:
         """Count what is wrong with samples in good order; return what to remember of them."""
         self.counts.non_finite += int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
         return values

@@ -10,6 +10,7 @@ from math import fsum, sqrt
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints, Stamps
+from rotcal_ros.capture.beam import WRAP, Beam
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.observations import LengthStatus
@@ -18,7 +19,6 @@ from rotcal_ros.units import MICROMETRE
 SEQUENCE, LENGTH, STATUS = range(3)
 """Columns of the tracer stream; the last one holds the :class:`Fault` once admitted."""
 
-_WRAP = 1 << 32  # sequence numbers are 32 bits wide
 _MAD_TO_STD = 1.4826  # of a normal distribution
 
 
@@ -63,11 +63,14 @@ class Reduced:
 class TracerStream(Stream):
     """Tracer readings: columns sequence, length (m), status; the status becomes a fault."""
 
-    def __init__(self, clock_tolerance_ns: int, max_length: float) -> None:
+    def __init__(
+        self, clock_tolerance_ns: int, max_length: float, beam: Beam | None = None
+    ) -> None:
         super().__init__(3, clock_tolerance_ns)
         self._max_length = max_length
+        self.beam = beam or Beam(silence_s=1.0, fastest=10.0)
 
-    def _inspect(self, values: Floats) -> Floats:
+    def _inspect(self, stamps: Stamps, values: Floats) -> Floats:
         """Turn the status into a fault and count faults and lost readings."""
         faults = classify(values[:, STATUS], values[:, LENGTH], self._max_length)
         numbers = np.bincount(faults, minlength=len(Fault))
@@ -78,10 +81,14 @@ class TracerStream(Stream):
         sequence = values[:, SEQUENCE]
         before = sequence[0] - 1 if self._newest is None else self._newest[SEQUENCE]
         steps = sequence_steps(sequence, before)
-        forward = steps < _WRAP // 2
+        forward = steps < WRAP // 2
         self.counts.lost += int((steps[forward & (steps > 1)] - 1).sum())
         self.counts.out_of_order += int(np.count_nonzero(~forward | (steps == 0)))
-        return np.column_stack([sequence, values[:, LENGTH], faults])
+        length = values[:, LENGTH]
+        self.beam.follow(
+            stamps, sequence, length, faults == Fault.NONE, faults == Fault.BEAM_BROKEN
+        )
+        return np.column_stack([sequence, length, faults])
 
 
 def classify(status: Floats, length: Floats, max_length: float) -> Ints:
@@ -98,7 +105,7 @@ def classify(status: Floats, length: Floats, max_length: float) -> Ints:
 
 def sequence_steps(sequence: Floats, before: float) -> Ints:
     """Return the steps (n,) of a sequence that follows ``before``, modulo 32 bits."""
-    steps: Ints = np.diff(sequence, prepend=before).astype(np.int64) % _WRAP
+    steps: Ints = np.diff(sequence, prepend=before).astype(np.int64) % WRAP
     return steps
 
 
@@ -159,7 +166,7 @@ def _gap(sequence: Floats) -> str:
     if not len(at):
         return ""
     before, after = int(sequence[at[0]]), int(sequence[at[0] + 1])
-    if (steps[at] >= _WRAP // 2).any() or (steps[at] == 0).any():
+    if (steps[at] >= WRAP // 2).any() or (steps[at] == 0).any():
         return (
             f"tracer sequence goes from {before} to {after} in the window; expected {before + 1}"
             " (two publishers on the topic?)"

@@ -7,11 +7,15 @@ from dataclasses import dataclass
 
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.disturbance import Measured, Sizes
+from rotcal_ros.catalogue.continuation import Continuation
+from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.catalogue.method import Method, Trials
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.policy.as_listed import AsListed
+from rotcal_ros.planning.policy.choices import Policy
+from rotcal_ros.planning.policy.names import AS_LISTED
 from rotcal_ros.results import Result
 
 RunStep = tuple[int, int]
@@ -50,6 +54,25 @@ class Calibration:
         used = self._that_count(observations)
         return self.method.trials(self.configuration, self.plan, used)
 
+    def policy(self, continuation: Continuation) -> Policy:
+        """Return the policy of the configuration, ready to choose what ``continuation`` leaves.
+
+        Raises ConfigurationError or PlanError when it cannot be followed.
+        """
+        if self.configuration.planner.policy == AS_LISTED:
+            return AsListed(continuation.steps)
+        if self.method.adaptive is None:
+            raise ConfigurationError(
+                f"{self.configuration.source}: planner: policy: the method {self.method.name} has "
+                f"no policy {self.configuration.planner.policy}; leave it out"
+            )
+        return self.method.adaptive(self.configuration, self.plan, continuation)
+
+    def from_the_start(self, start_index: int = 0) -> Continuation:
+        """Return the first run of the plan, from step ``start_index`` on."""
+        steps = tuple(range(start_index, len(self.plan.steps)))
+        return Continuation(self.configuration.plan_id, 0, start_index, (), steps, ())
+
     def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
         """Return in words what a person has to put right, as far as the method can tell."""
         if self.method.check is None:
@@ -66,7 +89,7 @@ class Calibration:
         see = self.method.nominal(self.configuration, self.plan)
         return tuple(step.observed(see(step)) for step in self.plan.steps)
 
-    def measured(self, sizes: Sizes, seed: int) -> Measured:
+    def measured(self, sizes: Sizes, seed: int) -> DisturbedMeasurement:
         """Return observations of every step with the stated noise and the effects of ``sizes``."""
         if self.method.disturbances is None:
             raise ConfigurationError(
@@ -99,6 +122,7 @@ def prepare_to_measure(configuration: Configuration) -> Calibration:
             calibration.method.check_plan(configuration, calibration.plan)
         except PlanError as error:
             raise PlanError(f"{configuration.source}: plan: {error}") from error
+    calibration.policy(calibration.from_the_start())
     return calibration
 
 

@@ -155,6 +155,12 @@ def changed(configuration: Configuration, changes: Sequence[str]) -> Configurati
     return parse_configuration(text, source)
 
 
+def replaced(configuration: Configuration, group: str, values: Mapping[str, Any]) -> str:
+    """Return the text of a configuration whose ``group`` has only these ``values``."""
+    name, groups = _parameters(configuration.text, configuration.source)
+    return dump_configuration(name, {**groups, group: values})
+
+
 def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> str:
     """Return configuration text in the canonical order of groups; unknown ones come last."""
     names = [*(name for name in GROUPS if name in groups), *(groups.keys() - set(GROUPS))]

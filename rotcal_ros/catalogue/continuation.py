@@ -66,15 +66,14 @@ def continued(
 
     A step is done when it has an accepted observation or was given up after ``max_attempts`` in
     one run. Up to ``join_steps`` done steps are measured again, evenly spread over those at
-    table angles that have missing steps; with none there, over all.
+    table angles that have missing steps; with none there, over all. An instrument that has left a
+    station does not go back for that.
     """
     accepted = {o.step for o in observations if o.accepted}
     rejected = Counter((o.step, o.run) for o in observations if not o.accepted)
     given_up = {step for (step, _), count in rejected.items() if count >= max_attempts}
     missing = [s.index for s in plan.steps if s.index not in accepted | given_up]
-    open_angles = {plan.steps[index].table_position for index in missing}
-    candidates = [s for s in sorted(accepted) if plan.steps[s].table_position in open_angles]
-    again = _spread(candidates or sorted(accepted), join_steps) if missing else ()
+    again = _spread(_joining(plan, accepted, missing), join_steps) if missing else ()
     return Continuation(
         plan_id=plan_id,
         run=run,
@@ -83,6 +82,15 @@ def continued(
         steps=(*again, *missing),
         observations=tuple(o for o in observations if o.accepted),
     )
+
+
+def _joining(plan: Plan, accepted: set[int], missing: Sequence[int]) -> Sequence[int]:
+    """Return the done steps from which those that join the runs are chosen."""
+    opened = {(plan.steps[k].station, plan.steps[k].table_position) for k in missing}
+    stations = {station for station, _ in opened}
+    here = [plan.steps[k] for k in sorted(accepted) if plan.steps[k].station in stations]
+    at_open_angles = [step for step in here if (step.station, step.table_position) in opened]
+    return [step.index for step in at_open_angles or here]
 
 
 def _spread(values: Sequence[int], count: int) -> tuple[int, ...]:

@@ -12,6 +12,7 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.protection import Effect
+from rotcal_ros.units import ARCSEC, MICROMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.configuration import Configuration
@@ -45,7 +46,7 @@ class Disturbance:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class DisturbedMeasurement:
     """Observations of every step of a plan, and the true deviations (n,) at its table angles."""
 
     observations: tuple[Observation, ...]
@@ -61,7 +62,37 @@ class Disturbances:
     """
 
     listed: tuple[Disturbance, ...]
-    measure: Callable[[Configuration, Plan, Sizes, int], Measured]
+    measure: Callable[[Configuration, Plan, Sizes, int], DisturbedMeasurement]
+
+
+def repeatability(start: float, largest: float) -> Disturbance:
+    """Return the repeatability of the table; ``start`` and ``largest`` in arcsec."""
+    what = "every arrival of the table is off by itself (k = 1)"
+    return Disturbance("repeatability", what, "arcsec", ARCSEC, start, largest, scatters=True)
+
+
+def error_motion(
+    start: float, largest: float, stated: Callable[[Configuration], float] | None = None
+) -> Disturbance:
+    """Return the error motion of the table, beyond what is ``stated``; sizes in um."""
+    what = f"EXC and EYC scatter from position to position by so much{_beyond(stated)}"
+    return Disturbance(
+        "error motion", what, "um", MICROMETRE, start, largest, scatters=True, stated=stated
+    )
+
+
+def tilt(
+    start: float, largest: float, stated: Callable[[Configuration], float] | None = None
+) -> Disturbance:
+    """Return the tilts of the table, beyond what is ``stated``; sizes in arcsec."""
+    what = f"EAC and EBC scatter from position to position by so much{_beyond(stated)}"
+    return Disturbance(
+        "tilt", what, "arcsec", ARCSEC, start, largest, scatters=True, stated=stated
+    )
+
+
+def _beyond(stated: Callable[[Configuration], float] | None) -> str:
+    return " (k = 1)" if stated is None else " more (k = 1) than is stated"
 
 
 def streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
@@ -78,3 +109,16 @@ def arrivals(plan: Plan) -> Ints:
     """Return the number of the table's arrival at each step (n,): it stands or comes anew."""
     angle = np.array([step.table_angle for step in plan.steps])
     return np.cumsum(np.diff(angle, prepend=angle[0]) != 0.0)
+
+
+def arrival_errors(plan: Plan, sizes: Sizes, other: np.random.Generator) -> Floats:
+    """Return by how much (rad) the table is off at each step (n,): the same at one arrival."""
+    drawn = other.standard_normal(len(plan.steps))
+    return np.asarray(sizes.get("repeatability", 0.0) * drawn[arrivals(plan)], dtype=np.float64)
+
+
+def scatter_in_plane(count: int, size: float, random: np.random.Generator) -> Floats:
+    """Return vectors (count, 3) that scatter by ``size`` along x and y, and not along z."""
+    vectors = np.zeros((count, 3))
+    vectors[:, :2] = size * random.standard_normal((count, 2))
+    return vectors

@@ -66,26 +66,31 @@ class StepFinder:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
-        self._steps: dict[tuple[int, int], list[Step]] = {}
+        self._steps: dict[tuple[int, int, int], list[Step]] = {}
         for step in plan.steps:
-            self._steps.setdefault((step.table_position, step.target), []).append(step)
-        self._seen: dict[tuple[int, int], list[str]] = {}
+            key = (step.station, step.table_position, step.target)
+            self._steps.setdefault(key, []).append(step)
+        self._stations = len({step.station for step in plan.steps})
+        self._seen: dict[tuple[int, int, int], list[str]] = {}
 
-    def __call__(self, row: Row, position: int, target: int) -> Step:
-        """Return the step that measures a target at a table position."""
-        steps = self._steps.get((position, target))
+    def __call__(self, row: Row, position: int, target: int, station: int = 0) -> Step:
+        """Return the step that measures a target at a table position, from a place or station."""
+        steps = self._steps.get((station, position, target))
+        what = f"position {position}, target {target}"
+        places = ""
+        if self._stations > 1:
+            what, places = f"place {station}, {what}", f"places 0 to {self._stations - 1}, "
         if steps is None:
             raise DataError(
-                f"{row.place}: position {position}, target {target} is not in the plan, which has "
-                f"positions 0 to {len(self._plan.table_angles) - 1} and targets "
-                f"{_in_words(self._plan.steps)}; does the set-up belong to this table?"
+                f"{row.place}: {what} is not in the plan, which has {places}positions 0 to "
+                f"{len(self._plan.table_angles) - 1} and targets {_in_words(self._plan.steps)}; "
+                "does the set-up belong to this table?"
             )
-        seen = self._seen.setdefault((position, target), [])
+        seen = self._seen.setdefault((station, position, target), [])
         if len(seen) == len(steps):
             raise DataError(
-                f"{row.place}: position {position}, target {target} was measured already "
-                f"({', '.join(seen)}); keep one of the rows"
-                + (f", {len(steps)} are in the plan" if len(steps) > 1 else "")
+                f"{row.place}: {what} was measured already ({', '.join(seen)}); keep one of the "
+                "rows" + (f", {len(steps)} are in the plan" if len(steps) > 1 else "")
             )
         seen.append(row.place)
         return steps[len(seen) - 1]

@@ -17,12 +17,14 @@ from rotcal_ros.catalogue.plan_files import PlanFile
 from rotcal_ros.figures import Figure
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.policy.choices import Policy
 from rotcal_ros.results import Result
 from rotcal_ros.simulation.settings import SimulationSettings
 from rotcal_ros.tables import Header, Table
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.configuration import Configuration
+    from rotcal_ros.catalogue.continuation import Continuation
 
 Trials = Callable[[np.random.Generator, int], Floats]
 """``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
@@ -94,6 +96,9 @@ class Method:
     interruption changes ``joins_runs``: it gets the accepted observations of all runs of a
     plan, not only the last one of each step.
 
+    ``adaptive`` makes the policy that measures until a goal is reached; ConfigurationError or
+    PlanError where it cannot be.
+
     ``check_plan`` raises PlanError for a plan whose data could never be solved, before anything is
     measured. ``plan_files`` are files that stand for lists of the group ``plan``, by the settings
     that name them. ``older_plans`` are the plans that earlier versions made of the same
@@ -124,6 +129,7 @@ class Method:
     older_plans: tuple[Callable[[Configuration], Plan], ...] = ()
     trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
     check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
+    adaptive: Callable[[Configuration, Plan, Continuation], Policy] | None = None
     check_plan: Callable[[Configuration, Plan], None] | None = None
     plan_files: Mapping[str, PlanFile] = field(default_factory=dict)
     table: TableReader | None = None

@@ -58,6 +58,40 @@ def check(bag: Path, as_json: bool) -> int:
 
 @command.command()
 @click.argument("bag", type=path_type)
+@json_option
+def choices(bag: Path, as_json: bool) -> int:
+    """Say why each step of BAG was measured and why the planner stopped.
+
+    The policy is asked again with the recorded observations. The exit code is 0 when it makes the
+    same choices, 1 otherwise.
+    """
+    from rotcal_ros.recordings.replay import read_recording
+
+    with progress("reading") as shown:
+        recording = read_recording(bag, "observations", progress=shown)
+    differing = recording.choices_that_differ()
+    made = [
+        {
+            "run": recorded.run,
+            "number": recorded.number,
+            "step": recorded.choice.step,
+            "reason": recorded.choice.reason,
+        }
+        for recorded in recording.choices
+    ]
+    if as_json:
+        print_json({"choices": made, "differences": list(differing)})
+        return 1 if differing else 0
+    for row in made:
+        what = "stop" if row["step"] is None else f"step {row['step']}"
+        click.echo(f"run {row['run']} {row['number']:5} {what}: {row['reason']}")
+    for text in differing:
+        say(text)
+    return 1 if differing else 0
+
+
+@command.command()
+@click.argument("bag", type=path_type)
 @click.option(
     "-o",
     "--output",

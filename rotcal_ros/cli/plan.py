@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from rotcal_ros.cli import reliability, tracer_design
+from rotcal_ros.cli import plan_check, reliability, sequence, tracer_design, trade
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.order_forecast import forecast_dict, forecast_lines
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
@@ -18,7 +18,7 @@ from rotcal_ros.units import DEGREE, MICROMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.planning.ball_layout import Layout
-    from rotcal_ros.planning.ball_plan import BallPlan
+    from rotcal_ros.planning.ball_plan import BallPlan, Kinematics
 
 positive = click.FloatRange(min=0.0, min_open=True)
 shown_option = partial(click.option, show_default=True)
@@ -44,11 +44,14 @@ touch_option = shown_option("--touches", type=click.IntRange(min=1), default=15,
 
 @click.group()
 def command() -> None:
-    """Design a ball plate and its measurement; tell what a plan could hide."""
+    """Design a ball plate, its measurement, a quick check; tell what a plan could hide."""
 
 
 command.add_command(reliability.command, "reliability")
+command.add_command(plan_check.command, "check")
+command.add_command(sequence.command, "sequence")
 command.add_command(tracer_design.command, "tracer")
+command.add_command(trade.command, "trade")
 
 
 @command.command()
@@ -89,7 +92,7 @@ def plate(
     knock of the plate would do, and from which size on they are found.
     """
     from rotcal_ros.planning.ball_layout import best_layout
-    from rotcal_ros.planning.ball_plan import Kinematics, Order, plan_measurement
+    from rotcal_ros.planning.ball_plan import Kinematics
     from rotcal_ros.planning.order_forecast import forecast
 
     with progress("layouts") as shown:
@@ -103,36 +106,18 @@ def plate(
             starts=starts,
             progress=shown,
         )
-    std = layout.predicted_std(sigma_um * MICROMETRE, radius_m)
-    kinematics = Kinematics(touches_per_ball=touches)
-    orders = {
-        name: plan_measurement(
-            grid, list(layout.steps), order=name, radius=radius_m, kinematics=kinematics
-        )
-        for name in get_args(Order)
-    }
-    forecasts = {
-        name: forecast(rows, sigma_um * MICROMETRE, radius_m) for name, rows in orders.items()
-    }
+    sigma = sigma_um * MICROMETRE
+    std = layout.predicted_std(sigma, radius_m)
+    orders = _orders(layout, radius_m, Kinematics(touches_per_ball=touches))
+    forecasts = {name: forecast(rows, sigma, radius_m) for name, rows in orders.items()}
     if as_json:
-        facts = ("score", "bound", "gap", "optimal", "evaluated")
-        print_json(
-            {
-                "grid": layout.grid,
-                "ball_steps": list(layout.steps),
-                **{name: getattr(layout, name) for name in facts},
-                "predicted_std": std,
-                "orders": {
-                    name: {**_order_dict(rows), **forecast_dict(forecasts[name])}
-                    for name, rows in orders.items()
-                },
-            }
-        )
-    else:
-        _print_layout(layout, std)
-        for name, rows in orders.items():
-            click.echo(f"\n{_order_in_words(name, rows)}")
-            click.echo("\n".join(forecast_lines(forecasts[name])))
+        in_words = {n: _order_dict(o) | forecast_dict(forecasts[n]) for n, o in orders.items()}
+        print_json(_layout_dict(layout) | {"predicted_std": std, "orders": in_words})
+        return 0
+    _print_layout(layout, std)
+    for name, rows in orders.items():
+        click.echo(f"\n{_order_in_words(name, rows)}")
+        click.echo("\n".join(forecast_lines(forecasts[name])))
     return 0
 
 
@@ -244,6 +229,25 @@ def order(
         click.echo(f"{s['step']},{s['table_deg']},{s['ball_step']}")
     click.echo(_order_in_words(settings.order, rows), err=True)
     return 0
+
+
+def _orders(layout: Layout, radius: float, kinematics: Kinematics) -> dict[str, BallPlan]:
+    """Return the measurement of a layout in every order there is."""
+    from rotcal_ros.planning.ball_plan import Order, plan_measurement
+
+    steps = list(layout.steps)
+    return {
+        name: plan_measurement(
+            layout.grid, steps, order=name, radius=radius, kinematics=kinematics
+        )
+        for name in get_args(Order)
+    }
+
+
+def _layout_dict(layout: Layout) -> dict[str, Any]:
+    facts = ("score", "bound", "gap", "optimal", "evaluated")
+    named = {name: getattr(layout, name) for name in facts}
+    return {"grid": layout.grid, "ball_steps": list(layout.steps), **named}
 
 
 def _print_layout(layout: Layout, std: dict[str, float]) -> None:

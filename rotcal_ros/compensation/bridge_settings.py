@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
-from rotcal_ros.compensation.controllers import controller_names, make_controller
+from rotcal_ros import plugins
 from rotcal_ros.compensation.options import parse_options
 from rotcal_ros.settings import setting
+
+DEFAULT: Final = "csv"
 
 
 @dataclass(frozen=True)
@@ -17,7 +19,9 @@ class BridgeSettings:
     Raises ConfigurationError for options that the controller does not take.
     """
 
-    controller: str = setting("csv", doc="kind of controller", choices=controller_names())
+    controller: str = setting(
+        DEFAULT, doc="kind of controller", choices=plugins.names(plugins.CONTROLLERS)
+    )
     options: tuple[str, ...] = setting((), doc="controller settings, each as NAME=VALUE")
     spacing_deg: float = setting(
         10.0, doc="deg, distance of the rows", minimum=1e-3, maximum=180.0
@@ -45,6 +49,10 @@ class BridgeSettings:
     )
 
     def __post_init__(self) -> None:
+        if self.controller == DEFAULT and not self.options:
+            return  # nothing can be wrong: solving a bag need not load a controller
+        from rotcal_ros.compensation.controllers import make_controller
+
         # Long before a table arrives, which may be hours after the start.
         make_controller(self.controller, self.controller_settings, "options")
 

@@ -63,10 +63,7 @@ def prepare_export(
     """
     controller = make_controller(controller_name, settings)
     check_verdict(table)
-    if axis is not None and check_axis(axis) != table.axis:
-        raise ConfigurationError(
-            f"the table is for axis {table.axis} and the export for axis {axis}: nothing written"
-        )
+    _require_axis(table, axis)
     if not accept_unverified:
         _refuse_unverified(controller)
     name = check_stem(stem or f"{table.axis}_{controller_name}".lower())
@@ -75,23 +72,9 @@ def prepare_export(
     files = controller.write(rows, name)
     residual = residual_budget(shifted, rows, controller, controller.read(files))
     _refuse_harm(residual, controller.facts.title)
-    line = table.verdict_line
-    reserve = (f"the result is {line}",) if line not in ("", "ok") else ()
-    warnings = (
-        *reserve,
-        *table.warnings,
-        *(f"not verified: {text}" for text in controller.unverified),
-    )
+    warnings = _warnings(table, controller)
     side = {
-        "schema": SCHEMA,
-        "written": now.isoformat(timespec="seconds"),
-        "axis": table.axis,
-        "method": table.method,
-        "verdict": table.verdict,
-        "verdict_line": table.verdict_line,
-        "table_sha256": table.table_hash,
-        "sources_sha256": dict(sources or {}),
-        "sign_of_the_table": SIGN_CONVENTION,
+        **_origin(table, now, sources or {}),
         "controller": controller_name,
         **_controller_facts(controller),
         **_written_rows(rows, files),
@@ -105,6 +88,13 @@ def prepare_export(
         warnings=warnings,
         table=rows,
     )
+
+
+def _require_axis(table: CompensationTable, axis: str | None) -> None:
+    if axis is not None and check_axis(axis) != table.axis:
+        raise ConfigurationError(
+            f"the table is for axis {table.axis} and the export for axis {axis}: nothing written"
+        )
 
 
 def _refuse_unverified(controller: Controller) -> None:
@@ -130,6 +120,28 @@ def _refuse_harm(residual: ResidualBudget, title: str) -> None:
             f"deviation of {residual.before / ARCSEC:.4g}: the control's resolution or the "
             "spacing is too coarse for it; nothing was written"
         )
+
+
+def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ...]:
+    line = table.verdict_line
+    reserve = (f"the result is {line}",) if line not in ("", "ok") else ()
+    unverified = (f"not verified: {text}" for text in controller.unverified)
+    return (*reserve, *table.warnings, *unverified)
+
+
+def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str]) -> dict[str, Any]:
+    """Return what the numbers come from."""
+    return {
+        "schema": SCHEMA,
+        "written": now.isoformat(timespec="seconds"),
+        "axis": table.axis,
+        "method": table.method,
+        "verdict": table.verdict,
+        "verdict_line": table.verdict_line,
+        "table_sha256": table.table_hash,
+        "sources_sha256": dict(sources),
+        "sign_of_the_table": SIGN_CONVENTION,
+    }
 
 
 def _controller_facts(controller: Controller) -> dict[str, Any]:

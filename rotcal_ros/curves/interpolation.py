@@ -7,15 +7,17 @@ angles, and covariance = W @ C @ W.T. Angles are radians.
 from __future__ import annotations
 
 from math import pi
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, PPoly
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.units import DEGREE
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 TURN: Final = 2.0 * pi
 SAME_ANGLE: Final = 1e-9
@@ -29,6 +31,9 @@ def curve_through(nodes: Floats, values: Floats, period: float) -> PPoly:
     joined by straight lines then. With ``period`` 0 they cover an arc and the spline ends
     "not-a-knot". It takes angles that :func:`within` returned.
     """
+    # scipy.interpolate takes longer to load than most verbs, which do without, take to run.
+    from scipy.interpolate import CubicSpline, PPoly
+
     if period == 0.0:
         return CubicSpline(nodes, values, bc_type="not-a-knot")
     knots = np.append(nodes, nodes[0] + period)
@@ -94,6 +99,20 @@ def harmonic_basis(angles: Floats, order: int) -> Floats:
     for k in range(1, order + 1):
         columns += [np.cos(k * angles), np.sin(k * angles)]
     return np.column_stack(columns)
+
+
+def without_harmonics(angles: Floats, order: int) -> Floats:
+    """Return the projection (n, n) that takes offset and harmonics up to ``order`` off n values.
+
+    Unweighted, so that nothing leans on an angle whose value is zero by definition. Raises
+    DataError when the ``angles`` are too few to leave anything.
+    """
+    basis = harmonic_basis(angles, order)
+    n, unknowns = basis.shape
+    if n <= unknowns:
+        raise DataError(f"{n} common angles: more than {unknowns} are needed to compare")
+    q, _ = np.linalg.qr(basis)
+    return np.asarray(np.eye(n) - q @ q.T, dtype=np.float64)
 
 
 def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:

@@ -35,7 +35,7 @@ METHOD: Final = "combination"
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class CombinationInput:
     """One input: its curves by component, where it comes from, and how far to trust it."""
 
     name: str
@@ -46,7 +46,7 @@ class Measured:
     protections: tuple[Protection, ...] = ()
 
     @classmethod
-    def of(cls, name: str, source: Result | MeasuredCurve) -> Measured:
+    def of(cls, name: str, source: Result | MeasuredCurve) -> CombinationInput:
         """Return a result, or a reference curve of ECC, as an input.
 
         Raises DataError for a failed result, and for one that states no uncertainty.
@@ -81,7 +81,7 @@ class Combination:
     groups: tuple[Group, ...]
 
 
-def combine(inputs: Sequence[Measured], enlarge: Enlargement = "birge") -> Combination:
+def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") -> Combination:
     """Return the best estimate of all components that any of ``inputs`` measured.
 
     Each component is counted from its own mean, and the pairs have no part that turns with the
@@ -118,7 +118,7 @@ def combine(inputs: Sequence[Measured], enlarge: Enlargement = "birge") -> Combi
     return Combination(_result(groups, inputs), tuple(groups))
 
 
-def _require_different(inputs: Sequence[Measured]) -> None:
+def _require_different(inputs: Sequence[CombinationInput]) -> None:
     """Raise DataError for two inputs with the same numbers: a bag and its result, a copy."""
     for first, second in combinations(inputs, 2):
         for c in first.curves.keys() & second.curves.keys():
@@ -130,7 +130,7 @@ def _require_different(inputs: Sequence[Measured]) -> None:
                 )
 
 
-def _result(groups: Sequence[Group], inputs: Sequence[Measured]) -> Result:
+def _result(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> Result:
     """Put the groups together: one set of angles, one verdict."""
     joined = {c: own for group in groups for c, own in group.joined.items()}
     angles = union([own.angles for own in joined.values()], any(o.period for o in joined.values()))
@@ -220,7 +220,7 @@ def _largest_shares(groups: Sequence[Group]) -> dict[str, float]:
     return shares
 
 
-def _details(groups: Sequence[Group], inputs: Sequence[Measured]) -> dict[str, Any]:
+def _details(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> dict[str, Any]:
     """Return the figures for people: where the result comes from and how well it fits."""
     figures = ("chi2", "dof", "p_value", "consistent", "farthest")
     return {

@@ -13,20 +13,19 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.curves.interpolation import (
-    SAME_ANGLE,
     TURN,
     harmonic_basis,
     interpolation_matrix,
     regular_root,
+    without_harmonics,
 )
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.common_angles import PairedCurves, pair
 from rotcal_ros.evaluation.suspicion import suspicion
 from rotcal_ros.results import plain_fields
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -108,17 +107,15 @@ def compare(
     """
     if len(second.angles) < len(first.angles):
         return _turned(compare(second, first, align_order, (names[1], names[0])))
-    angles, rows = _common(first, second)
-    weights = interpolation_matrix(second.angles, angles, second.period)
-    measured = _coincide(angles, second)
-    raw = first.deviation[rows] - weights @ second.deviation
-    covariance = first.covariance[np.ix_(rows, rows)] + weights @ second.covariance @ weights.T
+    both = pair(first, second)
+    angles, raw = both.angles, both.first - both.second
+    covariance = both.first_covariance + both.second_covariance
     exact = not np.any(covariance)
     offset, difference, std, chi2, dof = _align(angles, raw, covariance, align_order)
     normalised = _normalised(difference, std)
     p_value = 0.0 if exact and np.any(normalised) else float(stats.chi2.sf(chi2, dof))
     agree = _agree(normalised, p_value)
-    why = _why(first.deviation[rows], weights @ second.deviation, second, angles, agree)
+    why = _why(both.first, both.second, second, angles, agree)
     doubts = [
         f"{name}: {curve.verdict_line}"
         for name, curve in zip(names, (first, second), strict=True)
@@ -129,14 +126,14 @@ def compare(
         difference=difference,
         std=std,
         normalised_error=normalised,
-        interpolated=~measured,
+        interpolated=both.interpolated,
         offset=offset,
         rms=float(np.sqrt(np.mean(difference**2))),
         chi2=chi2,
         dof=dof,
         p_value=p_value,
         agree=agree,
-        notes=(*doubts, *_notes(measured, len(first.angles), why, exact)),
+        notes=(*doubts, *_notes(both, why, exact)),
     )
 
 
@@ -149,12 +146,8 @@ def _align(
     covariance with them. So the outcome does not depend on where either curve has its zero: a
     weighted alignment would lean on the angle whose value is zero by definition.
     """
-    basis = harmonic_basis(angles, order)
+    keep, basis = without_harmonics(angles, order), harmonic_basis(angles, order)
     n, unknowns = basis.shape
-    if n <= unknowns:
-        raise DataError(f"{n} common angles: more than {unknowns} are needed to compare")
-    q, _ = np.linalg.qr(basis)
-    keep = np.eye(n) - q @ q.T
     aligned = keep @ raw
     std = np.sqrt(np.maximum(np.diag(keep @ covariance @ keep), 0.0))
     offset = float(np.linalg.lstsq(basis, raw, rcond=None)[0][0])
@@ -196,30 +189,6 @@ def _normalised(difference: Floats, std: Floats) -> Floats:
     return np.asarray(np.where(zero, 0.0, np.clip(scaled, -1e6, 1e6)), dtype=np.float64)
 
 
-def _coincide(angles: Floats, curve: MeasuredCurve) -> Bools:
-    gap = angles[:, None] - curve.angles[None, :]
-    if curve.period:
-        gap = np.mod(gap + TURN / 2, TURN) - TURN / 2
-    return np.asarray(np.min(np.abs(gap), axis=1) <= 1e3 * SAME_ANGLE, dtype=np.bool_)
-
-
-def _common(first: MeasuredCurve, second: MeasuredCurve) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the angles of ``first`` that ``second`` covers, and their rows in ``first``."""
-    angles = first.angles
-    if second.period:
-        return angles, np.arange(len(angles))
-    low, high = second.angles[0] - SAME_ANGLE, second.angles[-1] + SAME_ANGLE
-    if first.period:
-        angles = low + np.mod(angles - low, TURN)
-    rows = np.flatnonzero((angles >= low) & (angles <= high))
-    if len(rows) < 2:
-        raise DataError(
-            f"the curves share {len(rows)} angles: the second covers only {low / DEGREE:.6g} .. "
-            f"{high / DEGREE:.6g} deg"
-        )
-    return np.clip(angles[rows], second.angles[0], second.angles[-1]), rows
-
-
 def _turned(comparison: Comparison) -> Comparison:
     return replace(
         comparison,
@@ -229,15 +198,15 @@ def _turned(comparison: Comparison) -> Comparison:
     )
 
 
-def _notes(measured: Bools, n_first: int, why: str, exact: bool) -> list[str]:
+def _notes(both: PairedCurves, why: str, exact: bool) -> list[str]:
     notes = []
-    if not np.all(measured):
+    if np.any(both.interpolated):
         notes.append(
-            f"{int(np.sum(~measured))} of {len(measured)} angles were not measured by both: "
-            "interpolated there"
+            f"{int(np.sum(both.interpolated))} of {len(both.angles)} angles were not measured by "
+            "both: interpolated there"
         )
-    if n_first > len(measured):
-        notes.append(f"{n_first - len(measured)} angles lie outside of the other's arc: left out")
+    if both.outside:
+        notes.append(f"{both.outside} angles lie outside of the other's arc: left out")
     if exact:
         notes.append("neither curve states an uncertainty: E_n says nothing")
     if why:

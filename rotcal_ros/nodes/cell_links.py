@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from rotcal_msgs.msg import (
@@ -11,6 +11,7 @@ from rotcal_msgs.msg import (
     DeviationArray,
     ProbeTarget,
     RecordedObservation,
+    StepChoice,
     TableAngle,
 )
 from rotcal_msgs.msg import Observation as ObservationMsg
@@ -42,6 +43,7 @@ class CellLinks:
         self._plans = node.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
         self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
         self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
+        self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
         node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT)
         node.listen(RecordedObservation, "observation_recorded", self._recorded, EVENT)
         node.listen(DeviationArray, "deviations", self._solved, LATCHED)
@@ -55,10 +57,23 @@ class CellLinks:
         self.receipts.clear()
         self.current_std = math.nan
 
+    def last_accepted(self, attempts: Iterable[Attempt]) -> Observation | None:
+        """Return the accepted observation of the last of these attempts that has any."""
+        came = (self.observations.get(attempt) for attempt in attempts)
+        return max(
+            (o for o in came if o is not None and o.accepted),
+            key=lambda o: o.attempt,
+            default=None,
+        )
+
     def announce(self, plan: CalibrationPlan) -> None:
         """Publish the plan."""
         self._plan_id = plan.plan_id
         self._plans.publish(plan)
+
+    def tell_choice(self, choice: StepChoice) -> None:
+        """Publish what is measured next, and why."""
+        self._choices.publish(choice)
 
     def order(self, command: Command) -> None:
         """Order the table to its angle and the probe to its target."""
@@ -111,7 +126,7 @@ class CellLinks:
                 found.append(f"{name} has not delivered a valid message (node {publishers[0]})")
         disobeyed = (t for t in ORDERS if not set(self.listeners(t)) - {"capture", "recorder"})
         found += [f"nobody obeys {self.resolve(t)}: start the machine's node" for t in disobeyed]
-        recorded = (*topics, *ORDERS, names.PLAN, names.OBSERVATION)
+        recorded = (*topics, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE)
         unheard = (topic for topic in recorded if "recorder" not in self.listeners(topic))
         return found + [f"the recorder does not listen to {self.resolve(t)} yet" for t in unheard]
 

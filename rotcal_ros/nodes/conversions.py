@@ -8,7 +8,14 @@ from typing import Any, Final
 
 from builtin_interfaces.msg import Time
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
-from rotcal_msgs.msg import DeviationArray, ProbePoint, ProbeTarget, TableAngle, TracerLength
+from rotcal_msgs.msg import (
+    DeviationArray,
+    ProbePoint,
+    ProbeTarget,
+    StepChoice,
+    TableAngle,
+    TracerLength,
+)
 from rotcal_msgs.msg import Observation as ObservationMsg
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Header
@@ -23,6 +30,7 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.planning.policy.choices import Choice
 from rotcal_ros.results import Result
 
 TABLE: Final = "table_base"
@@ -89,6 +97,26 @@ def observation_message(captured: Observation) -> ObservationMsg:
         temperature=math.nan if captured.temperature_c is None else captured.temperature_c,
         window_start=time_message(captured.window_start_ns),
         window_end=time_message(captured.window_end_ns),
+    )
+
+
+def choice_message(
+    choice: Choice, plan_id: str, run: int, number: int, attempt: int, now_ns: int
+) -> StepChoice:
+    """Return the message of what the planner chose."""
+    standing = choice.standing
+    return StepChoice(
+        header=header(now_ns),
+        plan_id=plan_id,
+        run=run,
+        number=number,
+        stop=choice.step is None,
+        step=choice.step or 0,
+        attempt=attempt,
+        reason=choice.reason,
+        uncertainty=standing.uncertainty,
+        goal=standing.goal,
+        left=standing.left,
     )
 
 

@@ -14,6 +14,7 @@ from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.planning.policy.names import AS_LISTED
 
 SILENCE: Final = "silent_s."
 """How the values of the capture begin that tell the silence of a stream in seconds."""
@@ -32,7 +33,7 @@ class GoalError(Exception):
 
 @dataclass
 class Progress:
-    """How far a goal has come."""
+    """How far a goal has come; ``uncertainty`` and ``goal`` are those of the policy, rad."""
 
     total: int
     step: int = 0
@@ -42,6 +43,8 @@ class Progress:
     rejected: int = 0
     done: int = 0
     left: int = 0
+    uncertainty: float = math.nan
+    goal: float = math.nan
     started_s: float = field(default_factory=time.monotonic)
 
     def time_left(self) -> float:
@@ -107,10 +110,9 @@ class GoalWatch:
         if self.stopping:
             raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
         if self.canceled():
-            raise GoalError(
-                Codes.CANCELED,
-                f"canceled {place}; continue with start_index {self.progress.step}",
-            )
+            listed = self.settings.policy == AS_LISTED
+            how = f"start_index {self.progress.step}" if listed else "rotcal run --resume"
+            raise GoalError(Codes.CANCELED, f"canceled {place}; continue with {how}")
         if missing := self.links.health.missing(self.nodes):
             how = "fell silent" if set(missing) & self.links.health.lost else "was ended"
             raise GoalError(Codes.NODE_LOST, f"node {', '.join(missing)} {how} {place}")

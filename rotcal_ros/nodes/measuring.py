@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from itertools import count
 from typing import Final
 
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.errors import DataError
+from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_links import Attempt
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.planning.plan import PAUSED, Pause
+from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
+from rotcal_ros.planning.policy.names import AS_LISTED
 
 REPEAT_PERIOD_S: Final = 2.0
 """An instruction is repeated after this time, for clients that come late."""
@@ -31,24 +33,38 @@ class Measuring:
         self._calibration = calibration
         self._continuation = continuation
         self._watch = watch
+        self._policy = calibration.policy(continuation)
+        self._chosen = 0
         self._next_attempt: dict[int, int] = {}
         self.waiting = False
 
     async def measure_all(self) -> None:
-        """Measure every step that is left."""
+        """Measure what the policy chooses, until it stops."""
         progress = self._watch.progress
         progress.started_s = time.monotonic()
-        left = deque(self._continuation.steps)
-        while left:
-            pause = self._calibration.plan.pause_before(left[0])
+        choice = self._policy.choose()
+        while choice.step is not None:
+            progress.left = choice.standing.left
+            progress.uncertainty, progress.goal = choice.standing.uncertainty, choice.standing.goal
+            pause = self._calibration.plan.pause_before(choice.step)
             if pause is not None:
                 await self._have_done(pause)
-                while left and left[0] <= pause.last:
-                    left.popleft()
             if pause is None or pause.last < pause.first:
-                await self._measure(left.popleft())
-            progress.left = len(left)
+                await self._measure(choice.step, choice)
+            choice = self._policy.choose()
+        self._tell(choice, 0)
+        progress.uncertainty, progress.left = choice.standing.uncertainty, 0
         progress.step = progress.total
+
+    def _tell(self, choice: Choice, attempt: int) -> None:
+        """Publish a choice, for people and for the bag."""
+        links, run = self._watch.links, self._continuation.run
+        plan_id = self._calibration.configuration.plan_id
+        message = conversions.choice_message(
+            choice, plan_id, run, self._chosen, attempt, links.node.now_ns()
+        )
+        links.tell_choice(message)
+        self._chosen += 1
 
     async def _have_done(self, pause: Pause) -> None:
         """Have the work of a pause done and check it, again and again until it is good.
@@ -61,7 +77,9 @@ class Measuring:
             if pause.again_from is None or asked > 1:
                 await self._ask(pause, text)
             for index in range(begin, pause.last + 1):
-                await self._measure(index)
+                await self._measure(
+                    index, Choice(index, f"shows {pause.instruction}", Standing(1))
+                )
             begin = pause.first if pause.again_from is None else pause.again_from
             found, hopeless = self._complaints()
             if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
@@ -90,12 +108,13 @@ class Measuring:
         except DataError as error:
             return str(error), True
 
-    async def _measure(self, index: int) -> None:
+    async def _measure(self, index: int, choice: Choice) -> None:
         """Attempt a step until it is captured without a loss, or attempts are used up."""
         progress, limit = self._watch.progress, self._watch.settings.max_attempts
-        progress.step = index
+        self._place(index)
         first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
         self._next_attempt[index] = first + limit
+        self._tell(choice, first)
         captured = False
         for number in range(limit):
             key = (index, first + number)
@@ -105,6 +124,16 @@ class Measuring:
                     break
             progress.rejected += 1
         progress.note(index, accepted=captured)
+        attempts = ((index, first + number) for number in range(limit))
+        self._policy.note(Outcome(index, self._watch.links.last_accepted(attempts)))
+
+    def _place(self, index: int) -> None:
+        """Show how far the goal is: the step of a list, or how many steps of those expected."""
+        progress = self._watch.progress
+        if self._watch.settings.policy == AS_LISTED:
+            progress.step = index
+        else:
+            progress.step, progress.total = progress.done, progress.done + progress.left
 
     async def _observed(self, key: Attempt, number: int) -> bool:
         """Order an attempt; return whether an observation came and is accepted."""

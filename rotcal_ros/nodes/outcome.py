@@ -22,7 +22,9 @@ from rotcal_ros.results import Result
 class Feedback:
     """How far a calibration has come; None is what nobody knows yet.
 
-    ``accepted`` and ``rejected`` count attempts.
+    ``accepted`` and ``rejected`` count attempts, ``left`` the steps that are expected to be left.
+    ``uncertainty_rad`` (k = 2) now and ``goal_rad`` are those of a policy that has a
+    goal.
     """
 
     step: int
@@ -32,6 +34,9 @@ class Feedback:
     current_std_rad: float | None
     accepted: int
     rejected: int
+    left: int = 0
+    uncertainty_rad: float | None = None
+    goal_rad: float | None = None
 
     @classmethod
     def of(cls, heard: Calibrate.Feedback) -> Feedback:
@@ -44,6 +49,9 @@ class Feedback:
             current_std_rad=_known(heard.current_std),
             accepted=heard.n_accepted,
             rejected=heard.n_rejected,
+            left=heard.left,
+            uncertainty_rad=_known(heard.uncertainty),
+            goal_rad=_known(heard.goal),
         )
 
     @property

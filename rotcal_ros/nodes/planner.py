@@ -16,7 +16,6 @@ from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
 from rotcal_ros.catalogue import prepare_to_measure
-from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import CellNode
@@ -120,8 +119,7 @@ class Planner(CellNode, LifecycleNode):
         asked = (plan_id, start_index)
         if continuation is None or (continuation.plan_id, continuation.start_index) != asked:
             calibration.plan.step(start_index)  # PlanError when there is no such step
-            steps = tuple(range(start_index, len(calibration.plan.steps)))
-            continuation = Continuation(plan_id, 0, start_index, (), steps, ())
+            continuation = calibration.from_the_start(start_index)
         watch = GoalWatch(
             calibration.configuration.planner,
             self._links,
@@ -163,6 +161,9 @@ class Planner(CellNode, LifecycleNode):
                 current_std=self._links.current_std,
                 n_accepted=len(progress.accepted),
                 n_rejected=progress.rejected,
+                left=progress.left,
+                uncertainty=progress.uncertainty,
+                goal=progress.goal,
             )
         )
 

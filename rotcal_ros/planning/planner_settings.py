@@ -4,12 +4,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rotcal_ros.planning.policy.names import AS_LISTED, UNTIL_GOAL
 from rotcal_ros.settings import setting
 
 
 @dataclass(frozen=True)
 class PlannerSettings:
-    """How patient the planner is; all times are seconds of the wall clock."""
+    """What the planner measures next, and how patient it is; times are of the wall clock."""
+
+    policy: str = setting(
+        AS_LISTED,
+        doc="which step comes next: all of the plan in their order, or of the plan's steps those "
+        "that are needed for the goal",
+        choices=(AS_LISTED, UNTIL_GOAL),
+    )
+    goal_arcsec: float = setting(
+        0.0,
+        doc="arcsec, expanded uncertainty (k = 2) of ECC about its mean, root mean square over "
+        "the table angles, at which until_goal stops; 0: not given",
+        minimum=0.0,
+        maximum=3600.0,
+    )
+    expected_std_m: float = setting(
+        0.0,
+        doc="m, standard deviation of a length that until_goal plans its first sweep with; 0: "
+        "that of the solver",
+        minimum=0.0,
+        maximum=1e-2,
+    )
+    step_s: float = setting(
+        5.0, doc="s, how long until_goal takes a step to be", minimum=0.001, maximum=3600.0
+    )
+    turn_s: float = setting(
+        10.0, doc="s, how long until_goal takes a turn of the table to be", minimum=0.0,
+        maximum=3600.0,
+    )  # fmt: skip
 
     max_attempts: int = setting(
         3, doc="attempts at one step before it is skipped", minimum=1, maximum=100

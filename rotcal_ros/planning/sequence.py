@@ -60,7 +60,7 @@ def shortest_possible(costs: Floats) -> float:
     least = both.min()
     # a weight of zero would be no edge
     tree = minimum_spanning_tree(both - least + 1.0)
-    return float(tree.sum()) + (least - 1.0) * (len(costs) - 1)
+    return float(tree.sum() + (least - 1.0) * (len(costs) - 1))
 
 
 def in_sweeps(costs: Floats, sweep: Ints) -> Floats:

@@ -1,7 +1,8 @@
 """What a drift of the machine or a knock of the tracer would do in an order of measurement.
 
 The solver's own statement (:mod:`rotcal_ros.methods.tracer.protections`) at the nominal geometry:
-a plan is solved once with exact lengths, and judged for as many orders as wanted.
+a plan is solved once with lengths that have the stated noise, and judged for as many orders as
+wanted. Exact lengths would be taken for a quieter instrument.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Forecast:
 
 
 class OrderForecast:
-    """Judges orders of the lengths of one plan; ``problem`` holds its exact lengths.
+    """Judges orders of the lengths of one plan; ``problem`` holds lengths with the stated noise.
 
     Raises ObservabilityError when the plan cannot tell the angle at all.
     """

@@ -15,15 +15,18 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, scan_file, sha256_of
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
+from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.catalogue.configuration import (
     OFFLINE_GROUPS,
     Configuration,
     parse_configuration,
 )
-from rotcal_ros.errors import BagError
+from rotcal_ros.errors import BagError, RotcalError
 from rotcal_ros.observations import Observation
+from rotcal_ros.planning.policy.names import UNTIL_GOAL
+from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.foreign import StepFinder
-from rotcal_ros.recordings.streams import StreamFeeder
+from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 from rotcal_ros.results import Result
 
@@ -38,7 +41,7 @@ class Recording:
     ``observations`` are those of the chosen source, ``recorded`` those that the live capture
     had published; ``counts`` is what the capture counted per stream (empty when the
     observations were taken from the bag), ``broken`` the messages per topic that could not be
-    decoded, and ``sha256`` maps file names to hashes.
+    decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -55,6 +58,7 @@ class Recording:
     broken: Mapping[str, int]
     sha256: Mapping[str, str]
     attachments: Mapping[str, bytes]
+    choices: tuple[RecordedChoice, ...] = ()
 
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit."""
@@ -68,12 +72,32 @@ class Recording:
         readings on disk before they could tell what they are.
         """
         again, live = map(catalogue.last_accepted, (self.observations, self.recorded))
+        live = {
+            key: replace(o, segment=again[key].segment) if o.segment < 0 and key in again else o
+            for key, o in live.items()
+        }
         newest = {run: 0 for run, _ in again}
         for (run, _), observation in live.items():
             newest[run] = max(newest[run], observation.window_end_ns)
         further = {key: o for key, o in again.items() if key not in live}
         behind = all(o.window_end_ns > newest[run] for (run, _), o in further.items())
         return behind and again == {**live, **further}
+
+    def choices_that_differ(self) -> tuple[str, ...]:
+        """Return where the policy chooses otherwise with the observations of this recording.
+
+        It is that of the configuration in the bag, with which the steps were chosen.
+        """
+        if not self.choices or names.CONFIGURATION not in self.attachments:
+            return ()
+        text = self.attachments[names.CONFIGURATION].decode(errors="replace")
+        if UNTIL_GOAL not in text:
+            return ()
+        try:
+            calibration = catalogue.prepare(parse_configuration(text, "the bag's configuration"))
+            return differences(calibration, self.choices, self.observations)
+        except RotcalError as error:
+            return (f"the policy cannot be asked again: {error}",)
 
     def warnings(self) -> tuple[str, ...]:
         """Return what the reader of a result must know about the bag."""
@@ -82,6 +106,7 @@ class Recording:
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
+        texts += self.choices_that_differ()
         return tuple(texts)
 
 
@@ -110,8 +135,10 @@ def read_recording(
         configuration.cell.joint,
         StepFinder(calibration.plan, configuration.capture),
         configuration.topics,
+        min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
     )
     recorded: list[Observation] = []
+    choices: list[RecordedChoice] = []
     scans: list[Scan] = []
     decoders: Decoders = {}
     run = "0"
@@ -126,6 +153,8 @@ def read_recording(
         for part in parts:
             if part.role == names.OBSERVATION:
                 recorded += (records.observation(m) for _, m in part.messages(block))
+            elif part.role == names.STEP_CHOICE:
+                choices += (RecordedChoice.of(m) for _, m in part.messages(block))
         if source == "streams":
             feeder.feed(block, parts)
     verdicts = tuple(scan.verdict() for scan in scans)
@@ -141,6 +170,7 @@ def read_recording(
         broken={c.topic: d.broken for c, d in decoders.items() if d.broken},
         sha256={file.name: sha256_of(file) for file in files},
         attachments={n: a.data for scan in scans for n, a in scan.attachments.items()},
+        choices=tuple(choices),
     )
 
 

@@ -12,7 +12,7 @@ from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
-from rotcal_ros.evaluation.combination import Measured
+from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
 from rotcal_ros.recordings.replay import read_recording
@@ -79,11 +79,11 @@ def read_text(path: Path) -> str:
         raise BagError(f"cannot read {path}: {error}") from error
 
 
-def read_measured(path: Path, polygon: MeasuredCurve | None = None) -> Measured:
+def read_measured(path: Path, polygon: MeasuredCurve | None = None) -> CombinationInput:
     """Return a result, a bag, a session or a reference table (.csv), ready to be combined."""
     if path.suffix == ".csv":
-        return Measured.of(str(path), read_curve(path, "ECC", polygon))
-    return Measured.of(str(path), read_source(path).result)
+        return CombinationInput.of(str(path), read_curve(path, "ECC", polygon))
+    return CombinationInput.of(str(path), read_source(path).result)
 
 
 def read_curve(path: Path, component: str, polygon: MeasuredCurve | None) -> MeasuredCurve:

@@ -23,7 +23,9 @@ from rotcal_ros.recordings.topics import Part
 
 _STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
 _TRACER: Final = (*_STAMP, "sequence", "length", "status")
-_SLICE_NS: Final = 1_000_000_000
+_JOINTS: Final = (*_STAMP, "position", "velocity")
+SLICE_NS: Final = 1_000_000_000
+"""How far readings and feedback run ahead of the other streams at most (1 s)."""
 
 Numbered = tuple[int, Any]
 """The row of a message in its block, and its record."""
@@ -44,12 +46,18 @@ class Capture(Protocol):
     ) -> tuple[Observation, ...]:
         """Take many tracer readings."""
 
+    def feed_table(
+        self, stamp_ns: Ints, angle: NDArray[Any], velocity: NDArray[Any]
+    ) -> tuple[Observation, ...]:
+        """Take many feedbacks of the table."""
+
 
 class StreamFeeder:
     """Feeds blocks of messages to a capture and collects the observations.
 
-    Tracer readings go in many at once, so they run ahead of the other streams, by one second
-    of their stamps at most; the capture's answer does not depend on that. ``make`` returns a new
+    Tracer readings and feedback of the table go in many at once, so they run ahead of the other
+    streams, by ``slice_ns`` of their stamps at most; as long as that is well within the clock
+    tolerance, the capture's answer does not depend on it. ``make`` returns a new
     capture for the run with a number. ``joint`` names the table among the joint states; empty
     means the first.
     """
@@ -60,12 +68,15 @@ class StreamFeeder:
         joint: str = "",
         finder: StepFinder | None = None,
         topics: TopicSettings | None = None,
+        slice_ns: int = SLICE_NS,
     ) -> None:
         self.observations: list[Observation] = []
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
         self._finder = finder
+        self._finding = False
+        self._slice_ns = max(1, slice_ns)
         self._units = topics or TopicSettings()
         self._speed = Speedometer()
         self._counted = 0
@@ -98,35 +109,48 @@ class StreamFeeder:
     def feed(self, block: Block, parts: list[Part]) -> None:
         """Feed one block that ``parts`` splits into the topics of the cell."""
         others: list[Numbered] = []
-        readings = np.zeros(0, _READING)
+        readings, feedback = np.zeros(0, _READING), np.zeros(0, _FEEDBACK)
+        self._finding |= self._finder is not None and any(
+            part.decoder.channel.type_name == POINT for part in parts
+        )
         for part in parts:
             if part.role == names.TRACER_LENGTH:
                 readings = self._readings(block, part)
             elif part.role == names.JOINT_STATES:
-                others.extend(self._table_samples(block, part))
+                feedback = self._feedback(block, part)
             elif part.role in self._makers:
                 others.extend(self._single(block, part))
+        if self._finding:  # a foreign position is the step at which the table stood just then
+            others.extend(_samples(feedback))
+            feedback = feedback[:0]
         others.sort(key=lambda numbered: numbered[0])
-        self._feed_slices(readings, others)
+        self._feed_slices(readings, feedback, others)
 
-    def _feed_slices(self, readings: NDArray[np.void], others: list[Numbered]) -> None:
-        """Feed in file order, but the readings of one second at once."""
-        stamps = readings["stamp_ns"]
-        seconds = (stamps - stamps[:1]) // _SLICE_NS
-        cuts = [*(np.flatnonzero(np.diff(seconds)) + 1).tolist(), len(readings)]
-        begin = done = 0
-        for cut in cuts:
-            part = readings[begin:cut]
-            if cut > begin:
+    def _feed_slices(
+        self, readings: NDArray[np.void], feedback: NDArray[np.void], others: list[Numbered]
+    ) -> None:
+        """Feed in file order, but the readings and the feedback of one slice of time at once."""
+        done = 0
+        for ends, last_row in _slices(readings, feedback, self._slice_ns):
+            ours, table = readings[slice(*ends[0])], feedback[slice(*ends[1])]
+            if len(ours):
                 self.observations += self._capture.feed_tracer(
-                    part["stamp_ns"], part["sequence"], part["length"], part["status"]
+                    ours["stamp_ns"], ours["sequence"], ours["length"], ours["status"]
                 )
-            last_row = readings["row"][cut] if cut < len(readings) else math.inf
+            if len(table):
+                self._feed_table(table)
             while done < len(others) and others[done][0] < last_row:
                 for record in self._understood(others[done][1]):
                     self.observations += self._capture.feed(record)
                 done += 1
-            begin = cut
+
+    def _feed_table(self, feedback: NDArray[np.void]) -> None:
+        self.observations += self._capture.feed_table(
+            feedback["stamp_ns"], feedback["angle"], feedback["velocity"]
+        )
+        if self._finder is not None:  # so that it knows where the table is, should points come
+            ((_, last),) = _samples(feedback[-1:])
+            self._finder.table(last)
 
     def _understood(self, record: Any) -> Iterator[Any]:
         """Yield the records for the capture; a foreign position becomes the step it stands at."""
@@ -159,11 +183,14 @@ class StreamFeeder:
         self._counted += len(rows)
         return readings
 
-    def _bare_angles(self, block: Block, part: Part) -> Iterator[Numbered]:
+    def _bare_angles(self, block: Block, part: Part) -> NDArray[np.void]:
         rows, stamps, values = self._floats(block, part)
-        angles = (values * self._units.angle_unit_rad).tolist()
-        samples = map(self._speed.sample, stamps.tolist(), angles)
-        yield from zip(rows.tolist(), samples, strict=True)
+        feedback = np.zeros(len(rows), _FEEDBACK)
+        feedback["row"], feedback["stamp_ns"] = rows, stamps
+        feedback["angle"] = angles = values * self._units.angle_unit_rad
+        samples = map(self._speed.sample, stamps.tolist(), angles.tolist())
+        feedback["velocity"] = [sample.velocity for sample in samples]
+        return feedback
 
     def _positions(self, block: Block, part: Part) -> Iterator[Numbered]:
         for row, message in part.messages(block):
@@ -180,21 +207,23 @@ class StreamFeeder:
         readings = np.concatenate(found)
         return readings[np.argsort(readings["row"], kind="stable")]
 
-    def _table_samples(self, block: Block, part: Part) -> Iterator[Numbered]:
-        wanted = (*_STAMP, "position", "velocity")
+    def _feedback(self, block: Block, part: Part) -> NDArray[np.void]:
+        """Return the feedback of the table in a block in file order."""
         if part.decoder.channel.type_name == FLOAT:
-            yield from self._bare_angles(block, part)
-            return
-        for columns in part.decoder.columns(block.select(part.rows), wanted):
+            return self._bare_angles(block, part)
+        found = [np.zeros(0, _FEEDBACK)]
+        for columns in part.decoder.columns(block.select(part.rows), _JOINTS):
             index = records.joint_index(columns.layout.texts.get("name", []), self._joint)
             position, velocity = columns.values["position"], columns.values["velocity"]
             if index is None or index >= position.shape[1]:
                 continue
-            known = velocity.shape[1] > index
-            speeds = velocity[:, index].tolist() if known else [math.nan] * len(columns.rows)
-            angles = position[:, index].tolist()
-            samples = map(TableSample, columns.stamp_ns().tolist(), angles, speeds)
-            yield from zip(part.rows[columns.rows].tolist(), samples, strict=True)
+            rows = np.zeros(len(columns.rows), _FEEDBACK)
+            rows["row"], rows["stamp_ns"] = part.rows[columns.rows], columns.stamp_ns()
+            rows["angle"] = position[:, index]
+            rows["velocity"] = velocity[:, index] if velocity.shape[1] > index else math.nan
+            found.append(rows)
+        feedback = np.concatenate(found)
+        return feedback[np.argsort(feedback["row"], kind="stable")]
 
     def _single(self, block: Block, part: Part) -> Iterator[Numbered]:
         """Yield the records of a slow topic, message by message."""
@@ -216,6 +245,36 @@ _READING: Final = np.dtype(
         ("status", np.int64),
     ]
 )
+_FEEDBACK: Final = np.dtype(
+    [("row", np.int64), ("stamp_ns", np.int64), ("angle", np.float64), ("velocity", np.float64)]
+)
+
+Ends = tuple[tuple[int, int], tuple[int, int]]
+"""First and last index of readings, and of feedback."""
+
+
+def _slices(
+    readings: NDArray[np.void], feedback: NDArray[np.void], slice_ns: int
+) -> Iterator[tuple[Ends, float]]:
+    """Yield what goes in at once, and the row from which on other messages come after it."""
+    rows = np.concatenate([readings["row"], feedback["row"]])
+    order = np.argsort(rows, kind="stable")
+    rows = rows[order]
+    stamps = np.concatenate([readings["stamp_ns"], feedback["stamp_ns"]])[order]
+    number = (stamps - stamps[:1]) // slice_ns
+    last_rows = [*rows[np.flatnonzero(np.diff(number)) + 1].tolist(), math.inf]
+    begins = (0, 0)
+    for last_row in last_rows:
+        ours = int(np.searchsorted(readings["row"], last_row))
+        table = int(np.searchsorted(feedback["row"], last_row))
+        yield ((begins[0], ours), (begins[1], table)), last_row
+        begins = (ours, table)
+
+
+def _samples(feedback: NDArray[np.void]) -> Iterator[Numbered]:
+    """Yield the feedback one by one, as records."""
+    for row, stamp_ns, angle, velocity in feedback.tolist():
+        yield row, TableSample(stamp_ns, angle, velocity)
 
 
 def _readings_of(columns: Columns, part: Part) -> NDArray[np.void]:

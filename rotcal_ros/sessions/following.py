@@ -173,7 +173,10 @@ def describe(feedback: Event) -> str:
     """Return a feedback in words: activity, standard deviation, time left."""
     activity = str(feedback["activity"])
     words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
-    if feedback["current_std_rad"] is not None:
+    if feedback.get("goal_rad") is not None:
+        now, goal = feedback["uncertainty_rad"], feedback["goal_rad"] / ARCSEC
+        words.append(f"U {'?' if now is None else f'{now / ARCSEC:.2f}'} of {goal:.2f} arcsec")
+    elif feedback["current_std_rad"] is not None:
         words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
     if feedback["time_left_s"] is not None:
         words.append(f"{feedback['time_left_s']:.0f} s left")

@@ -26,6 +26,12 @@ class Source(IntEnum):
     PROBE_REPEAT = 8
     FOLLOWING = 9
     TEMPERATURE = 10
+    BREAK = 11
+    BREAK_SHIFT = 12
+    SLIP = 13
+    ARRIVAL_MOTION = 14
+    MOUNTING = 20
+    MOUNTED_ZERO = 21
     TRACKER = 30
     STAND = 31
     NEST = 32

@@ -79,6 +79,12 @@ class TableSettings:
         doc="arcsec, standard deviation of the angle from one arrival to the next",
         minimum=0.0,
     )
+    repeatability_um: float = setting(
+        0.0, doc="um, the same of the shifts along x, y and z", minimum=0.0
+    )
+    repeatability_tilt_arcsec: float = setting(
+        0.0, doc="arcsec, the same of the tilts about x and y", minimum=0.0
+    )
     axis_offset_m: tuple[float, float, float] = setting(
         (0.0, 0.0, 0.0), doc="m, origin of the table axis in the machine frame"
     )

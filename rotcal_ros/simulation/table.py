@@ -112,6 +112,7 @@ class SimulatedTable:
         self._approach = Approach.POSITIVE
         self._arrivals = 0
         self._arrival_noise = IndexedNoise(seed, Source.ARRIVAL)
+        self._motion_noise = IndexedNoise(seed, Source.ARRIVAL_MOTION)
         self._feedback_noise = IndexedNoise(seed, Source.FEEDBACK)
         self.rest_ns = start_ns
 
@@ -150,7 +151,20 @@ class SimulatedTable:
             extra += self.settings.backlash_arcsec * ARCSEC
         angles = self.angles(stamps)
         angles = angles + correction(self.settings, angles, self._approach)
-        return table_poses(self.settings, angles, extra)
+        return self._scattered(*table_poses(self.settings, angles, extra))
+
+    def _scattered(self, rotation: Floats, shift: Floats) -> tuple[Floats, Floats]:
+        """Return poses (n, 3, 3), (n, 3) with the shifts and tilts of this arrival added."""
+        shift_um, tilt_arcsec = (
+            self.settings.repeatability_um,
+            self.settings.repeatability_tilt_arcsec,
+        )
+        if not (shift_um or tilt_arcsec):
+            return rotation, shift
+        drawn = self._motion_noise.normal(5 * self._arrivals, 5)
+        tilt = tilt_arcsec * ARCSEC * drawn[3:, None]
+        scatter = rotations(tilt[0], tilt[1], np.zeros(1))
+        return scatter @ rotation, shift + shift_um * MICROMETRE * drawn[:3]
 
     def feedback(self, first: int, stamps: Stamps) -> tuple[TableSample, ...]:
         """Return the feedback number ``first`` and following at ``stamps``."""

@@ -13,7 +13,8 @@ from rosbags.typesys.store import Typestore
 from rotcal_ros import catalogue
 from rotcal_ros.bags import names
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
-from rotcal_ros.bags.writer import BagWriter, WriterSettings
+from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.observations import (
     Command,

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros.bags.reader import session_files
-from rotcal_ros.bags.writer import BagWriter, WriterSettings
+from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.nodes.recording import Channel, Messages, Receipt, Recording
 
 DEFINITION = "uint64 number\nuint64 stamp_ns\n"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from bag_samples import simulate, write_run
 
-from rotcal_ros.bags.writer import WriterSettings
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
 
 HERE = Path(__file__).parent / "node"

@@ -14,7 +14,8 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.mcap_records import CHUNK, MAGIC
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks, session_files
 from rotcal_ros.bags.repair import repair
-from rotcal_ros.bags.writer import BagWriter, WriterSettings
+from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
 from rotcal_ros.recordings.replay import read_recording
 

@@ -16,7 +16,8 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
-from rotcal_ros.bags.writer import BagWriter, WriterSettings
+from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
 from rotcal_ros.files import DurableFile
 

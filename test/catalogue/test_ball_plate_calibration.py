@@ -8,7 +8,7 @@ import pytest
 from plate_cell import measure, simulated_cell, small
 
 from rotcal_ros.catalogue import changed
-from rotcal_ros.catalogue.ball_plate.calibration import gauge, problem
+from rotcal_ros.catalogue.ball_plate.calibration import problem
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError, PlanError
 from rotcal_ros.evaluation.ways import evaluate, in_words, ways
@@ -69,23 +69,6 @@ def test_angles_are_those_of_the_table_wherever_it_starts(measured):
     result = turned.solve(observations)
     assert np.allclose(result.angles - first.angles, np.radians(-75))
     assert (result.deviations["ECC"] == first.deviations["ECC"]).all()
-
-
-def test_the_gauge_takes_off_what_a_moved_plate_would_cause():
-    angles = 2 * np.pi * np.arange(36) / 36 + 0.3
-    rng = np.random.default_rng(0)
-    curves = {name: rng.normal(size=36) for name in COMPONENTS}
-    seen = gauge(angles, curves)
-    moved = {name: values + 5.0 for name, values in curves.items()}  # constants are not seen
-    moved["EXC"] = moved["EXC"] + 2.0 * np.cos(angles + 1.0)  # a shifted plate
-    moved["EYC"] = moved["EYC"] + 2.0 * np.sin(angles + 1.0)
-    moved["EAC"] = moved["EAC"] + 3.0 * np.cos(angles - 1.0)  # a tilted one
-    moved["EBC"] = moved["EBC"] + 3.0 * np.sin(angles - 1.0)
-    again = gauge(angles, moved)
-    for name in COMPONENTS:
-        assert np.allclose(again[name], seen[name], atol=1e-12), name
-    other = {**curves, "EXC": curves["EXC"] + np.cos(angles), "EYC": curves["EYC"]}
-    assert np.abs(gauge(angles, other)["EXC"] - seen["EXC"]).max() > 0.4  # the other half is
 
 
 def test_surface_and_centre_measurements_agree():

@@ -11,7 +11,7 @@ from rotcal_ros.protection import EFFECTS
 from rotcal_ros.units import ARCSEC
 
 PLANS = Path(__file__).parents[2] / "scripts" / "power_plans"
-METHODS = ("tracer", "ball_plate", "plane_mirror")
+METHODS = ("tracer", "ball_plate", "plane_mirror", "tracer_six")
 each_method = pytest.mark.parametrize("name", METHODS)
 
 

@@ -119,6 +119,21 @@ def test_what_cannot_be_measured_is_refused(tmp_path, pairs, words):
         prepare_to_measure(read_configuration(path))
 
 
+def test_with_one_zero_for_all_fewer_lengths_are_enough(tmp_path):
+    path = written(tmp_path)
+    few = [pair for k, pair in enumerate(PAIRS) if k % 8 < 4]
+    write_pairs(tmp_path / "pairs.csv", few)
+    with pytest.raises(PlanError, match="0 stations with at least 5"):
+        prepare_to_measure(read_configuration(path))
+    shared = changed(read_configuration(path), ["solver.zero=per_segment"])
+    calibration = prepare_to_measure(shared)
+    result = calibration.solve(calibration.measured({}, seed=3).observations)
+    assert result.dof == len(few) - 3 * M - 1
+    write_pairs(tmp_path / "pairs.csv", few[:-1])
+    with pytest.raises(PlanError, match="has 3 lengths, at least 4"):
+        prepare_to_measure(changed(read_configuration(path), ["solver.zero=per_segment"]))
+
+
 @pytest.mark.parametrize(
     ("rows", "words"),
     [

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rotcal_ros.evaluation.combination import Measured, combine
+from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
@@ -58,7 +58,7 @@ def campaign(angles, scale, rng, zero=from_first, extra=0.0):
 def combined(*results, **options):
     names = [f"r{k}" for k in range(len(results))]
     return combine(
-        [Measured.of(name, r) for name, r in zip(names, results, strict=True)], **options
+        [CombinationInput.of(name, r) for name, r in zip(names, results, strict=True)], **options
     ).result
 
 

@@ -20,6 +20,8 @@ from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.methods.ball_plate import BallPlateProblem
 from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem
 from rotcal_ros.methods.tracer import TracerProblem
+from rotcal_ros.methods.tracer_six import SixProblem
+from rotcal_ros.planning.points import block
 from rotcal_ros.units import ARCSEC
 
 MOUNT: Final = np.array([0.065, 0.0, 0.12])
@@ -95,6 +97,39 @@ def by_tracer(
         table_angles=angles,
         variant="joint",
         error_motion_std=float(np.hypot(own.motion, MOUNT[2] * own.tilt)),
+    )
+
+
+def by_tracer_at_places(
+    deviations: Floats,
+    rng: np.random.Generator,
+    every: int = 1,
+    instruments: Instruments | None = None,
+) -> SixProblem:
+    """Measure with a laser tracer at three places of the table, at every ``every``-th angle."""
+    own = instruments or Instruments()
+    rows = np.arange(0, len(deviations), every)
+    angles = angles_of(len(deviations))[rows]
+    targets = np.array(block((0.0, 0.0, 0.62), (1.2, 1.0, 0.8), (3, 2, 2)))
+    seen = targets + rng.normal(0.0, own.target, targets.shape)
+    around = TURN / 3 * np.arange(3)
+    places = np.column_stack([0.15 * np.cos(around), 0.15 * np.sin(around), np.full(3, 0.12)])
+    fixed = places + rng.normal(0.0, 1e-3, places.shape)  # to a millimetre
+    stations = _carried(fixed, angles, deviations[rows])
+    length = np.linalg.norm(stations[:, :, None] - seen, axis=3) + rng.normal(0.0, 1e-4, (3, 1))
+    position, place, target = (axis.ravel() for axis in np.indices(length.shape))
+    return SixProblem(
+        position=position,
+        place=place,
+        target=target,
+        length=length.ravel() + rng.normal(0.0, own.length, length.size),
+        length_std=np.full(length.size, own.length),
+        targets=targets,
+        target_std=np.full(targets.shape, own.target),
+        table_angles=angles,
+        places=places,
+        scatter_translation_std=0.0,  # this table comes back to the same place
+        scatter_rotation_std=0.0,
     )
 
 

@@ -11,7 +11,7 @@ from scipy import stats
 from scipy.linalg import block_diag
 
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.evaluation.combination import Measured, combine
+from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.units import ARCSEC
 
@@ -129,7 +129,7 @@ def test_mandel_paule_makes_chi_square_equal_to_the_degrees_of_freedom():
 def test_the_order_of_the_inputs_does_not_matter():
     rng = np.random.default_rng(5)
     results = [c[2] for c in three(rng, extra=1.0 * ARCSEC)]
-    inputs = [Measured.of(f"r{k}", r) for k, r in enumerate(results)]
+    inputs = [CombinationInput.of(f"r{k}", r) for k, r in enumerate(results)]
     first, second = combine(inputs).result, combine(inputs[::-1]).result
     np.testing.assert_allclose(
         first.deviations["ECC"], second.deviations["ECC"], atol=1e-9 * ARCSEC

@@ -10,7 +10,7 @@ from scipy import stats
 from rotcal_ros.compensation.table import check_verdict, table_from_result
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.evaluation.combination import Measured, combine
+from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.protection import EFFECTS, Protection
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
@@ -78,7 +78,7 @@ def test_a_failed_input_is_refused_and_a_suspect_one_named():
     with pytest.raises(DataError, match="r1: ECC without uncertainty"):
         combined(good, MeasuredCurve(grid, truth(grid), np.zeros((12, 12)), TAU))
     with pytest.raises(DataError, match="each only once"):
-        combine([Measured.of("a", good), Measured.of("a", good)])
+        combine([CombinationInput.of("a", good), CombinationInput.of("a", good)])
     with pytest.raises(DataError, match="inputs none"):
         combine([])
     with pytest.raises(ConfigurationError, match="enlargement 'more'"):

@@ -1,4 +1,4 @@
-"""One simulated table by three methods and a reference: they agree as often as they should."""
+"""One simulated table by four methods and a reference: they agree as often as they should."""
 
 from dataclasses import replace
 
@@ -6,11 +6,12 @@ import numpy as np
 import one_table
 import pytest
 
+from rotcal_ros.components import COMPONENTS
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.evaluation.combination import Measured, combine
+from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import without_polygon
-from rotcal_ros.methods import ball_plate, plane_mirror, tracer
+from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six
 from rotcal_ros.units import ARCSEC
 
 BALLS = (0, 3, 4, 9, 14, 20)
@@ -20,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def tables():
-    """Many tables with their results of three methods; everything is drawn anew in each."""
+    """Many tables with their results of four methods; everything is drawn anew in each."""
     found = []
     for seed in range(RUNS):
         rng = np.random.default_rng(seed)
@@ -29,6 +30,9 @@ def tables():
             "tracer": tracer.solve(one_table.by_tracer(table, rng, every=2)),
             "plate": ball_plate.solve(one_table.by_ball_plate(table, rng, BALLS)),
             "mirror": plane_mirror.solve(one_table.by_mirror(table, rng)),
+            "six": tracer_six.solve(
+                one_table.by_tracer_at_places(table, np.random.default_rng([seed, 1]), every=2)
+            ),
         }
         assert [r.verdict for r in results.values()].count("failed") == 0
         found.append((table, results))
@@ -37,13 +41,16 @@ def tables():
 
 @pytest.fixture(scope="module")
 def comparisons(tables):
-    """All pairs of the three methods."""
+    """All pairs of the methods."""
     return [
         compare_all({n: measured_curve(r) for n, r in results.items()}) for _, results in tables
     ]
 
 
-PAIRS = [("tracer", "plate"), ("tracer", "mirror"), ("plate", "mirror")]
+PAIRS = [
+    ("tracer", "plate"), ("tracer", "mirror"), ("plate", "mirror"),
+    ("tracer", "six"), ("plate", "six"), ("mirror", "six"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids="-".join)
@@ -56,7 +63,7 @@ def test_normalised_errors_are_within_one_at_the_expected_rate(comparisons, pair
 
 
 def test_all_angles_were_measured_by_both(comparisons):
-    for pair, angles in zip(PAIRS, (12, 12, 24), strict=True):
+    for pair, angles in zip(PAIRS, (12, 12, 24, 12, 12, 12), strict=True):
         comparison = comparisons[0][pair]
         assert len(comparison.angles) == angles
         assert not comparison.interpolated.any()
@@ -64,12 +71,15 @@ def test_all_angles_were_measured_by_both(comparisons):
 
 def test_the_combination_of_all_three_is_as_good_as_it_says(tables):
     inside, single, consistent = [], [], 0
-    for table, results in tables:
-        found = combine([Measured.of(name, result) for name, result in results.items()])
+    for table, every in tables:
+        results = {name: every[name] for name in ("tracer", "plate", "mirror")}
+        found = combine([CombinationInput.of(name, result) for name, result in results.items()])
         best = found.result
         error = best.deviations["ECC"] - (table[:, 5] - table[:, 5].mean())
         inside.append(np.abs(error) <= 1.96 * best.std["ECC"])
-        alone = [combine([Measured.of(n, r)]).result.std["ECC"] for n, r in results.items()]
+        alone = [
+            combine([CombinationInput.of(n, r)]).result.std["ECC"] for n, r in results.items()
+        ]
         single.append(min(np.mean(std) for std in alone) / np.mean(best.std["ECC"]))
         consistent += all(group.consistent for group in found.groups)
         plate = results["plate"]
@@ -78,6 +88,19 @@ def test_the_combination_of_all_three_is_as_good_as_it_says(tables):
     assert 0.93 < np.mean(inside) < 0.97
     assert min(single) > 1.0
     assert consistent >= 0.95 * RUNS
+
+
+def test_all_six_by_plate_and_by_lengths_combine(tables):
+    """Each has a gauge of its own; chi-squared of every group of components fits."""
+    consistent = []
+    for _, results in tables[:10]:
+        found = combine([CombinationInput.of(name, results[name]) for name in ("plate", "six")])
+        assert found.result.components == COMPONENTS
+        consistent += [group.consistent for group in found.groups]
+        for name in COMPONENTS:
+            alone = min(results[one].std[name].mean() for one in ("plate", "six"))
+            assert found.result.std[name].mean() < 1.05 * alone
+    assert np.mean(consistent) > 0.85
 
 
 def paper_check(seed):

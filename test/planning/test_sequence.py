@@ -19,6 +19,7 @@ from rotcal_ros.planning.sequence_time import PAPER, Drive, TimeModel, duration
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
 M, N = 11, 24
+ANGLES = np.radians(-145.0 + 30.0 * np.arange(M))
 MODEL = TimeModel(
     table=Drive(np.radians(20.0), np.radians(40.0), settle=0.5),
     machine=Drive(0.1, 0.5, settle=0.2),
@@ -64,9 +65,6 @@ def paper_plan(per_position, seed=2):
     return np.repeat(np.arange(M), per_position), target, targets
 
 
-ANGLES = np.radians(-145.0 + 30.0 * np.arange(M))
-
-
 def test_the_papers_times_are_those_of_its_order():
     """704 lengths of 5 s; all targets of a station first: ten turns of 10 s in between."""
     position, target = np.divmod(np.arange(704), 64)
@@ -78,9 +76,11 @@ def test_the_papers_times_are_those_of_its_order():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_it_finds_the_shortest_of_all_permutations(seed):
-    costs = np.random.default_rng(seed).uniform(1.0, 10.0, (8, 8))
+    rng = np.random.default_rng(seed)
+    position, target, targets = rng.integers(0, M, 8), np.arange(8), rng.uniform(0.0, 1.0, (8, 3))
+    costs = MODEL.costs(ANGLES, targets, position, target)
     shortest = min(duration(costs, np.array(way)) for way in permutations(range(8)))
-    found = improved(costs, nearest_next(costs), kicks=150, seed=seed)
+    found = improved(costs, nearest_next(costs), kicks=30, seed=seed)
     assert sorted(found) == list(range(8))
     assert duration(costs, found) == pytest.approx(shortest, rel=1e-12)
 
@@ -108,9 +108,10 @@ def competing():
         [f"plan.targets_m={targets.ravel().tolist()}", f"plan.pairs={pairs}"],
     )
     calibration = prepare(configuration)
-    exact = problem(configuration, calibration.plan, calibration.nominal_observations())
+    noisy = calibration.measured({}, seed=1).observations
+    posed = problem(configuration, calibration.plan, noisy)
     costs = PAPER.costs(ANGLES, targets, position, target)
-    ways = measuring_orders(position, target, costs, OrderForecast(exact))
+    ways = measuring_orders(position, target, costs, OrderForecast(posed))
     return calibration, position, costs, ways
 
 
@@ -139,10 +140,10 @@ def test_a_closed_order_ends_where_it_began(competing):
 
 def test_the_quickest_protected_order_is_taken(competing):
     ways = competing[-1]
-    assert not ways[0].forecast.protected
-    assert ways[1].forecast.protected
-    assert best_order(ways) is ways[1]
-    assert best_order(ways, limit=1e9) is ways[0]
+    protected = [way for way in ways if way.forecast.protected]
+    assert ways[0] not in protected
+    assert best_order(ways) is protected[0]
+    assert best_order(ways, limit=np.inf) is ways[0]
     with pytest.raises(PlanError, match=r"no order of these lengths .* 1e-09 standard"):
         best_order(ways, limit=1e-9)
 
@@ -150,13 +151,16 @@ def test_the_quickest_protected_order_is_taken(competing):
 def test_the_forecast_is_what_the_result_states(competing):
     """Measured in that order, the solver says the same of drift and knock."""
     calibration, _, _, ways = competing
-    observations = calibration.nominal_observations()
+    observations = calibration.measured({}, seed=1).observations
     for way in ways[:3]:
         rank = np.argsort(way.order)
         posed = problem(calibration.configuration, calibration.plan, observations)
         stated = {p.effect: p for p in tracer.solve(replace(posed, order=rank)).protections}
-        assert stated["drift"].error == pytest.approx(way.forecast.drift, rel=1e-9)
-        assert stated["knock"].error == pytest.approx(way.forecast.knock, rel=1e-9)
+        for effect in ("drift", "knock"):
+            error = stated[effect].error
+            forecast = way.forecast.to_dict()[effect]
+            assert (error is None) == (forecast is None)
+            assert error is None or error == pytest.approx(forecast, rel=1e-9)
 
 
 def test_the_same_seed_gives_the_same_orders(competing):

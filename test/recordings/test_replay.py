@@ -15,7 +15,8 @@ from bag_samples import CONFIGURATION, START_NS, Run, encode, open_writer, seria
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.verdict import losses_in_words, session_losses
-from rotcal_ros.bags.writer import BagWriter, WriterSettings
+from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import LengthStatus, Observation, TracerSample

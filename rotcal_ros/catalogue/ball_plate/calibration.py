@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -110,18 +110,3 @@ def _std(settings: BallPlateSolverSettings, observations: Sequence[Observation])
             f"its standard deviations are {o.std} m, solver.own_std needs three positive lengths"
         )
     return std
-
-
-def gauge(angles: Floats, deviations: Mapping[str, Floats]) -> dict[str, Floats]:
-    """Return what the method can see of six deviations at equidistant ``angles`` (n,).
-
-    Eq. 16 to 18: no mean in any component, and nothing in the pairs EXC, EYC and EAC, EBC that
-    turns with the table, as a shifted or tilted plate would.
-    """
-    seen = {name: values - values.mean() for name, values in deviations.items()}
-    turn = np.exp(1j * (angles - angles[0]))
-    for x, y in (("EXC", "EYC"), ("EAC", "EBC")):
-        plane = seen[x] + 1j * seen[y]
-        plane = plane - np.mean(plane * turn.conj()) * turn
-        seen[x], seen[y] = plane.real.copy(), plane.imag.copy()
-    return seen

@@ -13,10 +13,13 @@ from rotcal_ros.catalogue.disturbance import (
     PPM,
     Disturbance,
     Disturbances,
-    Measured,
+    DisturbedMeasurement,
     Sizes,
-    arrivals,
+    arrival_errors,
+    error_motion,
+    repeatability,
     streams,
+    tilt,
     times,
 )
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
@@ -48,27 +51,15 @@ LISTED: Final = (
         "the centres scatter along z so many times as much as along x and y",
         "times", 1.0, 1.5, 100.0, scatters=True,
     ),
-    Disturbance(
-        "error motion",
-        "EXC and EYC scatter from position to position by so much (k = 1)",
-        "um", MICROMETRE, 0.1, 10.0, scatters=True,
-    ),
-    Disturbance(
-        "repeatability",
-        "every arrival of the table is off by itself (k = 1)",
-        "arcsec", ARCSEC, 0.02, 10.0, scatters=True,
-    ),
+    error_motion(0.1, 10.0),
+    repeatability(0.02, 10.0),
     Disturbance(
         "refraction", "there is no beam: nothing happens", "ppm/m", PPM, 1000.0, 1000.0
     ),
     Disturbance(
         "scale", "the machine's x scale is too long by so much", "ppm", PPM, 1.0, 100.0
     ),
-    Disturbance(
-        "tilt",
-        "EAC and EBC scatter from position to position by so much (k = 1)",
-        "arcsec", ARCSEC, 0.1, 10.0, scatters=True,
-    ),
+    tilt(0.1, 10.0),
     Disturbance(
         "gauge",
         "the axis leans by so much against the machine's z axis, and the plate is off centre by "
@@ -78,7 +69,9 @@ LISTED: Final = (
 )  # fmt: skip
 
 
-def measure(configuration: Configuration, plan: Plan, sizes: Sizes, seed: int) -> Measured:
+def measure(
+    configuration: Configuration, plan: Plan, sizes: Sizes, seed: int
+) -> DisturbedMeasurement:
     """Return the ball centres that a machine finds, with noise and the effects of ``sizes``.
 
     The table has no deviations but those that ``sizes`` give it, which are true ones.
@@ -98,17 +91,17 @@ def measure(configuration: Configuration, plan: Plan, sizes: Sizes, seed: int) -
         step.observed((x, y, z))
         for step, (x, y, z) in zip(plan.steps, centres.tolist(), strict=True)
     )
-    return Measured(observations, true)
+    return DisturbedMeasurement(observations, true)
 
 
 def _deviations(count: int, sizes: Sizes, other: np.random.Generator) -> dict[str, Floats]:
     """Return the true deviations (count,) of the table, m and rad."""
     motion = sizes.get("error motion", 0.0) * other.standard_normal((2, count))
-    tilt = sizes.get("tilt", 0.0) * other.standard_normal((2, count))
+    tilts = sizes.get("tilt", 0.0) * other.standard_normal((2, count))
     zero = np.zeros(count)
     return {
         "EXC": motion[0], "EYC": motion[1], "EZC": zero,
-        "EAC": tilt[0], "EBC": tilt[1], "ECC": zero,
+        "EAC": tilts[0], "EBC": tilts[1], "ECC": zero,
     }  # fmt: skip
 
 
@@ -122,7 +115,7 @@ def _true_centres(
 ) -> Floats:
     """Return where the balls are at every step (n, 3), m, from the axis."""
     noise, other = streams
-    settings, n = configuration.plan, len(plan.steps)
+    settings = configuration.plan
     off = sizes.get("gauge", 0.0)
     plate = settings.plate.places + PLATE_STD * noise.standard_normal((settings.plate.grid, 3))
     plate = plate + OFF_CENTRE * off * np.array([1.0, 0.0, 0.0])
@@ -132,7 +125,7 @@ def _true_centres(
     turned = balls @ rotation_from_vector(knock / settings.plate.circle_radius_m).T + knock
     balls = np.where(after[:, None], turned, balls)
     angle = np.array([step.table_angle for step in plan.steps]) - settings.table_start_deg * DEGREE
-    angle = angle + sizes.get("repeatability", 0.0) * other.standard_normal(n)[arrivals(plan)]
+    angle = angle + arrival_errors(plan, sizes, other)
     balls = np.einsum("nij,nj->ni", rotation_about_z(angle), balls)
     lean = np.column_stack([true["EAC"], true["EBC"], true["ECC"]])[position]
     balls = np.einsum("nij,nj->ni", rotation_from_vector(lean), balls)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.methods.ball_plate.plate import grid_setting, points_setting
 from rotcal_ros.settings import group, setting
-from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.simulation.temperature import SimulatedTemperature
+
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import Instrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 TOUCH_PROBE: Final = "touch_probe"
 

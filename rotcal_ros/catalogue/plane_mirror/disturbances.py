@@ -13,10 +13,14 @@ from rotcal_ros.catalogue.disturbance import (
     PPM,
     Disturbance,
     Disturbances,
-    Measured,
+    DisturbedMeasurement,
     Sizes,
-    arrivals,
+    arrival_errors,
+    error_motion,
+    repeatability,
+    scatter_in_plane,
     streams,
+    tilt,
     times,
 )
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import TrackerStation
@@ -29,7 +33,7 @@ from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.plane_mirror.problem import noise_of
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.units import ARCSEC, MICROMETRE
+from rotcal_ros.units import ARCSEC
 
 
 def _tilt(configuration: Configuration) -> float:
@@ -52,16 +56,8 @@ LISTED: Final = (
         "the tracker's errors across the beam are so many times the stated ones",
         "times", 1.0, 1.2, 100.0, scatters=True,
     ),
-    Disturbance(
-        "error motion",
-        "EXC and EYC scatter from position to position by so much (k = 1)",
-        "um", MICROMETRE, 1.0, 100.0, scatters=True,
-    ),
-    Disturbance(
-        "repeatability",
-        "every arrival of the table is off by itself (k = 1)",
-        "arcsec", ARCSEC, 0.3, 100.0, scatters=True,
-    ),
+    error_motion(1.0, 100.0),
+    repeatability(0.3, 100.0),
     Disturbance(
         "refraction",
         "the index of the air changes sideways through the room by so much per metre",
@@ -70,11 +66,7 @@ LISTED: Final = (
     Disturbance(
         "scale", "the tracker's distances are too long by so much", "ppm", PPM, 1.0, 1000.0
     ),
-    Disturbance(
-        "tilt",
-        "EAC and EBC scatter from position to position by so much more (k = 1) than is stated",
-        "arcsec", ARCSEC, 0.1, 100.0, scatters=True, stated=_tilt,
-    ),
+    tilt(0.1, 100.0, _tilt),
     Disturbance(
         "gauge",
         "the table's axis leans by so much against the vertical",
@@ -83,7 +75,9 @@ LISTED: Final = (
 )  # fmt: skip
 
 
-def measure(configuration: Configuration, plan: Plan, sizes: Sizes, seed: int) -> Measured:
+def measure(
+    configuration: Configuration, plan: Plan, sizes: Sizes, seed: int
+) -> DisturbedMeasurement:
     """Return what the tracker sees with the stated noise and the effects of ``sizes``.
 
     The table has no ECC; the true ECC are zero.
@@ -103,7 +97,7 @@ def measure(configuration: Configuration, plan: Plan, sizes: Sizes, seed: int) -
     observations = tuple(
         step.observed((x, y, z)) for step, (x, y, z) in zip(plan.steps, seen.tolist(), strict=True)
     )
-    return Measured(observations, {"ECC": np.zeros(len(plan.table_angles))})
+    return DisturbedMeasurement(observations, {"ECC": np.zeros(len(plan.table_angles))})
 
 
 def _places(
@@ -142,14 +136,13 @@ def _table(
 ) -> tuple[Floats, Floats]:
     """Return rotation (n, 3, 3) and shift (n, 3) of the table at every step."""
     noise, other = streams
-    n, m = len(plan.steps), len(plan.table_angles)
+    m = len(plan.table_angles)
     position = np.array([step.table_position for step in plan.steps])
-    arrived = sizes.get("repeatability", 0.0) * other.standard_normal(n)[arrivals(plan)]
+    arrived = arrival_errors(plan, sizes, other)
     angle = np.array([step.table_angle for step in plan.steps]) + arrived
-    lean, shift = np.zeros((m, 3)), np.zeros((m, 3))
-    lean[:, :2] = _tilt(configuration) * noise.standard_normal((m, 2))
-    lean[:, :2] += sizes.get("tilt", 0.0) * other.standard_normal((m, 2))
-    shift[:, :2] = sizes.get("error motion", 0.0) * other.standard_normal((m, 2))
+    lean = scatter_in_plane(m, _tilt(configuration), noise)
+    lean += scatter_in_plane(m, sizes.get("tilt", 0.0), other)
+    shift = scatter_in_plane(m, sizes.get("error motion", 0.0), other)
     axis = rotation_from_vector(np.array([sizes.get("gauge", 0.0), 0.0, 0.0]))
     turned = axis @ rotation_from_vector(lean)[position] @ rotation_about_z(angle)
     return np.asarray(turned, dtype=np.float64), shift[position]

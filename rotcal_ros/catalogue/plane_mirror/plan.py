@@ -22,6 +22,7 @@ from rotcal_ros.methods.plane_mirror.settings import DIRECT, INCIDENCE_LIMIT_DEG
 from rotcal_ros.methods.plane_mirror.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Pause, Plan, Point, Step
+from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
@@ -220,14 +221,6 @@ def tracker_stands(settings: MirrorPlanSettings, angles: tuple[float, ...]) -> t
         for stand in stands:
             _check_incidence(settings, angles, stand)
     return stands
-
-
-def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
-    """Return a flat list of coordinates as points; PlanError when it is not made of triples."""
-    if len(values) % 3:
-        raise PlanError(f"plan: {name} has {len(values)} values, expected x y z of each point")
-    rows = np.reshape(values, (-1, 3)).tolist()
-    return tuple((x, y, z) for x, y, z in rows)
 
 
 def nominal_mirror(settings: MirrorPlanSettings) -> FlatMirror:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.settings import group, setting
-from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.simulation.temperature import SimulatedTemperature
+
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import Instrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 TRACKER: Final = "tracker"
 

@@ -10,6 +10,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
+from rotcal_ros.catalogue.tracer.lengths import mean_targets, reported_positions, time_order
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
@@ -42,7 +43,7 @@ def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
-    if _interrupted(observations):
+    if _interrupted(observations) and not _in_segments(configuration):
         prepared = adjust_joined(_runs(configuration, plan, observations)).trials
     else:
         prepared = tracer.tracer_trials(_equal_places(configuration, plan, observations))
@@ -64,7 +65,7 @@ def _solved(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> tuple[Result, Ints]:
     """Return the deviations at every arrival that was solved, and the positions (m,) of these."""
-    if _interrupted(observations):
+    if _interrupted(observations) and not _in_segments(configuration):
         joined = adjust_joined(_runs(configuration, plan, observations))
         return joined.result(), joined.solution.positions
     solution = adjust(_equal_places(configuration, plan, observations))
@@ -76,7 +77,22 @@ def _equal_places(
 ) -> TracerProblem:
     """Return the problem of one run, its lengths reduced to the mean place of their target."""
     posed = problem(configuration, plan, observations)
-    return at_equal_places(posed, _positions(observations) - posed.targets[posed.target])
+    return at_equal_places(posed, reported_positions(observations) - posed.targets[posed.target])
+
+
+def _in_segments(configuration: Configuration) -> bool:
+    return bool(configuration.solver.zero == "per_segment")
+
+
+def _segments(observations: Sequence[Observation]) -> Ints:
+    """Return the segment (k,) of each observation; another run is another segment."""
+    if any(o.segment < 0 for o in observations):
+        raise DataError(
+            "these observations were recorded before they told the segment of the beam: solve "
+            "from the streams, or set solver.zero to per_station"
+        )
+    both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
+    return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +150,10 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
                 row=row,
                 length=twin.length[: len(again)],
                 length_std=twin.length_std[: len(again)],
-                shift=_positions(again) - place[row],
+                shift=reported_positions(again) - place[row],
             )
         )
-    return Runs(posed, run, _positions(kept) - place, pairs)
+    return Runs(posed, run, reported_positions(kept) - place, pairs)
 
 
 def problem(
@@ -160,8 +176,8 @@ def problem(
                 f"plan of {len(plan.table_angles)} angles and {len(plan.targets)} targets"
             )
     target = np.array([o.target for o in observations], dtype=np.int64)
-    reported = _positions(observations)
-    targets = _reported_targets(np.array(plan.targets), target, reported)
+    reported = reported_positions(observations)
+    targets = mean_targets(np.array(plan.targets), target, reported)
     distance = np.linalg.norm(targets, axis=1)[target]
     window_std = np.array([o.std[0] for o in observations])
     relative_std = settings.length_std_relative * distance
@@ -171,7 +187,9 @@ def problem(
         length=np.array([o.mean[0] for o in observations]),
         length_std=np.sqrt(settings.length_std_m**2 + relative_std**2 + window_std**2),
         distance_std=relative_std,
-        order=_order(observations),
+        order=time_order(observations),
+        segment=_segments(observations) if _in_segments(configuration) else None,
+        zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),
@@ -181,27 +199,3 @@ def problem(
         settings=settings,
         repeated_runs=configuration.plan.repeated,
     )
-
-
-def _order(observations: Sequence[Observation]) -> Ints:
-    """Return the rank (k,) in time of each observation: by run, then by step of the plan."""
-    keys = ([o.step for o in observations], [o.run for o in observations])
-    rank = np.empty(len(observations), dtype=np.int64)
-    rank[np.lexsort(keys)] = np.arange(len(observations))
-    return rank
-
-
-def _positions(observations: Sequence[Observation]) -> Floats:
-    """Return where the machine says the probe was, shape (k, 3)."""
-    return np.array([o.probe_position for o in observations]).reshape(-1, 3)
-
-
-def _reported_targets(nominal: Floats, target: Ints, reported: Floats) -> Floats:
-    """Return the mean reported position of each target, shape (n, 3)."""
-    count = np.bincount(target, minlength=len(nominal))
-    total = np.zeros_like(nominal)
-    np.add.at(total, target, reported)
-    seen = count > 0
-    total[seen] /= count[seen, None]
-    total[~seen] = nominal[~seen]
-    return total

@@ -14,10 +14,14 @@ from rotcal_ros.catalogue.disturbance import (
     PPM,
     Disturbance,
     Disturbances,
-    Measured,
+    DisturbedMeasurement,
     Sizes,
-    arrivals,
+    arrival_errors,
+    error_motion,
+    repeatability,
+    scatter_in_plane,
     streams,
+    tilt,
     times,
 )
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
@@ -47,16 +51,8 @@ LISTED: Final = (
         "the machine's errors along z are so many times the stated ones",
         "times", 1.0, 1.5, 100.0, scatters=True,
     ),
-    Disturbance(
-        "error motion",
-        "EXC and EYC scatter from position to position by so much more (k = 1) than is stated",
-        "um", MICROMETRE, 0.1, 100.0, scatters=True, stated=_error_motion,
-    ),
-    Disturbance(
-        "repeatability",
-        "every arrival of the table is off by itself (k = 1)",
-        "arcsec", ARCSEC, 0.3, 100.0, scatters=True,
-    ),
+    error_motion(0.1, 100.0, _error_motion),
+    repeatability(0.3, 100.0),
     Disturbance(
         "refraction",
         "the index of the air changes with the height by so much per metre",
@@ -65,11 +61,7 @@ LISTED: Final = (
     Disturbance(
         "scale", "the tracer's lengths are too long by so much", "ppm", PPM, 1.0, 1000.0
     ),
-    Disturbance(
-        "tilt",
-        "EAC and EBC scatter from position to position by so much (k = 1)",
-        "arcsec", ARCSEC, 0.3, 100.0, scatters=True,
-    ),
+    tilt(0.3, 100.0),
     Disturbance(
         "gauge",
         "the table's axis leans by so much against the machine's z axis",
@@ -79,42 +71,55 @@ LISTED: Final = (
 
 
 @dataclass(frozen=True, eq=False)
-class _Steps:
-    """The steps of a plan as arrays (n,): position, target, number of the arrival, time."""
+class Steps:
+    """The steps of a plan as arrays (n,): position, target, time."""
 
     position: Ints
     target: Ints
-    arrival: Ints
     time: Floats
 
 
-def measure(configuration: Configuration, plan: Plan, sizes: Sizes, seed: int) -> Measured:
+def measure(
+    configuration: Configuration, plan: Plan, sizes: Sizes, seed: int
+) -> DisturbedMeasurement:
     """Return what a perfect table's tracer reads, with the stated noise and effects of ``sizes``.
 
     The tracer stands where the simulation mounts it. True deviations are zero.
     """
     noise, other = streams(seed)
-    steps, solver = _steps(plan), configuration.solver
+    steps = steps_of(plan)
     stations = _stations(configuration, plan, steps, sizes, (noise, other))
-    places = _places(configuration, plan, steps, sizes, noise)
+    places = reflector_places(configuration, plan, steps, sizes, noise)
+    read = readings(configuration, stations, places, sizes, noise)
+    observations = tuple(
+        step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
+    )
+    return DisturbedMeasurement(observations, {"ECC": np.zeros(len(plan.table_angles))})
+
+
+def readings(
+    configuration: Configuration,
+    stations: Floats,
+    places: Floats,
+    sizes: Sizes,
+    noise: np.random.Generator,
+) -> Floats:
+    """Return the lengths (n,) read from ``stations`` (n, 3) to reflectors at ``places`` (n, 3)."""
+    solver = configuration.solver
     distance = np.linalg.norm(places - stations, axis=1)
     height = 0.5 * (places[:, 2] + stations[:, 2])
     optical = distance * (1.0 + sizes.get("scale", 0.0))
     optical = optical * (1.0 + sizes.get("refraction", 0.0) * (height - height.mean()))
     std = np.hypot(solver.length_std_m, solver.length_std_relative * distance)
     read = optical + std * noise.standard_normal(len(distance))
-    read = read - configuration.simulation.tracer.dead_distance_m
-    observations = tuple(
-        step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
-    )
-    return Measured(observations, {"ECC": np.zeros(len(plan.table_angles))})
+    return np.asarray(read - configuration.simulation.tracer.dead_distance_m)
 
 
-def _steps(plan: Plan) -> _Steps:
-    return _Steps(
+def steps_of(plan: Plan) -> Steps:
+    """Return the steps of a plan as arrays."""
+    return Steps(
         position=np.array([step.table_position for step in plan.steps], dtype=np.int64),
         target=np.array([step.target for step in plan.steps], dtype=np.int64),
-        arrival=arrivals(plan),
         time=times(plan),
     )
 
@@ -122,19 +127,17 @@ def _steps(plan: Plan) -> _Steps:
 def _stations(
     configuration: Configuration,
     plan: Plan,
-    steps: _Steps,
+    steps: Steps,
     sizes: Sizes,
     streams: tuple[np.random.Generator, np.random.Generator],
 ) -> Floats:
     """Return where the tracer is at every step (n, 3), m."""
     noise, other = streams
-    m, n = len(plan.table_angles), len(steps.position)
-    arrived = sizes.get("repeatability", 0.0) * other.standard_normal(n)[steps.arrival]
-    lean = np.zeros((m, 3))
-    lean[:, :2] = sizes.get("tilt", 0.0) * other.standard_normal((m, 2))
-    shift = np.zeros((m, 3))
-    shift[:, :2] = _error_motion(configuration) * noise.standard_normal((m, 2))
-    shift[:, :2] += sizes.get("error motion", 0.0) * other.standard_normal((m, 2))
+    m = len(plan.table_angles)
+    arrived = arrival_errors(plan, sizes, other)
+    lean = scatter_in_plane(m, sizes.get("tilt", 0.0), other)
+    shift = scatter_in_plane(m, _error_motion(configuration), noise)
+    shift += scatter_in_plane(m, sizes.get("error motion", 0.0), other)
     knock = sizes.get("knock", 0.0) * np.outer(steps.time >= 0.5, ALL_AXES)
     mount = np.array(configuration.simulation.tracer.mount_m) + knock
     turn = rotation_about_z(np.array(plan.table_angles)[steps.position] + arrived)
@@ -144,10 +147,10 @@ def _stations(
     return np.asarray(leant + shift[at], dtype=np.float64)
 
 
-def _places(
+def reflector_places(
     configuration: Configuration,
     plan: Plan,
-    steps: _Steps,
+    steps: Steps,
     sizes: Sizes,
     noise: np.random.Generator,
 ) -> Floats:

@@ -17,6 +17,7 @@ from rotcal_ros.catalogue.tracer.figures import figures
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, check_plan, tracer_plan
 from rotcal_ros.catalogue.tracer.plan_tables import PLAN_FILES
 from rotcal_ros.catalogue.tracer.plausibility import LengthCheck
+from rotcal_ros.catalogue.tracer.policy import until_goal
 from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
@@ -46,6 +47,7 @@ METHOD: Final = Method(
     simulation_settings=TracerSimulationSettings,
     plan=lambda configuration: tracer_plan(configuration.plan),
     check_plan=lambda configuration, plan: check_plan(configuration.solver, plan),
+    adaptive=until_goal,
     plan_files=PLAN_FILES,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=calibration.solve,

@@ -15,12 +15,13 @@ from itertools import product
 import numpy as np
 
 from rotcal_ros.errors import ConfigurationError, PlanError
-from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
+from rotcal_ros.methods.tracer.grid import SHARED_MINIMUM, STATION_MINIMUM
 from rotcal_ros.methods.tracer.observability import what_is_missing
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.points import block
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.visits import visits
 from rotcal_ros.settings import setting
@@ -78,6 +79,12 @@ class TracerPlanSettings(TableAngleSettings):
         "step,table_position,target; read into pairs",
     )
 
+    tracer_m: tuple[float, ...] = setting(
+        (),
+        doc="m, where the tracer stands on the table at angle 0, to a few centimetres: x, y, z; "
+        "for the policy until_goal; absent: that of the simulation",
+    )
+
     def __post_init__(self) -> None:
         """Refuse lists that are incomplete, and files whose content is not here."""
         for name, length, what in (
@@ -107,18 +114,20 @@ def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
         np.array([getattr(step, name) for step in planned.steps])
         for name in ("table_position", "target")
     )
+    shared = solver.zero == "per_segment"
+    least = SHARED_MINIMUM if shared else STATION_MINIMUM
     lengths = np.bincount(at, minlength=len(planned.table_angles))
-    poor = np.flatnonzero(lengths < STATION_MINIMUM)
-    enough = lengths[at] >= STATION_MINIMUM
+    poor = np.flatnonzero(lengths < least)
+    enough = lengths[at] >= least
     n = len(planned.targets)
     free = solver.variant == "joint" and solver.datum == "free"
     missing = what_is_missing(
-        int((lengths >= STATION_MINIMUM).sum()), len(set(of[enough])), int(enough.sum()), free
+        int((lengths >= least).sum()), len(set(of[enough])), int(enough.sum()), free and not shared
     )
     if len(poor) and not missing:
         missing = (
-            f"table position {poor[0]} has {lengths[poor[0]]} lengths, at least "
-            f"{STATION_MINIMUM} are needed at each"
+            f"table position {poor[0]} has {lengths[poor[0]]} lengths, at least {least} are "
+            "needed at each"
         )
     if (places := len(set(planned.targets))) < n:
         missing = (
@@ -222,21 +231,4 @@ def targets_of(settings: TracerPlanSettings) -> tuple[Point, ...]:
 
 def block_of_targets(settings: TracerPlanSettings) -> tuple[Point, ...]:
     """Return the targets (m), layer by layer in a serpentine: neighbours are close together."""
-    axes = [
-        np.linspace(c - s / 2, c + s / 2, n) if n > 1 else np.array([c])
-        for c, s, n in zip(
-            settings.box_centre_m, settings.box_size_m, settings.box_points, strict=True
-        )
-    ]
-    x_axis, y_axis, z_axis = axes
-    rows = [(y, z) for k, z in enumerate(z_axis) for y in y_axis[:: _zigzag(k)]]
-    return tuple(
-        (float(x), float(y), float(z))
-        for k, (y, z) in enumerate(rows)
-        for x in x_axis[:: _zigzag(k)]
-    )
-
-
-def _zigzag(row: int) -> int:
-    """Return the direction of travel (1 or -1) of a row of a serpentine."""
-    return -1 if row % 2 else 1
+    return block(settings.box_centre_m, settings.box_size_m, settings.box_points)

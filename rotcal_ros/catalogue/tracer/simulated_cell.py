@@ -8,7 +8,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats, Stamps
 from rotcal_ros.catalogue.tracer.simulated_tracer import SimulatedTracer
-from rotcal_ros.catalogue.tracer.simulation_settings import TracerSimulationSettings
+from rotcal_ros.catalogue.tracer.simulation_settings import LengthsSimulationSettings
 from rotcal_ros.observations import Command, PointKind, ProbeSample, TracerSample
 from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.motion import Limits, Motion
@@ -30,7 +30,8 @@ class TracerAndReflector(Instrument):
 
     def __init__(
         self,
-        settings: TracerSimulationSettings,
+        settings: LengthsSimulationSettings,
+        mount_m: tuple[float, float, float],
         table: Table,
         temperature: SimulatedTemperature,
         start_ns: int,
@@ -38,7 +39,8 @@ class TracerAndReflector(Instrument):
         super().__init__(start_ns)
         tracer, probe, seed = settings.tracer, settings.probe, settings.seed
         self._table, self._temperature = table, temperature
-        self._mount = np.array(tracer.mount_m)
+        self._mount = np.array(mount_m)
+        self._zero_m = 0.0
         self._tracer = SimulatedTracer(tracer, settings.faults, seed, start_ns)
         self._ticks = Ticks(start_ns, tracer.rate_hz)
         self.settings = probe
@@ -107,7 +109,7 @@ class TracerAndReflector(Instrument):
         if not len(stamps):
             return ()
         distances = self.distances(stamps)
-        drifts = self._temperature.length_change(stamps, distances)
+        drifts = self._temperature.length_change(stamps, distances) + self._zero_m
         angles_deg = self._table.angles(stamps) / DEGREE
         broken = self._tracer.blocked(angles_deg, self.target)
         return self._tracer.readings(first, stamps, distances, drifts, broken.astype(float))

@@ -1,4 +1,7 @@
-"""The simulated laser tracer: noise, spikes, drop-outs and a beam that is blocked at times."""
+"""The simulated laser tracer: noise, spikes, drop-outs and a beam that is blocked at times.
+
+The zero changes whenever the beam was broken, and by a fringe when the counter slips.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,24 @@ from math import nan
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Stamps
-from rotcal_ros.catalogue.tracer.simulation_settings import FaultSettings, SimulatedTracerSettings
+from rotcal_ros.catalogue.tracer.simulation_settings import (
+    FaultSettings,
+    SimulatedReadingsSettings,
+)
 from rotcal_ros.observations import LengthStatus, TracerSample
 from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.units import MICROMETRE
 
 
 class SimulatedTracer:
-    """Turns true distances into readings; reading k depends on k, never on earlier calls."""
+    """Turns true distances into readings; they are asked for in their order.
+
+    Reading k depends on k, and its zero on how often the beam was broken before.
+    """
 
     def __init__(
         self,
-        settings: SimulatedTracerSettings,
+        settings: SimulatedReadingsSettings,
         faults: FaultSettings,
         seed: int,
         start_ns: int = 0,
@@ -31,6 +40,10 @@ class SimulatedTracer:
         self._spike_sign = IndexedNoise(seed, Source.SPIKE_SIGN)
         self._dropout = IndexedNoise(seed, Source.DROPOUT)
         self._non_finite = IndexedNoise(seed, Source.NON_FINITE)
+        self._break = IndexedNoise(seed, Source.BREAK)
+        self._break_shift = IndexedNoise(seed, Source.BREAK_SHIFT)
+        self._slip = IndexedNoise(seed, Source.SLIP)
+        self._breaks, self._slips, self._dark = 0, 0, False
 
     def blocked(self, table_angles_deg: Floats, target: int) -> Bools:
         """Return whether the beam to ``target`` is blocked at the table angles (n,)."""
@@ -50,9 +63,13 @@ class SimulatedTracer:
         ``distances`` (m), ``drifts`` (m, to be added) and ``broken`` (0 or 1) have shape (n,).
         """
         count, faults = len(stamps), self._faults
+        if faults.break_probability > 0:
+            hit = self._break.uniform(first, count) < faults.break_probability
+            broken = np.maximum(broken, hit)
         std = (self.settings.noise_um + self.settings.noise_um_per_m * distances) * MICROMETRE
         length = distances - self._dead_distance_m + drifts
         length += std * self._noise.normal(first, count)
+        length += self._zero_changes(first, broken > 0)
         if faults.spike_probability > 0:
             hit = self._spike.uniform(first, count) < faults.spike_probability
             sign = np.where(self._spike_sign.uniform(first, count) < 0.5, -1.0, 1.0)
@@ -73,6 +90,23 @@ class SimulatedTracer:
             for number, (stamp, value, deviation, dark) in enumerate(rows)
             if not lost[number]
         )
+
+    def _zero_changes(self, first: int, broken: Bools) -> Floats:
+        """Return by how much (n,) breaks and slips so far have changed the zero, m."""
+        faults, count = self._faults, len(broken)
+        back = np.append(self._dark, broken[:-1]) & ~broken
+        breaks = self._breaks + np.cumsum(back)
+        self._breaks, self._dark = int(breaks[-1]), bool(broken[-1])
+        changes = np.zeros(count)
+        if faults.break_shift_um > 0 and self._breaks:
+            shifts = np.append(0.0, self._break_shift.normal(0, self._breaks))
+            changes += faults.break_shift_um * np.cumsum(shifts)[breaks]
+        if faults.slip_probability > 0:
+            hit = self._slip.uniform(first, count) < faults.slip_probability
+            slips = self._slips + np.cumsum(hit)
+            self._slips = int(slips[-1])
+            changes += faults.slip_um * slips
+        return changes * MICROMETRE
 
     def _lost(self, first: int, count: int) -> Bools:
         """Return which of the readings fall into a drop-out."""

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.settings import group, setting
-from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.simulation.temperature import SimulatedTemperature
+
+if TYPE_CHECKING:
+    from rotcal_ros.simulation.instrument import Instrument, Table
+    from rotcal_ros.simulation.temperature import SimulatedTemperature
 
 TRACER: Final = "tracer"
 
 
 @dataclass(frozen=True)
-class SimulatedTracerSettings:
-    """The simulated laser tracer on the table."""
+class SimulatedReadingsSettings:
+    """How the simulated laser tracer reads."""
 
-    mount_m: tuple[float, float, float] = setting(
-        (0.0569, -0.0318, 0.1225), doc="m, centre of the tracer in the table frame at angle 0"
-    )
     dead_distance_m: float = setting(
         1.0, doc="m, distance at which the tracer reads zero", minimum=0.0
     )
@@ -31,6 +30,15 @@ class SimulatedTracerSettings:
     noise_um: float = setting(0.2, doc="um, noise of one reading at distance 0", minimum=0.0)
     noise_um_per_m: float = setting(
         0.2, doc="um/m, growth of the noise with the distance", minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
+class SimulatedTracerSettings(SimulatedReadingsSettings):
+    """The simulated laser tracer on the table."""
+
+    mount_m: tuple[float, float, float] = setting(
+        (0.0569, -0.0318, 0.1225), doc="m, centre of the tracer in the table frame at angle 0"
     )
 
 
@@ -73,6 +81,24 @@ class FaultSettings:
     blocked_targets: tuple[int, ...] = setting(
         (-1,), doc="targets without a beam while the table is in the sector; -1 alone: all"
     )
+    break_probability: float = setting(
+        0.0, doc="probability that the beam is broken at a reading", minimum=0.0, maximum=1.0
+    )
+    break_shift_um: float = setting(
+        0.0,
+        doc="um, standard deviation of the zero's change whenever the beam has been broken, in a "
+        "sector without a beam too",
+        minimum=0.0,
+    )
+    slip_probability: float = setting(
+        0.0,
+        doc="probability that the counter slips a fringe at a reading, and the status stays good",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    slip_um: float = setting(
+        0.3164, doc="um, a fringe: half a wavelength; that of a HeNe laser", minimum=0.0
+    )
     spike_probability: float = setting(
         0.0, doc="probability that a reading is a spike", minimum=0.0, maximum=1.0
     )
@@ -87,15 +113,22 @@ class FaultSettings:
 
 
 @dataclass(frozen=True)
-class TracerSimulationSettings(SimulationSettings):
-    """The simulated cell of the laser-tracer method."""
+class LengthsSimulationSettings(SimulationSettings):
+    """A simulated cell with a tracer on the table and a reflector on a machine."""
 
     instrument: str = setting(
         TRACER, doc="a laser tracer, with a machine for its reflector", choices=(TRACER,)
     )
-    tracer: SimulatedTracerSettings = group(SimulatedTracerSettings)
+    tracer: SimulatedReadingsSettings = group(SimulatedReadingsSettings)
     probe: SimulatedProbeSettings = group(SimulatedProbeSettings)
     faults: FaultSettings = group(FaultSettings)
+
+
+@dataclass(frozen=True)
+class TracerSimulationSettings(LengthsSimulationSettings):
+    """The simulated cell of the laser-tracer method."""
+
+    tracer: SimulatedTracerSettings = group(SimulatedTracerSettings)
 
     def make_instrument(
         self, table: Table, temperature: SimulatedTemperature, start_ns: int
@@ -103,4 +136,4 @@ class TracerSimulationSettings(SimulationSettings):
         """Return the tracer on the table and the reflector that the machine carries."""
         from rotcal_ros.catalogue.tracer.simulated_cell import TracerAndReflector
 
-        return TracerAndReflector(self, table, temperature, start_ns)
+        return TracerAndReflector(self, self.tracer.mount_m, table, temperature, start_ns)

@@ -1,7 +1,11 @@
-"""Lengths as a plain table: ``position,target,length_m``, and beside it ``targets.csv``."""
+"""Lengths as a plain table: ``position,target,length_m``, and beside it ``targets.csv``.
+
+A fourth column ``segment`` numbers the unbroken beams.
+"""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +22,7 @@ from rotcal_ros.tables import Header, Table, hashes, read_table, require_header
 HEADERS: Final[tuple[Header, ...]] = (
     ("position", "target", "length_m"),
     ("station", "target", "length_m"),
+    ("position", "target", "length_m", "segment"),
 )
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
 TARGETS_FILE: Final = "targets.csv"
@@ -27,8 +32,13 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     """Return lengths by table position and target; a table tells no scatter, so there is none.
 
     The targets are those of the file ``targets``, of ``targets.csv`` beside the table, or of the
-    set-up, in this order.
+    set-up, in this order. Segments that the table names have a zero each, unless the set-up asks
+    for one per station.
     """
+    in_segments = "segment" in table.header
+    if in_segments and configuration.solver.zero == "auto":
+        solver = replace(configuration.solver, zero="per_segment")
+        configuration = replace(configuration, solver=solver)
     files, calibration = [table.path], prepare(configuration)
     beside = table.path.with_name(TARGETS_FILE)
     if targets is None and beside.exists():
@@ -44,7 +54,8 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     observations = []
     for row in table.rows():
         step = find(row, row.index(position), row.index("target"))
-        observation = check(step.observed((row.metres("length_m"),)))
+        segment = row.index("segment") if in_segments else 0
+        observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)

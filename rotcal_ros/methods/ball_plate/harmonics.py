@@ -13,6 +13,7 @@ AXIS (rho c+, rho c-, d_z), measured by the row z (its second row is empty).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -30,6 +31,8 @@ RANK_TOLERANCE = 1e-9
 
 WEAK = 100.0
 """Amplification of the noise from which on the solution is refined."""
+LAYOUTS = 8
+"""How many layouts are remembered."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,17 @@ def normal_matrices(sums: Complexes, n_balls: int) -> Complexes:
 
 
 def factor(grid: int, balls: Ints) -> Harmonics:
-    """Invert the systems of all harmonics; raise ObservabilityError when one is singular."""
+    """Invert the systems of all harmonics; raise ObservabilityError when one is singular.
+
+    The last layouts are remembered, as trials and a plate measured again use the same one; the
+    arrays are read-only.
+    """
+    return _factor(grid, tuple(balls.tolist()))
+
+
+@lru_cache(maxsize=LAYOUTS)
+def _factor(grid: int, steps: tuple[int, ...]) -> Harmonics:
+    balls = np.array(steps, dtype=np.int64)
     phase = phases(grid, balls)
     sums = phase.sum(axis=1)
     normal = normal_matrices(sums, len(balls))
@@ -128,7 +141,7 @@ def factor(grid: int, balls: Ints) -> Harmonics:
             "every harmonic; choose other steps (separability names the lost harmonics)"
         )
     inverse[:, 0, 1, 1] = 0.0
-    return Harmonics(
+    system = Harmonics(
         grid=grid,
         balls=balls,
         phase=phase,
@@ -138,6 +151,9 @@ def factor(grid: int, balls: Ints) -> Harmonics:
         inverse=inverse,
         amplification=amplification,
     )
+    for array in (balls, phase, system.shift, system.adjoint, system.mean, inverse):
+        array.flags.writeable = False
+    return system
 
 
 def _adjoint(turn: Complexes) -> Complexes:

@@ -6,7 +6,7 @@ N R log N and N R instead of N^3 and N^2.
 
 from __future__ import annotations
 
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from rotcal_ros.components import ROTATIONS
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import harmonics, model
 from rotcal_ros.methods.ball_plate.harmonics import AXIS, PLANE, Harmonics
-from rotcal_ros.methods.ball_plate.model import LinearFit, Parameters, Solution
+from rotcal_ros.methods.ball_plate.model import FIELDS, LinearFit, Parameters, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 
 
@@ -47,7 +47,7 @@ def factored(problem: BallPlateProblem) -> LinearFit:
     def solution(estimate: Parameters, residuals: Floats) -> Solution:
         return Solution(
             estimate=estimate,
-            unit_std=_unit_std(problem, turn, system),
+            unit_std=_unit_std(problem.grid, problem.radius, tuple(problem.balls.tolist())),
             unit_covariance=partial(_table_covariance, problem.radius, system),
             residuals=residuals,
             cofactor=partial(_residual_cofactor, problem.cmm_index, system),
@@ -125,23 +125,25 @@ def _estimate(
     )
 
 
-def _unit_std(problem: BallPlateProblem, turn: Complexes, system: Harmonics) -> Parameters:
-    """Return the standard deviations of all parameters for unit noise."""
-    grid, radius = problem.grid, problem.radius
+@lru_cache(maxsize=harmonics.LAYOUTS)
+def _unit_std(grid: int, radius: float, balls: tuple[int, ...]) -> Parameters:
+    """Return the standard deviations of all parameters for unit noise, read-only."""
+    steps = np.array(balls, dtype=np.int64)
+    system, turn = harmonics.factor(grid, steps), np.exp(1j * grid_angles(grid))
     cmm, (shift, tilt) = harmonics.cmm_covariance(system)
     table = harmonics.zero_lag(system.inverse, grid)
     shift, tilt = shift / grid, 2.0 * tilt / grid / radius**2
-    common = 1.0 / (grid * len(problem.balls))
+    common = 1.0 / (grid * len(balls))
     pairs = np.empty((3, 2, 2), dtype=np.complex128)
     pairs[:2], pairs[2] = table[:, :2, :2], cmm[PLANE]
     along = np.array([table[AXIS, 2, 2], table[PLANE, 2, 2], cmm[AXIS, 0, 0]]).real
     fields = _turned_std(pairs, along, turn * turn)
     # A ball has the variances 1/N (radial) and 1/N - 1/(N R) (tangential, axial).
-    out = turn[problem.balls]
+    out = turn[steps]
     less = np.full((len(out), 3), common)
     less[:, 0] *= out.imag**2
     less[:, 1] *= out.real**2
-    return Parameters(
+    stds = Parameters(
         plate=np.sqrt(1.0 / grid - less),
         cmm=fields[2],
         rotation=fields[1] / radius,
@@ -149,6 +151,9 @@ def _unit_std(problem: BallPlateProblem, turn: Complexes, system: Harmonics) -> 
         axis_rotation=np.sqrt([tilt, tilt, common / radius**2]),
         axis_shift=np.sqrt([shift, shift, common]),
     )
+    for name in FIELDS:
+        getattr(stds, name).flags.writeable = False
+    return stds
 
 
 def _turned_std(pairs: Complexes, along: Floats, turn: Complexes) -> Floats:

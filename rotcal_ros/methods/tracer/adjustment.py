@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.tracer.grid import Grid
 
 if TYPE_CHECKING:
@@ -21,10 +21,11 @@ MINIMAL_REDUNDANCY: Final = 1e-6
 class Adjustment:
     """Stations, distances and targets that fit the lengths of a grid, and how well they do.
 
-    ``stations`` (m, 3), ``distances`` (m,): the range at reading zero, ``targets`` (n, 3), metres.
-    ``residual`` (m, n): observed - computed (the paper's v of Eq. 3 is computed - observed), also
-    of lengths that were not used. ``std`` (m, n): standard deviation of a length as this
-    variant sees it; ``redundancy`` (m, n): share of a length that the others check, zero if
+    ``stations`` (m, 3), ``distances`` (p,): the range of a strip at reading zero, ``targets``
+    (n, 3), metres; m stations have p strips, see :class:`~.grid.Grid`.
+    ``residual`` (p, n): observed - computed (the paper's v of Eq. 3 is computed - observed), also
+    of lengths that were not used. ``std`` (p, n): standard deviation of a length as this
+    variant sees it; ``redundancy`` (p, n): share of a length that the others check, zero if
     unused. ``chi2`` has mean ``dof``. ``unknowns`` counts the columns of the design matrix,
     ``rank`` those that the data determine.
 
@@ -32,6 +33,7 @@ class Adjustment:
     deviations, ``target_redundancy`` (n, 3), ``coupling`` (3, 3): squared sums of the redundancy
     matrix by pairs of axes, and ``target_test`` (n,): the largest normalised correction of a
     target. Else all zero. ``network``: the linearisation at this very place, if there is one.
+    ``strip_station`` (p,): station of each strip; None: strips are stations.
     """
 
     stations: Floats
@@ -49,22 +51,28 @@ class Adjustment:
     target_redundancy: Floats
     coupling: Floats
     network: Network | None = None
+    strip_station: Ints | None = None
+
+    @property
+    def standing(self) -> Floats:
+        """Where the station of each strip is, (p, 3)."""
+        return self.stations if self.strip_station is None else self.stations[self.strip_station]
 
     @property
     def state(self) -> Floats:
-        """Stations and distances as (m, 4), the start of the next solve."""
-        return np.column_stack([self.stations, self.distances])
+        """Stations and distances of all strips as (p, 4), the start of the next solve."""
+        return np.column_stack([self.standing, self.distances])
 
     @property
     def test_value(self) -> Floats:
-        """Normalised residuals (m, n): residual over its own standard deviation."""
+        """Normalised residuals (p, n): residual over its own standard deviation."""
         checked = self.redundancy > MINIMAL_REDUNDANCY
         spread = self.std * np.sqrt(np.where(checked, self.redundancy, 1.0))
         return np.where(checked, self.residual / spread, 0.0)
 
 
 class Adjuster(Protocol):
-    """An adjustment of a grid from stations and distances (m, 4)."""
+    """An adjustment of a grid from stations and distances of its strips (p, 4)."""
 
     def __call__(self, grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
         """Adjust ``grid``; ``targets`` (n, 3) of a network that was solved nearly so before."""

@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import erfc
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import HALF_OF_95_PERCENT
+from rotcal_ros.methods.roots import root_between
 from rotcal_ros.methods.tracer.adjustment import StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion
 
@@ -104,7 +104,7 @@ def estimate_error_motion(circle: CircleResiduals, tangential: float) -> tuple[f
     def beyond(limit: float) -> float:
         return float(posterior @ erfc(limit / (np.sqrt(2.0) * together))) - OUTSIDE
 
-    half = float(brentq(beyond, 0.0, 20.0 * together[-1], xtol=TINY))
+    half = root_between(beyond, 0.0, float(20.0 * together[-1]), TINY)
     allowed = np.sqrt(max((half / HALF_OF_95_PERCENT) ** 2 - tangential**2, 0.0))
     likely = sigma[int(np.argmax(fit))] if fit.max() > fit[0] else 0.0
     return float(likely), float(allowed)

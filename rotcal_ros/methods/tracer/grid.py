@@ -1,13 +1,18 @@
-"""The lengths as a position by target grid: what can be used, and what is dropped and why.
+"""The lengths as a strip by target grid: what can be used, and what is dropped and why.
 
 The flat rows of a problem come in any order and with gaps. On the grid every length has its
 place, so that the order of the rows cannot change a single bit of the result.
+
+A *strip* is what a station has measured from one zero. Where every station has a zero of its own,
+strips are stations; where zeros belong to segments of unbroken beam, a station has as many strips
+as segments, and a segment as many as stations.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -17,6 +22,8 @@ from rotcal_ros.methods.tracer.problem import TracerProblem
 
 STATION_MINIMUM: Final = 5
 """Lengths per station: four unknowns (X, Y, Z, d) and one to check them."""
+SHARED_MINIMUM: Final = 4
+"""The same where the zero d is shared with other stations."""
 FREE_TARGET_MINIMUM: Final = 4
 """Lengths per target of a free network: three unknowns and one to check them."""
 REACH: Final = 100.0
@@ -29,13 +36,17 @@ MILLIMETRES: Final = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """The usable part of a problem, m table positions (one station each) by n targets.
+    """The usable part of a problem: p strips of m stations (one per table position) by n targets.
 
-    ``position_ids`` (m,), ``target_ids`` (n,): indices in the problem. ``row`` (m, n): row of the
-    problem that fills the place, -1 for none. ``used`` (m, n): the length takes part.
-    ``length``, ``length_std`` (m, n): metres, 0 and 1 where there is none. ``distance_std``
-    (m, n): the part of ``length_std`` that grows with the distance, m.
+    ``position_ids`` (m,), ``target_ids`` (n,): indices in the problem. ``row`` (p, n): row of the
+    problem that fills the place, -1 for none. ``used`` (p, n): the length takes part.
+    ``length``, ``length_std`` (p, n): metres, 0 and 1 where there is none. ``distance_std``
+    (p, n): the part of ``length_std`` that grows with the distance, m.
     ``targets``, ``target_std`` (n, 3): metres. ``free``: the targets carry no prior.
+    ``station`` (p,): station of each strip. ``zero`` (p,): its zero, from 0 to s - 1; None: every
+    strip is a station and has its own. ``segment_ids`` (s,): the problem's segment of each zero.
+    ``walk`` (s,): standard deviation of the step from each zero to the next one, m; infinite
+    between segments and at the end. None: zeros do not wander.
     """
 
     position_ids: Ints
@@ -48,11 +59,89 @@ class Grid:
     targets: Floats
     target_std: Floats
     free: bool
+    station: Ints
+    zero: Ints | None = None
+    segment_ids: Ints | None = None
+    walk: Floats | None = None
 
     @property
     def weights(self) -> Floats:
-        """Weights (m, n) of the lengths alone, 1/m^2; zero where unused."""
+        """Weights (p, n) of the lengths alone, 1/m^2; zero where unused."""
         return self.used / self.length_std**2
+
+    @property
+    def n_stations(self) -> int:
+        """The number m of stations."""
+        return len(self.position_ids)
+
+    @property
+    def n_zeros(self) -> int:
+        """The number s of unknown zeros."""
+        return self.n_stations if self.segment_ids is None else len(self.segment_ids)
+
+    @property
+    def unknowns(self) -> int:
+        """How many unknowns stations and zeros have."""
+        return 3 * self.n_stations + self.n_zeros
+
+    @property
+    def station_minimum(self) -> int:
+        """How many lengths a station needs, one of them to check the others."""
+        return STATION_MINIMUM if self.zero is None else SHARED_MINIMUM
+
+    @cached_property
+    def first_strip(self) -> Ints:
+        """The first strip (m,) of each station."""
+        return np.unique(self.station, return_index=True)[1]
+
+    @cached_property
+    def first_of_zero(self) -> Ints:
+        """The first strip (s,) of each zero."""
+        zero = self.station if self.zero is None else self.zero
+        return np.unique(zero, return_index=True)[1]
+
+    @cached_property
+    def segment_numbers(self) -> Ints:
+        """The different segments that the zeros belong to, ascending."""
+        return np.unique(self.position_ids if self.segment_ids is None else self.segment_ids)
+
+    @cached_property
+    def segment_of_strip(self) -> Ints:
+        """The place (p,) of each strip's segment among ``segment_numbers``."""
+        if self.zero is None or self.segment_ids is None:
+            return self.station
+        return np.searchsorted(self.segment_numbers, self.segment_ids[self.zero])
+
+    def take(self, strips: Ints, part: Bools) -> Grid:
+        """Return the grid of some ``strips`` (q,), of each only the places ``part`` (q, n)."""
+        used = self.used[strips] & part
+        return replace(
+            self,
+            row=np.where(part, self.row[strips], -1),
+            used=used,
+            length=np.where(part, self.length[strips], 0.0),
+            length_std=np.where(part, self.length_std[strips], 1.0),
+            distance_std=np.where(part, self.distance_std[strips], 0.0),
+            station=self.station[strips],
+            zero=None if self.zero is None else self.zero[strips],
+        )
+
+    def per_station(self, values: Floats | Bools) -> Floats:
+        """Return sums (m,) over all ``values`` (p, n) of each station."""
+        total = values.sum(axis=1)
+        if self.zero is None:
+            return np.asarray(total, dtype=np.float64)
+        summed = np.bincount(self.station, weights=total, minlength=self.n_stations)
+        return np.asarray(summed, dtype=np.float64)
+
+    def largest_of_station(self, values: Floats) -> Floats:
+        """Return (p, 1) the largest of the ``values`` (p, n) of each strip's station."""
+        largest = values.max(axis=1)
+        if self.zero is not None:
+            best = np.full(self.n_stations, -np.inf)
+            np.maximum.at(best, self.station, largest)
+            largest = best[self.station]
+        return np.asarray(largest[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +158,22 @@ class Absent:
     spare: dict[int, str]
 
 
+class _Strips(NamedTuple):
+    """``position`` and ``segment`` (p,) of each strip, and the strip of each row (k,)."""
+
+    position: Ints
+    segment: Ints | None
+    of_row: Ints
+
+
+def _strips(problem: TracerProblem) -> _Strips:
+    if problem.segment is None:
+        return _Strips(np.arange(len(problem.table_angles)), None, problem.position)
+    both = np.column_stack([problem.position, problem.segment])
+    strips, of_row = np.unique(both, axis=0, return_inverse=True)
+    return _Strips(strips[:, 0], strips[:, 1], of_row.ravel())
+
+
 def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
     """Return the grid of ``problem``, and what has no place on it.
 
@@ -76,13 +181,18 @@ def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
     than the targets.
     """
     absent = Absent({}, {}, {})
-    row = _place_rows(problem, absent.repeated)
+    strips = _strips(problem)
+    row = _place_rows(problem, strips, absent.repeated)
     _check_unit_of_targets(problem)
-    _drop_impossible(problem, row, absent.unfit)
-    _drop_undetermined(problem, row, absent)
-    positions, targets = (np.flatnonzero((row >= 0).any(axis=axis)) for axis in (1, 0))
-    row = row[np.ix_(positions, targets)]
+    _drop_impossible(problem, row, strips.position, absent.unfit)
+    _drop_undetermined(problem, row, strips, absent)
+    kept, targets = (np.flatnonzero((row >= 0).any(axis=axis)) for axis in (1, 0))
+    row = row[np.ix_(kept, targets)]
     used = row >= 0
+    positions, station = np.unique(strips.position[kept], return_inverse=True)
+    segments, zero = None, None
+    if strips.segment is not None:
+        segments, zero = np.unique(strips.segment[kept], return_inverse=True)
     grid = Grid(
         position_ids=positions,
         target_ids=targets,
@@ -94,14 +204,17 @@ def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
         targets=problem.targets[targets],
         target_std=problem.target_std[targets],
         free=problem.variant == "joint" and problem.datum == "free",
+        station=station,
+        zero=zero,
+        segment_ids=segments,
     )
     return grid, absent
 
 
-def _place_rows(problem: TracerProblem, why: dict[int, str]) -> Ints:
-    """Return the row (m, n) that fills each place; the first of identical repetitions stays."""
-    shape = (len(problem.table_angles), len(problem.targets))
-    place = problem.position * shape[1] + problem.target
+def _place_rows(problem: TracerProblem, strips: _Strips, why: dict[int, str]) -> Ints:
+    """Return the row (p, n) that fills each place; the first of identical repetitions stays."""
+    shape = (len(strips.position), len(problem.targets))
+    place = strips.of_row * shape[1] + problem.target
     order = np.argsort(place, kind="stable")
     first = np.ones(len(order), dtype=np.bool_)
     first[1:] = np.diff(place[order]) != 0
@@ -129,10 +242,12 @@ def _check_unit_of_targets(problem: TracerProblem) -> None:
         )
 
 
-def _drop_impossible(problem: TracerProblem, row: Ints, why: dict[int, str]) -> None:
+def _drop_impossible(
+    problem: TracerProblem, row: Ints, position: Ints, why: dict[int, str]
+) -> None:
     """Drop lengths that no position of the tracer can explain.
 
-    Two lengths of one station cannot differ by more than their targets lie apart; the station's
+    Two lengths of one strip cannot differ by more than their targets lie apart; the strip's
     median stands for the other length, the diagonal of all targets for the distance.
     """
     used = row >= 0
@@ -144,11 +259,13 @@ def _drop_impossible(problem: TracerProblem, row: Ints, why: dict[int, str]) -> 
     # The noise of lengths and coordinates may add to the distance; ten of it is never noise.
     span = _diagonal(seen) + 10.0 * problem.length_std.max() + 10.0 * problem.target_std.max()
     excess = np.abs(np.where(used, problem.length[row] - middle[:, None], 0.0))
-    _check_unit_of_lengths(excess[used], span)
+    several = used.sum(axis=1) >= (1 if problem.segment is None else SHARED_MINIMUM)
+    if several.any():
+        _check_unit_of_lengths(excess[several][used[several]], span)
     for j, i in np.argwhere(excess > span):
         why[int(row[j, i])] = (
-            f"station {j}, target {i}: differs by {excess[j, i]:.4g} m from the station's median, "
-            f"but the targets lie at most {span:.4g} m apart"
+            f"station {position[j]}, target {i}: differs by {excess[j, i]:.4g} m from the "
+            f"station's median, but the targets lie at most {span:.4g} m apart"
         )
     row[excess > span] = -1
 
@@ -169,22 +286,42 @@ def _check_unit_of_lengths(excess: Floats, span: float) -> None:
         )
 
 
-def _drop_undetermined(problem: TracerProblem, row: Ints, absent: Absent) -> None:
-    """Drop targets, then stations, that too few lengths reach; again until nothing changes."""
+def _drop_undetermined(problem: TracerProblem, row: Ints, strips: _Strips, absent: Absent) -> None:
+    """Drop targets, then stations, that too few lengths reach; again until nothing changes.
+
+    A length that no other shares its segment with says nothing of its station.
+    """
     free = problem.variant == "joint" and problem.datum == "free"
-    minima = {"target": FREE_TARGET_MINIMUM if free else 1, "station": STATION_MINIMUM}
+    shared = strips.segment is not None
+    minima = {
+        "target": FREE_TARGET_MINIMUM if free else 1,
+        "station": SHARED_MINIMUM if shared else STATION_MINIMUM,
+    }
     before = -1
     while before != (before := int((row >= 0).sum())):
         for name, minimum in minima.items():
             why = absent.unfit if name == "station" else absent.spare
+            group = strips.position if name == "station" else np.arange(row.shape[1])
             table = row if name == "station" else row.T
-            count = (table >= 0).sum(axis=1)
-            for index in np.flatnonzero((count > 0) & (count < minimum)):
-                for dropped in table[index][table[index] >= 0]:
+            present = np.bincount(group, weights=(table >= 0).sum(axis=1))
+            count = np.bincount(group, weights=_telling(table >= 0, name, strips)).astype(int)
+            for index in np.flatnonzero((present > 0) & (count < minimum)):
+                lines = group == index
+                for dropped in table[lines][table[lines] >= 0]:
                     why[int(dropped)] = (
                         f"{name} {index} has {count[index]} usable lengths, {minimum} are needed"
                     )
-                table[index] = -1
+                table[lines] = -1
+
+
+def _telling(present: Bools, name: str, strips: _Strips) -> Ints:
+    """Return how many of the ``present`` lengths of each line of a table tell something."""
+    count = present.sum(axis=1)
+    if name == "station" and strips.segment is not None:
+        of_segment = np.unique(strips.segment, return_inverse=True)[1]
+        total = np.bincount(of_segment, weights=count)
+        count = np.where(total[of_segment] > 1, count, 0)
+    return np.asarray(count)
 
 
 def _diagonal(points: Floats) -> float:

@@ -33,7 +33,7 @@ from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.geometry.rotations import fit_rotation
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.grid import Grid
-from rotcal_ros.methods.tracer.network import Network, linearise, relax, rigid, with_distances
+from rotcal_ros.methods.tracer.network import Network, linearise, relax, rigid
 from rotcal_ros.methods.tracer.observability import CURE, name_direction
 from rotcal_ros.methods.tracer.station import adjust_stations
 
@@ -43,42 +43,47 @@ CHECKED: Final = 0.01
 
 
 def adjust_network(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
-    """Return the network that fits the lengths of ``grid`` best, from stations ``start`` (m, 4).
+    """Return the network that fits the lengths of ``grid`` best, from the strips ``start`` (p, 4).
 
     ``targets`` (n, 3) go with a start that is a network already; else it is approached station by
     station.
     Raises ObservabilityError when more stays open than is known in advance, DataError when the
     network does not settle.
     """
-    if targets is None:
-        network = relax(grid, adjust_stations(grid, start).state, grid.targets)
-    else:
-        network = relax(grid, start, targets)
+    if targets is None and grid.zero is None:
+        start = adjust_stations(grid, start).state
+    network = relax(grid, start, grid.targets if targets is None else targets)
     rank = _rank(network, grid)
     state, targets = network.state, network.targets
     if grid.free:
         state, targets = align(state, targets, grid.targets)
     spread = _posterior(network)
     corrections, redundancy, coupling = _felt_by_targets(network, grid, spread)
-    unknowns = network.state.size + network.targets.size
+    unknowns = network.layout.size + network.targets.size
     n_lengths = int(grid.used.sum())
     return Adjustment(
-        stations=state[:, :3],
+        stations=state[grid.first_strip, :3],
         distances=state[:, 3],
         targets=targets,
         residual=-network.f,
         std=grid.length_std,
         redundancy=grid.used - grid.weights * _leverage(network, spread),
         chi2=network.chi2,
-        dof=n_lengths - rank if grid.free else n_lengths - network.state.size,
+        dof=n_lengths - (rank if grid.free else network.layout.size) + _walked(grid),
         unknowns=unknowns,
         rank=rank,
-        target_test=_target_test(corrections, redundancy),
+        target_test=target_test(corrections, redundancy),
         corrections=corrections,
         target_redundancy=np.diagonal(redundancy, axis1=1, axis2=2),
         coupling=coupling,
         network=None if grid.free else network,  # a free one was moved since
+        strip_station=None if grid.zero is None else grid.station,
     )
+
+
+def _walked(grid: Grid) -> int:
+    """Return how many steps of zeros that wander are observations too."""
+    return 0 if grid.walk is None else int(np.isfinite(grid.walk).sum())
 
 
 def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
@@ -90,16 +95,16 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
         stations, mixed = kept, -kept @ reduced.transfer
     else:
         mixed = -(kept @ reduced.transfer).T
-        stations = reduced.other_times(kept, np.eye(fit.state.size))
+        stations = reduced.other_times(kept, np.eye(network.layout.size))
     if grid.free:
         stations = _move_datum(network, mixed, kept)
     prior, felt = np.zeros_like(stations), np.zeros_like(mixed)
     if not grid.free:
         felt = mixed / grid.target_std.ravel()
         prior = felt @ felt.T
-    positions = np.flatnonzero(np.arange(fit.state.size) % 4 < 3)
-    places = np.ix_(positions, positions)
-    felt = felt[positions].reshape(-1, *grid.targets.shape)
+    coordinates = network.layout.places
+    places = np.ix_(coordinates, coordinates)
+    felt = felt[coordinates].reshape(-1, *grid.targets.shape)
     return StationCovariance((stations - prior)[places], prior[places], felt, float(fit.dof))
 
 
@@ -109,7 +114,8 @@ def _move_datum(network: Network, mixed: Floats, kept: Floats) -> Floats:
     S-transformation: from every error its rigid part, as the targets feel it, is taken away.
     """
     centre = network.targets.mean(axis=0)
-    on_stations = with_distances(rigid(network.state[:, :3] - centre))
+    stations = network.state[network.layout.first_strip, :3]
+    on_stations = network.layout.with_zeros(rigid(stations - centre))
     rigid_part = np.asarray(np.linalg.pinv(rigid(network.targets - centre)), dtype=np.float64)
     own = rigid_part @ network.reduced.other_times(kept, rigid_part.T)
     shift = mixed @ rigid_part.T @ on_stations.T
@@ -117,7 +123,7 @@ def _move_datum(network: Network, mixed: Floats, kept: Floats) -> Floats:
 
 
 class _Posterior(NamedTuple):
-    """Covariance of stations (m, 4, 4), of targets (n, 3, 3), and between them (m, 4, n, 3).
+    """Covariance of strips (p, 4, 4), of targets (n, 3, 3), and between them (p, 4, n, 3).
 
     ``kept`` is that of the whole side that was not eliminated.
     """
@@ -133,9 +139,10 @@ def _posterior(network: Network) -> _Posterior:
     other = reduced.other_blocks(kept)
     mixed = -(kept @ reduced.transfer)
     m, n = network.f.shape
+    index = network.layout.index
     if network.stations_kept:
-        blocks = kept.reshape(m, 4, m, 4)[np.arange(m), :, np.arange(m)]
-        return _Posterior(kept, blocks, other, mixed.reshape(m, 4, n, 3))
+        blocks = kept[index[:, :, None], index[:, None, :]]
+        return _Posterior(kept, blocks, other, mixed.reshape(-1, n, 3)[index])
     blocks = kept.reshape(n, 3, n, 3)[np.arange(n), :, np.arange(n)]
     return _Posterior(kept, other, blocks, mixed.reshape(n, 3, m, 4).transpose(2, 3, 0, 1))
 
@@ -181,7 +188,7 @@ def _felt_by_targets(
     return corrections, redundancy, np.asarray(coupling, dtype=np.float64)
 
 
-def _target_test(corrections: Floats, redundancy: Floats) -> Floats:
+def target_test(corrections: Floats, redundancy: Floats) -> Floats:
     """Return (n,) the largest normalised correction of each target's machine coordinates.
 
     In the directions that the lengths check at all (redundancy above CHECKED), each correction is
@@ -200,19 +207,23 @@ def _rank(network: Network, grid: Grid) -> int:
     missing = int((values < RANK_TOLERANCE * values[-1]).sum())
     if missing:
         index = int(np.argmax(np.abs(reduced.scale * vectors[:, 0])))
-        size, ids, name = (
-            (4, grid.position_ids, "station")
-            if network.stations_kept
-            else (3, grid.target_ids, "target")
-        )
-        k = index // size
-        direction = (reduced.scale * vectors[:, 0])[size * k : size * k + 3]
+        name, where, direction = _weakest(network, grid, reduced.scale * vectors[:, 0], index)
         raise ObservabilityError(
             f"the lengths leave {missing} more directions open than expected; the weakest "
-            f"is {name} {ids[k]} along {name_direction(direction)}: {CURE}, or use the datum "
+            f"is {name} {where} along {name_direction(direction)}: {CURE}, or use the datum "
             "'prior'"
         )
-    return int(network.state.size + network.targets.size - reduced.constraints.shape[1])
+    return int(network.layout.size + network.targets.size - reduced.constraints.shape[1])
+
+
+def _weakest(network: Network, grid: Grid, vector: Floats, index: int) -> tuple[str, int, Floats]:
+    """Return what the unknown ``index`` of the kept side belongs to, and its direction."""
+    if not network.stations_kept:
+        k = index // 3
+        return "target", int(grid.target_ids[k]), vector[3 * k : 3 * k + 3]
+    p = int(np.flatnonzero((network.layout.index == index).any(axis=1))[0])
+    direction = vector[network.layout.index[p, :3]]
+    return "station", int(grid.position_ids[grid.station[p]]), direction
 
 
 def align(state: Floats, targets: Floats, machine: Floats) -> tuple[Floats, Floats]:

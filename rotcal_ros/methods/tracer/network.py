@@ -3,11 +3,15 @@
 Every length touches one station and one target; one side is eliminated: with a prior the one
 with more unknowns, in a free network always the targets. What a free network leaves open is fixed
 by constraints; see :mod:`.joint`.
+
+Zeros that several stations share join the stations, which then are always kept: the blocks of the
+strips are added up into one matrix of three unknowns per station and one per zero.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -17,7 +21,8 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.adjustment import ranges
 from rotcal_ros.methods.tracer.grid import Grid
-from rotcal_ros.methods.tracer.schur import Reduced, eliminate
+from rotcal_ros.methods.tracer.layout import Layout
+from rotcal_ros.methods.tracer.schur import Reduced, eliminate, eliminate_from
 
 CONVERGED: Final = 1e-14
 """Squared length of the last step in standard deviations."""
@@ -33,11 +38,13 @@ RIGID_MOTIONS: Final = 6
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """One linearisation: ``state`` (m, 4), ``targets`` (n, 3), errors, gradient and normal matrix.
+    """One linearisation: ``state`` (p, 4), ``targets`` (n, 3), errors, gradient and normal matrix.
 
-    ``f`` (m, n) is computed - observed, ``rows`` (m, n, 4) the design's station part (its target
-    part is minus the first three columns). ``blocks`` are those of stations (m, 4, 4), of targets
-    (n, 3, 3), and between them (4 m, 3 n). ``stations_kept``: the targets were eliminated.
+    ``f`` (p, n) is computed - observed, ``rows`` (p, n, 4) the design's station part (its target
+    part is minus the first three columns). ``stations_kept``: the targets are eliminated.
+    ``layout``: where the strips' coordinates and zeros are among the unknowns. ``prior`` (n, 3):
+    weights of the machine's coordinates, 1/m^2; None in a ``free`` network. Normal matrices are
+    made when they are asked for.
     """
 
     state: Floats
@@ -47,12 +54,33 @@ class Network:
     chi2: float
     station_gradient: Floats
     target_gradient: Floats
-    blocks: tuple[Floats, Floats, Floats]
-    reduced: Reduced
+    prior: Floats | None
     stations_kept: bool
     free: bool
     lengths: Floats
     weights: Floats
+    layout: Layout
+
+    @cached_property
+    def blocks(self) -> tuple[Floats, Floats, Floats]:
+        """Normal blocks of strips (p, 4, 4), of targets (n, 3, 3), and between them (4 p, 3 n)."""
+        p, n = self.f.shape
+        unit, weights = self.rows[:, :, :3], self.weights
+        weighted = self.rows * weights[:, :, None]
+        by_target = np.ascontiguousarray(unit.swapaxes(0, 1))
+        stations = self.rows.swapaxes(1, 2) @ weighted
+        targets = by_target.swapaxes(1, 2) @ (by_target * weights.T[:, :, None])
+        if self.prior is not None:
+            targets[:, [0, 1, 2], [0, 1, 2]] += self.prior
+        cross = -(weighted.swapaxes(1, 2)[:, :, :, None] * unit[:, None]).reshape(4 * p, 3 * n)
+        return stations, targets, cross
+
+    @cached_property
+    def reduced(self) -> Reduced:
+        """The normal matrix with one side eliminated."""
+        return _reduce(
+            self.blocks, self.stations_kept, self.layout, self.state if self.free else None
+        )
 
     @property
     def stiffness(self) -> float:
@@ -65,10 +93,10 @@ class Network:
             return self.reduced
         stations, targets, cross = self.blocks
         blocks = (stations + damping * np.eye(4), targets + damping * np.eye(3), cross)
-        return _reduce(blocks, self.stations_kept, self.state[:, :3] if self.free else None)
+        return _reduce(blocks, self.stations_kept, self.layout, self.state if self.free else None)
 
     def step(self, reduced: Reduced) -> tuple[Floats, Floats]:
-        """Return the step of stations (m, 4) and targets (n, 3) that ``reduced`` gives."""
+        """Return the step of strips (p, 4) and targets (n, 3) that ``reduced`` gives."""
         return self.respond(self.station_gradient, self.target_gradient, reduced)
 
     def bend(self, reduced: Reduced, x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -83,26 +111,27 @@ class Network:
     def respond(
         self, station: Floats, target: Floats, reduced: Reduced | None = None
     ) -> tuple[Floats, Floats]:
-        """Return the step that takes gradients (m, 4) and (n, 3) to zero."""
+        """Return the step that takes gradients (p, 4) and (n, 3) to zero."""
         reduced = self.reduced if reduced is None else reduced
-        a, b = -station.ravel(), -target.ravel()
+        a, b = -self.layout.collect(station), -target.ravel()
         if self.stations_kept:
             x, y = reduced.solve(a, b)
         else:
             y, x = reduced.solve(b, a)
-        return x.reshape(self.state.shape), y.reshape(self.targets.shape)
+        return x[self.layout.index], y.reshape(self.targets.shape)
 
 
 def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
-    """Return the least-squares network near ``state`` (m, 4) and ``targets`` (n, 3).
+    """Return the least-squares network near ``state`` (p, 4) and ``targets`` (n, 3).
 
-    Gauss-Newton while chi-squared falls. A free network may have a long bent valley: no length
-    feels the height of a target that is level with the tracer, to first order. Once a step has
-    gone wrong the steps follow the bend (Transtrum and Sethna, arXiv:1201.5885), and are damped
-    (Levenberg) until chi-squared falls. Where the valley is flat, any place of it will do.
+    Gauss-Newton while chi-squared falls. A free network may have a long bent valley:
+    no length feels the height of a target that is level with the tracer, to first order. Once a
+    step has gone wrong the steps follow the bend (Transtrum and Sethna, arXiv:1201.5885), and are
+    damped (Levenberg) until chi-squared falls. Where the valley is flat, any place of it will do.
     """
     network, before = linearise(grid, state, targets), np.inf
     damping, curved = 0.0, False
+    least = LEAST_DAMPING * network.stiffness
     for _ in range(MAX_ITERATIONS):
         reduced = network.damped(damping)
         by_station, by_target = network.step(reduced)
@@ -114,7 +143,6 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
             more = network.bend(reduced, by_station, by_target)
             by_station, by_target = by_station + more[0], by_target + more[1]
         trial = linearise(grid, network.state + by_station, network.targets + by_target)
-        least = LEAST_DAMPING * network.stiffness
         if trial.chi2 > network.chi2 + 1e-9 * max(network.chi2, 1.0):
             if squared < STAGNANT and damping < 2.0 * least:
                 return network  # what is left to gain drowns in the rounding of chi-squared
@@ -136,17 +164,14 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
 
 
 def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
-    """Return the network at ``state`` (m, 4), ``targets`` (n, 3): errors, gradient, normals."""
-    m, n = grid.used.shape
-    weights = grid.weights
+    """Return the network at ``state`` (p, 4), ``targets`` (n, 3): its errors and gradient."""
+    p, n = grid.used.shape
+    layout, weights = Layout.of(grid), grid.weights
     distance, unit = ranges(state[:, :3], targets)
     f = distance - state[:, 3:] - grid.length
-    rows = np.concatenate([unit, np.full((m, n, 1), -1.0)], axis=2)
+    rows = np.concatenate([unit, np.full((p, n, 1), -1.0)], axis=2)
     weighted = rows * weights[:, :, None]
-    by_target = np.ascontiguousarray(unit.swapaxes(0, 1))
-    weighted_by_target = by_target * weights.T[:, :, None]
-    stations = rows.swapaxes(1, 2) @ weighted
-    blocks = by_target.swapaxes(1, 2) @ weighted_by_target
+    prior = None
     station_gradient = np.einsum("jia,ji->ja", weighted, f)
     target_gradient = -np.einsum("jia,ji->ia", weighted[:, :, :3], f)
     chi2 = float((weights * f**2).sum())
@@ -154,24 +179,30 @@ def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
         correction = (targets - grid.targets) / grid.target_std
         chi2 += float((correction**2).sum())
         target_gradient = target_gradient + correction / grid.target_std
-        blocks[:, [0, 1, 2], [0, 1, 2]] += grid.target_std**-2
-    cross = -(weighted.swapaxes(1, 2)[:, :, :, None] * unit[:, None]).reshape(4 * m, 3 * n)
-    stations_kept = grid.free or 4 * m <= 3 * n
-    whole = (stations, blocks, cross)
-    reduced = _reduce(whole, stations_kept, state[:, :3] if grid.free else None)
+        prior = grid.target_std**-2
+    if layout.tension is not None:
+        steps, pull = layout.stretch(state[layout.first_of_zero, 3])
+        chi2 += float((steps**2).sum())
+        station_gradient[layout.first_of_zero, 3] += pull
+    stations_kept = grid.free or layout.shared or 4 * p <= 3 * n
     return Network(
-        state, targets, f, rows, chi2, station_gradient, target_gradient, whole, reduced,
-        stations_kept, grid.free, grid.length, weights,
+        state, targets, f, rows, chi2, station_gradient, target_gradient, prior, stations_kept,
+        grid.free, grid.length, weights, layout,
     )  # fmt: skip
 
 
 def _reduce(
-    blocks: tuple[Floats, Floats, Floats], stations_kept: bool, free: Floats | None
+    blocks: tuple[Floats, Floats, Floats],
+    stations_kept: bool,
+    layout: Layout,
+    free: Floats | None,
 ) -> Reduced:
-    """Eliminate one side; ``free``: stations (m, 3) of a free network, which bind its datum."""
+    """Eliminate one side; ``free``: the state (p, 4) of a free network, which binds its datum."""
     stations, targets, cross = blocks
+    constraints = None if free is None else _constraints(free[layout.first_strip, :3], layout)
+    if layout.shared:
+        return eliminate_from(*layout.gather(stations, targets, cross), constraints)
     if stations_kept:
-        constraints = None if free is None else _constraints(free)
         return eliminate(stations, targets, cross, constraints)
     return eliminate(targets, stations, np.ascontiguousarray(cross.T))
 
@@ -184,19 +215,11 @@ def rigid(points: Floats) -> Floats:
     return motions.reshape(-1, RIGID_MOTIONS)
 
 
-def _constraints(stations: Floats) -> Floats:
-    """Return what the ``stations`` (m, 3) must not do in a free network: (4 m, 7).
+def _constraints(stations: Floats, layout: Layout) -> Floats:
+    """Return what the ``stations`` (m, 3) must not do in a free network: seven columns.
 
     Six rigid motions, and growing away from their centroid, which is the station part of the
-    seventh up to a shift.
+    seventh up to a shift. None of them changes a zero.
     """
     spread = stations - stations.mean(axis=0)
-    return with_distances(np.column_stack([rigid(spread), spread.ravel()]))
-
-
-def with_distances(motions: Floats) -> Floats:
-    """Insert the distances d, which these motions do not change: (3 m, c) to (4 m, c)."""
-    m, c = len(motions) // 3, motions.shape[1]
-    full = np.zeros((m, 4, c))
-    full[:, :3] = motions.reshape(m, 3, c)
-    return full.reshape(4 * m, c)
+    return layout.with_zeros(np.column_stack([rigid(spread), spread.ravel()]))

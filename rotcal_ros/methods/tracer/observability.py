@@ -23,9 +23,22 @@ CURE: Final = (
 
 
 def check_counts(grid: Grid) -> None:
-    """Raise ObservabilityError unless m >= 4, and in a free network lengths >= 4 m + 3 n."""
-    m, n = grid.used.shape
-    if missing := what_is_missing(m, n, int(grid.used.sum()), grid.free):
+    """Raise ObservabilityError unless there are lengths enough.
+
+    m >= 4, and in a free network lengths >= 4 m + 3 n (Eq. 2); with s shared zeros
+    lengths > 3 m + s, and in a free network as many as its 3 m + s + 3 n - 7 unknowns.
+    """
+    m, n = grid.n_stations, grid.used.shape[1]
+    lengths = int(grid.used.sum())
+    missing = what_is_missing(m, n, lengths, grid.free and grid.zero is None)
+    needed = grid.unknowns + (3 * n - 7 if grid.free else 1)
+    if not missing and grid.zero is not None and lengths < needed:
+        missing = (
+            f"{lengths} usable lengths from {m} stations to {n} targets in {grid.n_zeros} "
+            f"segments are fewer than the {needed} that are needed: measure more targets, or look "
+            "for what breaks the beam"
+        )
+    if missing:
         raise ObservabilityError(missing)
 
 

@@ -6,10 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.methods.columns import broadcast as _broadcast
+from rotcal_ros.methods.columns import indices as _indices
+from rotcal_ros.methods.columns import matrix as _matrix
+from rotcal_ros.methods.columns import require as _require
+from rotcal_ros.methods.columns import vector as _vector
 from rotcal_ros.methods.tracer.settings import Datum, TracerLimits, TracerSolverSettings, Variant
 
 _DEFAULTS = TracerSolverSettings()
@@ -23,9 +28,9 @@ class TracerProblem:
     ``position`` (k,), ``target`` (k,): indices into ``table_angles`` (m,) and ``targets`` (n, 3).
     At each position of the table the tracer has one station, whose place is unknown.
     ``length`` (k,): tracer readings in metres, growing with distance, relative to an unknown zero
-    that is common to each station; ``length_std`` (k,) or one number: their standard deviation.
-    ``distance_std`` (k,) or one number, below ``length_std``: the part of it that grows with the
-    distance, m; it joins the rest in squares.
+    that is common to each station or segment; ``length_std`` (k,) or one number: their
+    standard deviation. ``distance_std`` (k,) or one number, below ``length_std``: the part of it
+    that grows with the distance, m; it joins the rest in squares.
     ``targets``: positions of the reflector in the machine's frame, metres; ``target_std``: their
     standard deviation, one number or (n, 3). ``table_angles``: commanded angles, radians,
     counter-clockwise about +z; unequal steps, arcs and a full circle with its first angle
@@ -48,12 +53,19 @@ class TracerProblem:
     arrivals of the table and what a drift does; without it the stations are held to be measured
     one after the other, each at one arrival.
 
+    ``segment`` (k,), optional: number of the unbroken beam with which each length was read. All
+    lengths of one segment count from the same unknown zero, at whatever table position; a beam
+    that was broken begins a new segment. None: each station has a zero of its own.
+    ``zero_walk_std``: with segments, the zero wanders by so much (m, standard deviation) from one
+    length to the next of its segment, in their ``order``; 0: it stands, None: it is estimated.
+
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
     all targets lie in one plane.
 
     Lengths may be missing (a blocked beam): leave the row out. A pair (position, target) has one
-    length; an identical repetition is dropped and counted as rejected, a different one raises.
+    length in each segment; an identical repetition is dropped and counted as rejected, a different
+    one raises.
 
     Raises DataError for values that are not finite, indices out of range, and standard
     deviations that are not positive; ConfigurationError for unknown names.
@@ -72,6 +84,8 @@ class TracerProblem:
     repeated_runs: bool = False
     distance_std: Floats = 0.0  # type: ignore[assignment]
     order: Ints | None = None
+    segment: Ints | None = None
+    zero_walk_std: float | None = 0.0
     start_stations: Floats | None = None
     settings: TracerLimits = _DEFAULTS
 
@@ -91,6 +105,8 @@ class TracerProblem:
         self._store("target_std", _require(std >= 0.0, std, "target_std", "zero or more"))
         if self.order is not None:
             self._store("order", _indices("order", self.order, _LATEST, len(position)))
+        if self.segment is not None:
+            self._store("segment", _indices("segment", self.segment, _LATEST, len(position)))
         if self.start_stations is not None:
             start = _matrix("start_stations", self.start_stations)
             if start.shape != (len(angles), 3):
@@ -106,6 +122,13 @@ class TracerProblem:
                 "'station', which takes the targets as known"
             )
 
+    @property
+    def measuring_order(self) -> Ints:
+        """When each length (k,) was taken: ``order``, or else station by station."""
+        if self.order is not None:
+            return self.order
+        return np.lexsort((self.target, self.position)).argsort()
+
     def _check_names(self) -> None:
         for name, known in (("variant", ("station", "joint")), ("datum", ("prior", "free"))):
             if getattr(self, name) not in known:
@@ -117,56 +140,26 @@ class TracerProblem:
             raise ConfigurationError(
                 f"error_motion_std is {motion}, expected zero or more metres, or None"
             )
+        self._check_zero()
+
+    def _check_zero(self) -> None:
+        walk = self.zero_walk_std
+        if walk is not None and not (np.isfinite(walk) and walk >= 0.0):
+            raise ConfigurationError(
+                f"zero_walk_std is {walk}, expected zero or more metres, or None"
+            )
+        if self.segment is None and walk != 0.0:
+            raise ConfigurationError(
+                "zero_walk_std is for a zero per segment; lengths without segments have a zero "
+                "per station, which does not wander"
+            )
+        if self.segment is not None and self.variant == "station":
+            raise ConfigurationError(
+                "segments tie all stations together, and the variant 'station' solves each by "
+                "itself: choose the variant 'joint', or a zero per station"
+            )
 
     def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:
         values.setflags(write=False)
         object.__setattr__(self, name, values)
         return values
-
-
-def _vector(name: str, values: ArrayLike, size: int | None = None) -> Floats:
-    array = np.array(values, dtype=np.float64)
-    if array.ndim != 1 or (size is not None and len(array) != size):
-        expected = "one dimension" if size is None else f"shape ({size},), one value per row"
-        raise DataError(f"{name} has shape {array.shape}, expected {expected}")
-    return _require(np.isfinite(array), array, name, "a finite number")
-
-
-def _matrix(name: str, values: ArrayLike) -> Floats:
-    array = np.array(values, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise DataError(f"{name} has shape {array.shape}, expected (n, 3)")
-    return _require(np.isfinite(array), array, name, "a finite number")
-
-
-def _broadcast(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape not in ((), shape):
-        raise DataError(f"{name} has shape {array.shape}, expected one number or {shape}")
-    return _require(np.isfinite(array), np.full(shape, array), name, "a finite number")
-
-
-def _indices(name: str, values: ArrayLike, limit: int, size: int | None = None) -> NDArray[Any]:
-    array = np.asarray(values)
-    if array.size == 0:
-        raise DataError("there are no lengths: no observation was accepted")
-    if (
-        array.ndim != 1
-        or array.dtype.kind not in "iu"
-        or (size is not None and len(array) != size)
-    ):
-        raise DataError(
-            f"{name} is {array.dtype} of shape {array.shape}, expected whole numbers, one per row"
-        )
-    inside = (array >= 0) & (array < limit)
-    return _require(inside, array.astype(np.int64), f"{name} index", f"0 to {limit - 1}")
-
-
-def _require(good: Bools, array: NDArray[Any], name: str, what: str) -> NDArray[Any]:
-    """Return ``array`` where all is ``good``; else raise DataError naming the first bad entry."""
-    good = np.broadcast_to(good, array.shape)
-    if not good.all():
-        place = tuple(int(i) for i in np.argwhere(~good)[0])
-        row = place[0] if len(place) == 1 else place
-        raise DataError(f"{name} in row {row} is {array[place]}, expected {what}")
-    return array

@@ -18,10 +18,10 @@ from rotcal_ros.methods.distributions import chi2_isf, normal_isf
 from rotcal_ros.methods.tracer.adjustment import ranges
 from rotcal_ros.methods.tracer.angles import bearing_jacobian
 from rotcal_ros.methods.tracer.error_motion import circle_residuals
+from rotcal_ros.methods.tracer.gain import NetworkGain
 from rotcal_ros.methods.tracer.network import linearise
 from rotcal_ros.methods.tracer.noise import LEAST_REDUNDANCY
 from rotcal_ros.methods.tracer.solution import KNOWN, TracerSolution
-from rotcal_ros.methods.tracer.trials import NetworkGain
 from rotcal_ros.methods.tracer.uncertainty import error_motion_covariance
 from rotcal_ros.protection import POWER
 
@@ -121,7 +121,7 @@ def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Float
     std = np.maximum(solution.grid.target_std, KNOWN)
     grid, fit = replace(solution.grid, target_std=std), solution.fit
     network = fit.network or linearise(grid, fit.state, fit.targets)
-    gain = NetworkGain(network.reduced.covariance(), network.reduced, network.stations_kept)
+    gain = NetworkGain.of(network)
     rows = network.rows
     seen = np.ascontiguousarray(rows[:, :, :3].swapaxes(0, 1))  # (n, m, 3)
     pull = network.weights * errors
@@ -133,7 +133,7 @@ def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Float
     unexplained[:, 0] = (network.weights * (errors - taken) ** 2).sum(axis=(1, 2))
     if not grid.free:
         unexplained[:, 1:] = ((y / std) ** 2).sum(axis=1)
-    return x[:, :, :3], unexplained
+    return x[:, grid.first_strip, :3], unexplained
 
 
 def _off_circle(solution: TracerSolution, moved: Floats) -> Floats:

@@ -44,6 +44,16 @@ class Reduced:
 
         Raises ObservabilityError when the matrix is singular in spite of its constraints.
         """
+        factor = self._factor
+        reduced = self.scale * (kept - self.transfer @ other)
+        both = cho_solve(factor, np.column_stack([reduced, self.constraints]), check_finite=False)
+        x = self.scale * (both[:, 0] - self._violation(both[:, 1:], both[:, :1])[:, 0])
+        q, t, _ = self.inverse.shape
+        y = (self.inverse @ other.reshape(q, t, 1)).ravel() - self.transfer.T @ x
+        return x, y
+
+    @cached_property
+    def _factor(self) -> tuple[Floats, bool]:
         try:
             factor = cho_factor(self.regular(), lower=True, check_finite=False)
         except np.linalg.LinAlgError:
@@ -51,12 +61,7 @@ class Reduced:
                 "the lengths do not determine stations and targets together: the normal matrix is "
                 "singular; measure more targets from more stations, or use the datum 'prior'"
             ) from None
-        reduced = self.scale * (kept - self.transfer @ other)
-        both = cho_solve(factor, np.column_stack([reduced, self.constraints]), check_finite=False)
-        x = self.scale * (both[:, 0] - self._violation(both[:, 1:], both[:, :1])[:, 0])
-        q, t, _ = self.inverse.shape
-        y = (self.inverse @ other.reshape(q, t, 1)).ravel() - self.transfer.T @ x
-        return x, y
+        return np.asarray(factor[0], dtype=np.float64), bool(factor[1])
 
     def covariance(self) -> Floats:
         """Return the covariance (p s, p s) of the kept side, under the constraints."""
@@ -101,17 +106,36 @@ def eliminate(
     data leave open.
     """
     p, s, _ = kept.shape
-    q, t, _ = other.shape
-    inverse = np.linalg.inv(other)
-    transfer = np.empty_like(cross)
-    by_block = cross.reshape(p * s, q, t).swapaxes(0, 1) @ inverse
-    transfer.reshape(p * s, q, t)[...] = by_block.swapaxes(0, 1)
-    matrix = -transfer @ cross.T
-    matrix = 0.5 * (matrix + matrix.T)
+    inverse, transfer, matrix = _schur(other, cross)
     matrix.reshape(p, s, p, s)[np.arange(p), :, np.arange(p)] += kept
+    return _reduced(matrix, inverse, transfer, constraints)
+
+
+def eliminate_from(
+    kept: Floats, other: Floats, cross: Floats, constraints: Floats | None = None
+) -> Reduced:
+    """Do as :func:`eliminate` for a kept side that is one matrix (y, y), ``cross`` (y, q t)."""
+    inverse, transfer, matrix = _schur(other, cross)
+    return _reduced(matrix + kept, inverse, transfer, constraints)
+
+
+def _schur(other: Floats, cross: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return B^-1, C B^-1 and -C B^-1 C'."""
+    q, t, _ = other.shape
+    inverse = np.asarray(np.linalg.inv(other))
+    transfer = np.empty_like(cross)
+    by_block = cross.reshape(-1, q, t).swapaxes(0, 1) @ inverse
+    transfer.reshape(-1, q, t)[...] = by_block.swapaxes(0, 1)
+    matrix = -transfer @ cross.T
+    return inverse, transfer, 0.5 * (matrix + matrix.T)
+
+
+def _reduced(
+    matrix: Floats, inverse: Floats, transfer: Floats, constraints: Floats | None
+) -> Reduced:
     scale = 1.0 / np.sqrt(np.maximum(matrix.diagonal(), np.finfo(np.float64).tiny))
     if constraints is None:
-        columns = np.empty((p * s, 0))
+        columns = np.empty((len(matrix), 0))
     else:
         columns = np.linalg.qr(constraints * scale[:, None])[0]
-    return Reduced(matrix, np.asarray(inverse), transfer, scale, np.asarray(columns))
+    return Reduced(matrix, inverse, transfer, scale, np.asarray(columns))

@@ -33,7 +33,7 @@ import numpy as np
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.adjustment import Adjuster, Adjustment
-from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM, STATION_MINIMUM, Grid
+from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM, Grid
 from rotcal_ros.methods.tracer.noise import (
     LEAST_FACTOR,
     Noise,
@@ -116,7 +116,7 @@ def _settled(
     if chance.min() >= significance / len(chance):
         return as_stated(grid), stated
     noise, fit = estimate_noise(adjust, grid, stated, before.factors, bent)
-    if noise.factors[0] <= LEAST_FACTOR:
+    if noise.factors[0] < LEAST_FACTOR * (1.0 + 1e-9):
         return as_stated(grid), stated
     return noise, fit
 
@@ -139,8 +139,12 @@ def _reasons(grid: Grid, fit: Adjustment, rejected: Bools, limit: float) -> dict
     return {int(grid.row[j, i]): _reason(grid, fit, j, i, limit) for j, i in np.argwhere(rejected)}
 
 
+def _name(grid: Grid, j: int, i: int) -> str:
+    return f"station {grid.position_ids[grid.station[j]]}, target {grid.target_ids[i]}"
+
+
 def _reason(grid: Grid, fit: Adjustment, j: int, i: int, limit: float) -> str:
-    name = f"station {grid.position_ids[j]}, target {grid.target_ids[i]}"
+    name = _name(grid, j, i)
     value = fit.test_value[j, i]
     if fit.target_test[i] > max(limit, abs(value)):
         miss = float(np.linalg.norm(fit.targets[i] - grid.targets[i]))
@@ -176,11 +180,11 @@ def reject_gross(
 def _outliers(grid: Grid, fit: Adjustment, limit: float) -> Bools:
     """Return (m, n) which lengths to reject in this round."""
     size = np.where(grid.used, np.abs(fit.test_value), 0.0)
-    size[grid.used.sum(axis=1) <= STATION_MINIMUM] = 0.0
+    size[(grid.per_station(grid.used) <= grid.station_minimum)[grid.station]] = 0.0
     if grid.free:
         size[:, grid.used.sum(axis=0) <= FREE_TARGET_MINIMUM] = 0.0
-    outliers = (size > limit) & (size == size.max(axis=1, keepdims=True))
-    if fit.unknowns > 4 * len(size):  # targets were adjusted too
+    outliers = (size > limit) & (size == grid.largest_of_station(size))
+    if fit.unknowns > grid.unknowns:  # targets were adjusted too
         outliers &= size == size.max(axis=0)
     worst = int(np.argmax(fit.target_test))
     if fit.target_test[worst] > max(limit, size[:, worst].max()):
@@ -197,8 +201,8 @@ def without_targets(grid: Grid, screened: Grid) -> tuple[Grid, dict[int, str]]:
     lost = (grid.used & ~screened.used).any(axis=0)
     why = {
         int(grid.row[j, i]): (
-            f"station {grid.position_ids[j]}, target {grid.target_ids[i]}: left out with the "
-            "target's rejected lengths, so that its error stays common to all stations"
+            f"{_name(grid, j, i)}: left out with the target's rejected lengths, so that its "
+            "error stays common to all stations"
         )
         for j, i in np.argwhere(screened.used & lost)
     }

@@ -10,6 +10,7 @@ from rotcal_ros.settings import setting
 
 Variant = Literal["station", "joint"]
 Datum = Literal["prior", "free"]
+Zero = Literal["auto", "per_station", "per_segment"]
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,19 @@ class TracerSolverSettings(TracerLimits):
     )
     target_std_m: float = setting(
         1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
+    )
+    zero: Zero = setting(
+        "auto",
+        doc="the unknown zero of the lengths: one per_station, or one per_segment of unbroken "
+        "beam, which measures better and needs the variant joint; auto: per segment for a table "
+        "with the column segment, else per station",
+    )
+    zero_walk_std_m: float | None = setting(
+        0.0,
+        doc="m, with a zero per_segment: standard deviation of its change from one length to the "
+        "next, as by temperature; 0: it stands; absent: estimated from the lengths",
+        minimum=0.0,
+        maximum=1e-4,
     )
     error_motion_std_m: float | None = setting(
         None,

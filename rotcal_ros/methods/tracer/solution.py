@@ -19,15 +19,18 @@ from rotcal_ros.methods.tracer.adjustment import (
 from rotcal_ros.methods.tracer.angles import TableMotion, table_motion
 from rotcal_ros.methods.tracer.error_motion import ErrorMotion, error_motion_of
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid, arrange
+from rotcal_ros.methods.tracer.jumps import Jump, find_jump, split
 from rotcal_ros.methods.tracer.noise import Noise, NoiseEvidence, scaled
 from rotcal_ros.methods.tracer.observability import check_counts, check_station_spread
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.screening import (
+    GROSS,
     Screened,
     adjust_and_screen,
     reject_gross,
     without_targets,
 )
+from rotcal_ros.methods.tracer.shared_start import find_shared_start, with_zeros
 from rotcal_ros.methods.tracer.start import find_start
 from rotcal_ros.methods.tracer.uncertainty import (
     AngleUncertainty,
@@ -37,9 +40,12 @@ from rotcal_ros.methods.tracer.uncertainty import (
     length_test,
 )
 from rotcal_ros.methods.tracer.verdict import Evidence, closures
+from rotcal_ros.methods.tracer.zero_walk import likely_walk, wandering
 
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
+MOST_JUMPS: Final = 10
+"""Jumps of the zero after which no further ones are looked for: the beam is no beam."""
 KNOWN: Final = 1e-9
 """Standard deviation (m) of a coordinate that is called known, where others have errors."""
 
@@ -100,11 +106,19 @@ def adjust(problem: TracerProblem) -> TracerSolution:
     grid, absent = arrange(problem)
     check_counts(grid)
     given = problem.start_stations
-    start, ambiguous = find_start(grid, None if given is None else given[grid.position_ids])
-    screened = _screened(problem, grid, start)
+    commanded = problem.table_angles[grid.position_ids]
+    given = None if given is None else given[grid.position_ids]
+    if grid.zero is None:
+        start, ambiguous = find_start(grid, given)
+    else:
+        start, ambiguous = find_shared_start(grid, given, commanded)
+    jumps: tuple[Jump, ...] = ()
+    if grid.zero is None:
+        screened = _screened(problem, grid, start)
+    else:
+        screened, jumps = _screened_together(problem, grid, start)
     placed = _placed(problem, grid, screened)
     motion, fit, covariance = placed.motion, placed.fit, placed.covariance
-    commanded = problem.table_angles[grid.position_ids]
     _check_sense(motion, fit.stations, commanded, grid)
     unexplained = length_test(fit, covariance.dof_effective)
     significance = problem.settings.test_significance
@@ -134,6 +148,7 @@ def adjust(problem: TracerProblem) -> TracerSolution:
         spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
         unchecked=int((placed.grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
         mirror_ambiguous=ambiguous,
+        jumps=jumps,
     )
     rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
     return TracerSolution(
@@ -156,6 +171,58 @@ def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
     screened = adjust_and_screen(joint.adjust_network, coarse, start, limits)
     kept = replace(screened.grid, target_std=grid.target_std)
     return replace(screened, grid=kept, why=screened.why | gross)
+
+
+def _screened_together(
+    problem: TracerProblem, grid: Grid, start: Floats
+) -> tuple[Screened, tuple[Jump, ...]]:
+    """Do as :func:`_screened` where stations share zeros, and split these where they jump.
+
+    Large jumps are looked for before large outliers, with their margin: the errors of known
+    targets come in the order of time.
+    """
+    limits, order = problem.settings, problem.measuring_order
+    jumps: list[Jump] = []
+
+    def broken(fit_grid: Grid, fit: Adjustment, margin: float) -> bool:
+        nonlocal grid, start
+        jump = find_jump(fit_grid, fit, order, limits.rejection_significance, margin)
+        if jump is None or len(jumps) == MOST_JUMPS:
+            return False
+        jumps.append(jump)
+        grid, source = split(grid, jump, order)
+        start = with_zeros(grid, start[source, :3])
+        return True
+
+    walk = problem.zero_walk_std
+    while walk == 0.0 and broken(_missing(grid), _known_targets(grid, start), GROSS):
+        pass
+    while True:
+        coarse, gross = reject_gross(_known_targets, grid, start, limits.rejection_significance)
+        std = likely_walk(coarse, start, order) if walk is None else walk
+        begin = start
+        if std:
+            coarse, source = wandering(coarse, order, std)
+            begin = with_zeros(coarse, start[source, :3])
+        screened = adjust_and_screen(joint.adjust_network, coarse, begin, limits)
+        if not broken(scaled(screened.grid, screened.noise.factors), screened.fit, 1.0):
+            return replace(screened, why=screened.why | gross), tuple(jumps)
+
+
+def _known_targets(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:
+    """Adjust stations to targets as the machine has them, whose errors join the lengths'."""
+    return joint.adjust_network(_missing(grid), start, targets)
+
+
+def _missing(grid: Grid) -> Grid:
+    """Return ``grid`` with known targets, whose errors are among those of the lengths."""
+    missed = (grid.target_std**2).max(axis=1)
+    return replace(
+        grid,
+        free=False,
+        length_std=np.sqrt(grid.length_std**2 + missed),
+        target_std=np.full_like(grid.target_std, KNOWN),
+    )
 
 
 def _placed(problem: TracerProblem, grid: Grid, screened: Screened) -> _Placed:

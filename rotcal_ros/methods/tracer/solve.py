@@ -14,6 +14,7 @@ from rotcal_ros.methods.tracer.observability import weakest_direction
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.protections import protections
 from rotcal_ros.methods.tracer.screening import rejection_limit
+from rotcal_ros.methods.tracer.segments import segment_report
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.verdict import judge
 from rotcal_ros.results import Rejection, Residuals, Result
@@ -67,12 +68,17 @@ def _residuals(solution: TracerSolution) -> Residuals:
     """Return one row per length; NaN where the station or target was dropped altogether."""
     problem, grid, fit = solution.problem, solution.grid, solution.fit
     place_of = np.full(len(problem.table_angles), -1)
-    place_of[grid.position_ids] = np.arange(len(grid.position_ids))
+    place_of[grid.position_ids] = grid.first_strip
     target_at = np.full(len(problem.targets), -1)
     target_at[grid.target_ids] = np.arange(len(grid.target_ids))
     j, i = place_of[problem.position], target_at[problem.target]
     known = (j >= 0) & (i >= 0)
-    distance = np.linalg.norm(fit.stations[j] - fit.targets[i], axis=1) - fit.distances[j]
+    if grid.zero is not None:
+        at, filled = np.nonzero(grid.row >= 0)
+        j[:] = -1
+        j[grid.row[at, filled]] = at
+        known = j >= 0
+    distance = np.linalg.norm(fit.standing[j] - fit.targets[i], axis=1) - fit.distances[j]
     placed = known & (grid.row[j, i] == np.arange(len(j)))
     return Residuals(
         table_position=problem.position,
@@ -111,6 +117,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         "covariance_scale": solution.scale * float(solution.noise.factors[0]),
         "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(solution),
+        **_zeros(solution),
         "closure": [asdict(closure) for closure in solution.evidence.closures],
     }
 
@@ -125,7 +132,7 @@ def _network(solution: TracerSolution) -> dict[str, Any]:
         "stations": fit.stations,
         "station_std": np.sqrt(np.diagonal(blocks, axis1=1, axis2=2)),
         "station_covariance": blocks,
-        "distances": fit.distances,
+        "distances": fit.distances[grid.first_strip],
         "target_ids": grid.target_ids,
         "targets": fit.targets,
         "unknowns": fit.unknowns,
@@ -141,8 +148,8 @@ def _network(solution: TracerSolution) -> dict[str, Any]:
 def _tests(solution: TracerSolution) -> dict[str, Any]:
     """Return the outcomes of the tests, and residuals judged per station."""
     grid, fit, evidence = solution.grid, solution.fit, solution.evidence
-    redundancy = fit.redundancy.sum(axis=1)
-    squared = (grid.used * (fit.residual / fit.std) ** 2).sum(axis=1)
+    redundancy = grid.per_station(fit.redundancy)
+    squared = grid.per_station(grid.used * (fit.residual / fit.std) ** 2)
     return {
         "dof_effective": solution.covariance.dof_effective,
         "noise": _noise(solution),
@@ -152,6 +159,17 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squared / np.maximum(redundancy, 1e-9)),
         "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
+    }
+
+
+def _zeros(solution: TracerSolution) -> dict[str, Any]:
+    """Return the zeros of segments, and their walk per length that was used, m."""
+    if solution.grid.zero is None:
+        return {}
+    walk = solution.grid.walk
+    return {
+        "segments": segment_report(solution),
+        "zero_walk_std": 0.0 if walk is None else float(walk.min()),
     }
 
 

@@ -1,7 +1,8 @@
 """Station by station: the tracer's places from known targets, all in one vectorised solve.
 
-Laser tracer paper, section 3.1 (Eq. 5-17): Levenberg-Marquardt with the paper's damping rule and
-line search on four unknowns (X, Y, Z, d) per station. The stations share the targets and hence
+Laser tracer paper, section 3.1 (Eq. 5-17): four unknowns (X, Y, Z, d) per station, by undamped
+steps where these contract, else by Levenberg-Marquardt with the paper's damping rule and line
+search. The stations share the targets and hence
 the targets' errors; their joint covariance keeps that, because errors common to all stations
 largely cancel in the angle.
 """
@@ -17,6 +18,7 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance, ranges
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.observability import check_station_rank
+from rotcal_ros.methods.tracer.undamped import contract
 
 BETA: Final = 0.55
 SIGMA: Final = 0.4
@@ -34,7 +36,23 @@ def locate_stations(
     """Return (X, Y, Z, d) of all stations (m, 4), and which have settled (m,); Eq. 5-17.
 
     ``targets`` (n, 3), ``length`` and ``weights`` (m, n; weight zero for a missing length),
-    ``start`` (m, 4), in metres. Weights count relative to the largest one, so that objective
+    ``start`` (m, 4), in metres. Undamped steps (:mod:`.undamped`) where they contract, the paper's
+    Levenberg-Marquardt (:func:`locate_damped`) for the other stations; the minimum is the same.
+    """
+    state, settled = contract(targets, length, weights, start)
+    if not settled.all():
+        rest = ~settled
+        state, parts = state.copy(), (length[rest], weights[rest], start[rest])
+        state[rest], settled[rest] = locate_damped(targets, *parts)
+    return state, settled
+
+
+def locate_damped(
+    targets: Floats, length: Floats, weights: Floats, start: Floats
+) -> tuple[Floats, Bools]:
+    """Return what :func:`locate_stations` returns by Levenberg-Marquardt alone.
+
+    Weights count relative to the largest one, so that objective
     and first damping mu = |f(x_0)| keep the paper's dimension, a length.
 
     Slip of Eq. 11-14: the line search is printed once per coordinate; it is one search along h,
@@ -234,11 +252,15 @@ def _effective_dof(whitened: Floats, felt: Floats, dof: int) -> float:
         return float(dof)
     factor = np.linalg.cholesky(whitened.swapaxes(1, 2) @ whitened)
     basis = np.linalg.solve(factor, whitened.swapaxes(1, 2))  # (m, 4, n), orthonormal rows
-    leverage = (basis**2).sum(axis=1)
-    total = 0.0
-    for j in range(len(basis)):
-        shared = np.einsum("ic,kic->ki", felt[j], felt)
-        shared[j] = 0.0
-        overlap = (basis[j] * shared[:, None, :]) @ basis.swapaxes(1, 2)
-        total += float((shared**2 * (1.0 - leverage[j] - leverage)).sum() + (overlap**2).sum())
+    leverage = (basis**2).sum(axis=1)[:, :, None]
+    m = len(basis)
+    # with e = felt: sum_jk |D_jk|^2 r_j is |sum_j e_j e_j'|^2, target by target
+    squares = (felt[:, :, :, None] * felt[:, :, None, :]).reshape(*felt.shape[:2], 9)
+    total = float((squares.sum(axis=0) * (squares * (1.0 - 2.0 * leverage)).sum(axis=0)).sum())
+    total -= float((squares**2 * (1.0 - 2.0 * leverage)).sum())
+    columns = basis.swapaxes(1, 2)[:, :, :, None] * felt[:, :, None, :]  # (m, n, 4, 3)
+    columns = columns.transpose(0, 2, 1, 3).reshape(4 * m, -1)
+    overlap = (columns @ columns.T).reshape(m, 4, m, 4)
+    overlap[np.arange(m), :, np.arange(m)] = 0.0
+    total += float((overlap**2).sum())
     return dof**2 / (dof + total)

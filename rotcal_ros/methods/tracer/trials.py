@@ -15,10 +15,10 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
+from rotcal_ros.methods.tracer.gain import NetworkGain
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.network import linearise, relax
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.schur import Reduced
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 
 STEPS: Final = 3
@@ -32,30 +32,10 @@ PLACES: Final = 200_000
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkGain:
-    """The variant "joint": the kept covariance, and the way back to the eliminated side."""
-
-    kept: Floats
-    reduced: Reduced
-    stations_kept: bool
-
-    def step(self, station: Floats, target: Floats) -> tuple[Floats, Floats]:
-        """Return the Gauss-Newton steps, to be subtracted, for gradients (t, m, 4), (t, n, 3)."""
-        a, b = station.reshape(len(station), -1), target.reshape(len(target), -1)
-        kept, other = (a, b) if self.stations_kept else (b, a)
-        blocks = len(self.reduced.inverse)
-        x = (kept - other @ self.reduced.transfer.T) @ self.kept
-        own = np.einsum("qab,tqb->tqa", self.reduced.inverse, other.reshape(len(x), blocks, -1))
-        y = own.reshape(other.shape) - x @ self.reduced.transfer
-        a, b = (x, y) if self.stations_kept else (y, x)
-        return a.reshape(station.shape), b.reshape(target.shape)
-
-
-@dataclass(frozen=True, eq=False)
 class TracerTrials:
     """Draws measurements like the given one and solves them; made by :func:`tracer_trials`.
 
-    ``state`` (m, 4) and ``targets`` (n, 3) are the solution, ``weights`` (m, n) those of the
+    ``state`` (p, 4) and ``targets`` (n, 3) are the solution, ``weights`` (p, n) those of the
     solver. ``gain`` belongs to its variant; for "station" the inverse normal matrices (m, 4, 4).
     ``scale`` enlarges the stated noise as the solver does, ``wobble`` (2, 3) are standard error
     motions in the plane of the stations, ``zeros`` (r, m, n) standard errors that all lengths of a
@@ -86,11 +66,14 @@ class TracerTrials:
         grid = self.grid
         m, n = grid.used.shape
         length = grid.length + self.scale * grid.length_std * rng.standard_normal((count, m, n))
+        if grid.walk is not None:
+            length += _walks(grid.walk, rng, count)[:, grid.zero, None]
         if len(self.zeros):
             length += np.tensordot(rng.standard_normal((count, len(self.zeros))), self.zeros, 1)
         places = rng.standard_normal((count, n, 3))
         targets = grid.targets + self.scale * grid.target_std * places
-        return length, targets, rng.standard_normal((count, m, 2)) @ self.wobble
+        wobble = rng.standard_normal((count, grid.n_stations, 2)) @ self.wobble
+        return length, targets, wobble
 
     def solve(self, length: Floats, places: Floats, wobble: Floats) -> Floats:
         """Return the cumulative deviations (t, m) for t sets of what :meth:`draw` returns."""
@@ -101,13 +84,17 @@ class TracerTrials:
             for _ in range(STEPS):
                 by_station, _ = self._gradients(state, places, length)
                 state -= (self.gain @ by_station[..., None])[..., 0]
-        return cumulative_deviations(state[:, :, :3] + wobble, self.angles)
+        stations = state[:, self.grid.first_strip, :3]
+        return cumulative_deviations(stations + wobble, self.angles)
 
     def _settle(self, gain: NetworkGain, state: Floats, length: Floats, places: Floats) -> None:
         """Bring the stations ``state`` (t, m, 4) of networks to their minimum, in place."""
         targets = np.broadcast_to(self.targets, places.shape).copy()
         for _ in range(MOST_STEPS):
             by_station, by_target = self._gradients(state, targets, length)
+            if (layout := gain.layout).tension is not None:
+                _, pull = layout.stretch(state[:, layout.first_of_zero, 3])
+                by_station[:, layout.first_of_zero, 3] += pull
             if not self.grid.free:
                 by_target += (targets - places) / self.grid.target_std**2
             steps = gain.step(by_station, by_target)
@@ -131,6 +118,16 @@ class TracerTrials:
         return by_station, -push.sum(axis=1)
 
 
+def _walks(std: Floats, rng: np.random.Generator, count: int) -> Floats:
+    """Return walks (count, s) of zeros with these standard deviations to the next; 0 at begins."""
+    linked = np.isfinite(std)
+    steps = np.where(linked, std, 0.0) * rng.standard_normal((count, len(std)))
+    total = np.cumsum(steps, axis=1) - steps
+    chain = np.append(0, np.cumsum(~linked)[:-1])
+    begin = np.unique(chain, return_index=True)[1]
+    return np.asarray(total - total[:, begin][:, chain], dtype=np.float64)
+
+
 def tracer_trials(problem: TracerProblem) -> TracerTrials:
     """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses.
 
@@ -146,7 +143,7 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
     gain: Floats | NetworkGain
     if problem.variant == "joint":
         network = fit.network or linearise(grid, fit.state, fit.targets)
-        gain = NetworkGain(network.reduced.covariance(), network.reduced, network.stations_kept)
+        gain = NetworkGain.of(network)
     else:
         difference = fit.stations[:, None] - fit.targets
         unit = difference / np.linalg.norm(difference, axis=2, keepdims=True)

@@ -5,7 +5,8 @@ suspect
     chi-squared test of the lengths fails all the same (the covariance is then enlarged by
     sigma0^2); more than ``max_rejected_share`` of the lengths were rejected; a closure is larger
     than its uncertainty allows; the stations leave the circle by more than the stated error
-    motion (the estimate of :mod:`.error_motion` is used); or a position of the plan is missing.
+    motion (the estimate of :mod:`.error_motion` is used); a zero jumps within a segment of
+    unbroken beam (:mod:`.jumps`; it is split); or a position of the plan is missing.
 failed
     the lengths scatter more than 10 times or the targets more than 30 times as stated (the model
     does not describe the data), or more than a fifth of the lengths were rejected.
@@ -22,6 +23,7 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM
+from rotcal_ros.methods.tracer.jumps import Jump
 from rotcal_ros.methods.tracer.noise import Noise
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.uncertainty import GlobalTest
@@ -101,6 +103,7 @@ class Evidence:
     spare: tuple[int, ...]
     unchecked: int
     mirror_ambiguous: bool
+    jumps: tuple[Jump, ...] = ()
 
 
 def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[str, ...]]:
@@ -121,7 +124,7 @@ def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
     noise = evidence.noise
     larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
     doubts = [
-        f"{_times(noise, k)}: the estimate is used; state it, or look for drift"
+        f"{times_stated(noise, k)}: the estimate is used; state it, or look for drift"
         for k in np.flatnonzero(larger).tolist()
     ]
     if evidence.unexplained > 1.0:
@@ -143,6 +146,12 @@ def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
 def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
     doubts: list[str] = []
     limit = normal_isf(0.5 * settings.test_significance)
+    doubts += [
+        f"the zero of segment {jump.segment} jumps by {jump.size:+.3g} m (standard deviation "
+        f"{jump.std:.2g} m) at observation {jump.row}, and nothing had said so: a slipped fringe, "
+        "or a beam that was broken; it was split there"
+        for jump in evidence.jumps
+    ]
     doubts += [
         f"stations {c.first} and {c.last} stand at the same table angle but differ by "
         f"{c.error:.3g} rad, expected 0 with a standard deviation of {c.std:.3g} rad: something "
@@ -167,7 +176,7 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
 def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
     noise = evidence.noise
     remarks = [
-        f"{_times(noise, k)}, and so the estimate is used"
+        f"{times_stated(noise, k)}, and so the estimate is used"
         for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
         if noise.factors[k] < 1.0 or not noise.contradicted(settings.test_significance)[k]
     ]
@@ -189,6 +198,6 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
     return remarks
 
 
-def _times(noise: Noise, k: int) -> str:
-    """Return how many times its statement component ``k`` is."""
+def times_stated(noise: Noise, k: int) -> str:
+    """Return how many times its statement component ``k`` is, in words."""
     return f"{WORDS[k]} is {noise.factors[k]:.2g} times its stated {noise.stated[k]:.2g} m"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -41,6 +43,9 @@ def progress_bar() -> Progress:
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[int, int], None]]:
     """Show a progress bar and yield the function (done, total) that moves it."""
+    if not (sys.stderr.isatty() or "FORCE_COLOR" in os.environ):
+        yield lambda _done, _total: None  # rich takes longer to load than a small bag to be solved
+        return
     with progress_bar() as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -12,6 +12,7 @@ from rotcal_ros.evaluation.compare import Comparison
 from rotcal_ros.evaluation.component_groups import Group
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
 from rotcal_ros.evaluation.propagated import Propagated
+from rotcal_ros.evaluation.quick_check import QuickCheck
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -67,6 +68,19 @@ def print_comparisons(comparisons: Mapping[tuple[str, str], Comparison], compone
             *(f"note: {note}" for note in comparison.notes),
             f"{first} - {second}: {comparison.in_words(unit, label)}",
         )
+
+
+def print_check(check: QuickCheck, component: str) -> None:
+    """Print a quick check by angle, its notes and its verdict."""
+    unit, label = unit_of(component)
+    rows = []
+    for i, cells in enumerate(check.rows(unit)):
+        remarks = ["changed"] * bool(abs(check.difference[i]) > check.alarm[i])
+        remarks += ["between"] * bool(check.interpolated[i])
+        rows.append((*cells, ", ".join(remarks)))
+    headings = ["angle/deg", "difference", "U (k = 2)", "valid up to", "changed from", ""]
+    _table(f"{component}: new - earlier, aligned, {label}", headings, rows)
+    _lines(*(f"note: {note}" for note in check.notes), check.in_words(unit, label))
 
 
 def print_iso230(figures: Iso230, n_runs: int) -> None:

@@ -1,0 +1,56 @@
+"""Six deviations from 864 lengths against scipy's sparse least squares, side by side.
+
+``rows()`` yields one measurement each. Both sides run alternately; the best time of each counts.
+"""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from collections.abc import Iterator
+
+import numpy as np
+from racing import Row, race
+from scipy_tracer_six import SparseSix
+from six_scene import LENGTH_STD, TARGET_STD, scene
+
+from rotcal_ros.methods.tracer_six import SixProblem
+from rotcal_ros.methods.tracer_six.curves import rotation_vector
+from rotcal_ros.methods.tracer_six.layout import lay_out
+from rotcal_ros.methods.tracer_six.rig import relax
+from rotcal_ros.methods.tracer_six.start import find_start
+
+FORCING = {"tr_options": {"atol": 1e-14, "btol": 1e-14, "maxiter": 2000}}
+"""With its own tolerance lsmr stops early, and least_squares takes four times as long."""
+
+
+def joint() -> Row:
+    """24 targets, 12 angles, 3 places; both from the same start. The answers are stations."""
+    problem = SixProblem(**scene(np.random.default_rng(1)).rows)
+    layout, _ = lay_out(problem)
+    start = find_start(layout)
+    scipy = SparseSix(
+        problem.position, problem.place, problem.target, problem.place, problem.length,
+        LENGTH_STD, problem.targets, TARGET_STD, problem.table_angles, 3,
+    )  # fmt: skip
+    unmoved = np.zeros(scipy.sizes[-1])
+    unmoved = scipy._turned(unmoved[: 3 * len(layout.angles)].reshape(-1, 3))
+    turns = rotation_vector(start.rotation @ unmoved.swapaxes(1, 2))
+    parts = (turns, start.translation, start.places, start.zeros, start.targets)
+    flat = np.concatenate([part.ravel() for part in parts])
+
+    def ours() -> np.ndarray:
+        return relax(layout.grid, layout, None, start).state.stations(layout)
+
+    def opponent() -> np.ndarray:
+        c, d, q, _, _ = scipy.split(scipy.solve(flat, **FORCING).x)
+        turned = scipy._turned(c)[layout.position]
+        return (turned @ q[layout.place][:, :, None])[:, :, 0] + d[layout.position]
+
+    a, b, difference = race(ours, opponent, (60, 10))
+    return Row("six deviations 24 x 12 x 3", a, b, b / a, difference)
+
+
+def rows() -> Iterator[Row]:
+    """Yield all measurements."""
+    yield joint()

@@ -1,0 +1,34 @@
+"""Observed lengths as arrays: when each was taken, and where the reflector was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.observations import Observation
+
+
+def time_order(observations: Sequence[Observation]) -> Ints:
+    """Return the rank (k,) in time of each observation: by run, then by step of the plan."""
+    keys = ([o.step for o in observations], [o.run for o in observations])
+    rank = np.empty(len(observations), dtype=np.int64)
+    rank[np.lexsort(keys)] = np.arange(len(observations))
+    return rank
+
+
+def reported_positions(observations: Sequence[Observation]) -> Floats:
+    """Return where the machine says the probe was, shape (k, 3)."""
+    return np.array([o.probe_position for o in observations]).reshape(-1, 3)
+
+
+def mean_targets(nominal: Floats, target: Ints, reported: Floats) -> Floats:
+    """Return the mean reported position of each target, shape (n, 3)."""
+    count = np.bincount(target, minlength=len(nominal))
+    total = np.zeros_like(nominal)
+    np.add.at(total, target, reported)
+    seen = count > 0
+    total[seen] /= count[seen, None]
+    total[~seen] = nominal[~seen]
+    return total

@@ -1,0 +1,102 @@
+"""The policy ``until_goal`` for a laser tracer: the plan's steps as candidates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.continuation import Continuation
+from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
+from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.methods.tracer.settings import TracerSolverSettings
+from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.policy.choices import Policy
+from rotcal_ros.planning.policy.lengths import Costs, LengthExperiment
+from rotcal_ros.planning.policy.names import UNTIL_GOAL
+from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal
+from rotcal_ros.planning.tracer_design.scene import Scene, on_table
+from rotcal_ros.units import ARCSEC
+
+
+def until_goal(configuration: Configuration, plan: Plan, continuation: Continuation) -> Policy:
+    """Return the policy for what ``continuation`` leaves.
+
+    Raises ConfigurationError for what until_goal cannot plan with, PlanError when the goal is out
+    of reach of all steps, or a first step is asked for.
+    """
+    settings, source = configuration.planner, configuration.source
+    goal = settings.goal_arcsec * ARCSEC
+    if goal <= 0.0:
+        raise ConfigurationError(
+            f"{source}: planner: the policy {UNTIL_GOAL} needs a goal: give goal_arcsec"
+        )
+    if configuration.plan.repeated:
+        raise ConfigurationError(
+            f"{source}: planner: the policy {UNTIL_GOAL} chooses single steps, repeated runs "
+            "measure all of them: leave out plan.runs and plan.bidirectional, or the policy"
+        )
+    if continuation.run == 0 and continuation.start_index:
+        raise PlanError(
+            f"start_index {continuation.start_index}: the policy {UNTIL_GOAL} measures in an "
+            "order of its own; go on with 'rotcal run --resume'"
+        )
+    experiment = length_experiment(configuration, plan)
+    _check_reach(experiment, goal, source)
+    done = {o.step for o in continuation.observations}
+    gone = {step.index for step in plan.steps} - done - set(continuation.steps)
+    return UntilGoal(
+        experiment,
+        Limits(goal, configuration.solver.rejection_significance),
+        again=continuation.again,
+        earlier=continuation.observations,
+        given_up=sorted(gone),
+    )
+
+
+def length_experiment(configuration: Configuration, plan: Plan) -> LengthExperiment:
+    """Return the plan's steps as lengths about the nominal place of the tracer."""
+    settings: TracerSolverSettings = configuration.solver
+    planner = configuration.planner
+    scene = Scene(
+        stations=on_table(_mount(configuration), plan.table_angles),
+        table_angles=np.array(plan.table_angles),
+        targets=np.array(plan.targets),
+        target_std=np.full(3, settings.target_std_m),
+        length_std=planner.expected_std_m or settings.length_std_m,
+        length_std_relative=settings.length_std_relative,
+        error_motion_std=settings.error_motion_std_m or 0.0,
+    )
+    if settings.variant == "joint" and settings.datum == "free":
+        raise ConfigurationError(
+            f"{configuration.source}: planner: the policy {UNTIL_GOAL} plans with the machine's "
+            "coordinates: the solver's datum must be 'prior'"
+        )
+    return LengthExperiment(plan, scene, Costs(planner.step_s, planner.turn_s))
+
+
+def _mount(configuration: Configuration) -> Floats:
+    """Return where the tracer stands on the table (3,), m."""
+    settings: TracerPlanSettings = configuration.plan
+    place = settings.tracer_m
+    if not place and configuration.simulated:
+        place = configuration.simulation.tracer.mount_m
+    if len(place) != 3:
+        raise ConfigurationError(
+            f"{configuration.source}: plan: the policy {UNTIL_GOAL} has to know, to a few "
+            "centimetres, where the tracer stands on the table: give tracer_m: [x, y, z]"
+        )
+    return np.array(place)
+
+
+def _check_reach(experiment: LengthExperiment, goal: float, source: str) -> None:
+    first = experiment.first_sweep(goal)
+    found = experiment.uncertainty(first, 1.0, COVERAGE_FACTOR)
+    if found > goal:
+        every = range(len(experiment.plan.steps))
+        best = experiment.uncertainty(every, 1.0, COVERAGE_FACTOR) / ARCSEC
+        raise PlanError(
+            f"{source}: planner: goal_arcsec {goal / ARCSEC:g} is out of reach: all {len(every)} "
+            f"steps of the plan give {best:.3g}; offer more targets, or a better spread of them"
+        )

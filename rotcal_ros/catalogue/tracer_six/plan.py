@@ -1,0 +1,229 @@
+"""The plan of the six-deviations method: places of the tracer, table angles, targets.
+
+The tracer stands at one place of the table after the other. From each it measures lengths to the
+same targets while the table turns; between two places a person fixes it anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain, product
+from typing import Final
+
+from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.tracer.plan import STATIONS_PER_TARGET, TARGETS_PER_STATION
+from rotcal_ros.catalogue.tracer_six.places import around, described, require_six
+from rotcal_ros.errors import PlanError
+from rotcal_ros.methods.tracer_six import METHOD
+from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.planning.plan import Pause, Plan, Point, Step
+from rotcal_ros.planning.points import block, triples
+from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
+from rotcal_ros.settings import setting
+from rotcal_ros.units import DEGREE
+
+LOCATING: Final = 6
+"""Targets after which the lengths at a table angle show where the tracer stands: 4 unknowns."""
+LEAST_ANGLES: Final = 3
+
+
+@dataclass(frozen=True)
+class SixPlanSettings(TableAngleSettings):
+    """Where the tracer stands on the table, where the table turns, where the reflector goes.
+
+    Several tracers at once are not planned for: one goes from place to place.
+    """
+
+    places: int = setting(
+        3, doc="places of the tracer, evenly around the axis", minimum=1, maximum=24
+    )
+    place_radius_m: float = setting(
+        0.15, doc="m, distance of the places from the table axis", minimum=0.001, maximum=10.0
+    )
+    place_azimuth_deg: float = setting(
+        0.0, doc="deg, direction of the first place with the table at angle 0"
+    )
+    place_height_m: float = setting(
+        0.12, doc="m, height of the tracer's centre at the first place", minimum=-5.0, maximum=10.0
+    )
+    place_height_step_m: float = setting(
+        0.0,
+        doc="m, by which each place is higher than the one before; unequal heights where each "
+        "station has a zero of its own",
+        minimum=-1.0,
+        maximum=1.0,
+    )
+    places_m: tuple[float, ...] = setting(
+        (),
+        doc="m, x y z of place 0, then of place 1 and so on, with the table at angle 0; replaces "
+        "all settings above",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    place_tolerance_m: float = setting(
+        0.01,
+        doc="m, by which the tracer may miss its place before the person is asked again",
+        minimum=1e-5,
+        maximum=0.05,
+    )
+    box_centre_m: tuple[float, float, float] = setting(
+        (0.0, 0.0, 0.61), doc="m, centre of the block of targets"
+    )
+    box_size_m: tuple[float, float, float] = setting(
+        (1.0, 1.0, 0.82), doc="m, size of the block of targets", minimum=0.0
+    )
+    box_points: tuple[int, int, int] = setting(
+        (4, 3, 2), doc="number of targets along x, y and z", minimum=1, maximum=1000
+    )
+    targets_m: tuple[float, ...] = setting(
+        (),
+        doc="m, x y z of target 0, then of target 1 and so on; replaces the block",
+        minimum=-50.0,
+        maximum=50.0,
+    )
+    order: str = setting(
+        TARGETS_PER_STATION,
+        doc="what changes fastest: the target, so that the table comes to each angle once, or the "
+        "table",
+        choices=(TARGETS_PER_STATION, STATIONS_PER_TARGET),
+    )
+    arrivals: int = setting(
+        1,
+        doc="how often the table comes to each angle from each place; 2 tell its scatter better",
+        minimum=1,
+        maximum=20,
+    )
+    closes: bool = setting(
+        False, doc="measure the first angle again at the end of every place, or of every target"
+    )
+
+
+def plan(configuration: Configuration) -> Plan:
+    """Return the plan of a configuration; PlanError where its places lose a deviation."""
+    try:
+        return six_plan(
+            configuration.plan, tilt_known=configuration.solver.tilt_std_rad is not None
+        )
+    except PlanError as error:
+        raise PlanError(f"{configuration.source}: {error}") from error
+
+
+def six_plan(settings: SixPlanSettings, *, tilt_known: bool = False) -> Plan:
+    """Return the plan of one calibration.
+
+    ``Step.station`` is the number of the place. Raises PlanError for places that lose a deviation
+    at every angle, unless it is a tilt and ``tilt_known`` beforehand, and for several arrivals in
+    an order that cannot keep them apart.
+    """
+    if settings.arrivals > 1 and settings.order != TARGETS_PER_STATION:
+        raise PlanError(
+            f"plan: several arrivals need the order {TARGETS_PER_STATION}: with {settings.order} "
+            "the table arrives anew for every target, and no arrival could be told from another"
+        )
+    places = places_of(settings)
+    require_six(places, tilt_known=tilt_known)
+    return plan_of(settings, table_angles(settings), targets_of(settings))
+
+
+def plan_of(
+    settings: SixPlanSettings, angles: tuple[float, ...], targets: tuple[Point, ...]
+) -> Plan:
+    """Return the plan that measures ``targets`` (m) from every place at the angles (rad)."""
+    places = places_of(settings)
+    visited = [*range(len(angles))] * settings.arrivals + [0] * settings.closes
+    blocks = [
+        _rows(number, visited, len(targets), settings.order) for number in range(len(places))
+    ]
+    steps = tuple(
+        Step(
+            index=index,
+            table_position=position,
+            table_angle=angles[position],
+            approach=Approach.POSITIVE,
+            kind=PointKind.REFLECTOR,
+            target=target,
+            position=targets[target],
+            station=place,
+        )
+        for index, (place, position, target) in enumerate(chain(*blocks))
+    )
+    length = len(visited) * len(targets)
+    pauses = tuple(
+        Pause(
+            first := number * length,
+            _located(steps[first : first + length], settings.order),
+            _instruction(number, places, len(targets), angles),
+        )
+        for number in range(len(places))
+    )
+    return Plan(METHOD, angles, targets, steps, pauses)
+
+
+def places_of(settings: SixPlanSettings) -> tuple[Point, ...]:
+    """Return the places of the tracer (m), table frame at angle 0."""
+    if settings.places_m:
+        return triples(settings.places_m, "places_m")
+    return around(
+        settings.places,
+        settings.place_radius_m,
+        settings.place_azimuth_deg * DEGREE,
+        settings.place_height_m,
+        settings.place_height_step_m,
+    )
+
+
+def targets_of(settings: SixPlanSettings) -> tuple[Point, ...]:
+    """Return the targets (m), machine frame."""
+    if settings.targets_m:
+        return triples(settings.targets_m, "targets_m")
+    return block(settings.box_centre_m, settings.box_size_m, settings.box_points)
+
+
+def check_plan(_configuration: Configuration, planned: Plan) -> None:
+    """Raise PlanError for a plan whose lengths could never be solved."""
+    n = len(planned.targets)
+    if (apart := len(set(planned.targets))) < n:
+        raise PlanError(
+            f"{n} targets at {apart} places: box_size_m is 0 where box_points are more"
+        )
+    if n < LOCATING:
+        raise PlanError(
+            f"{n} targets: a place and its zero are 4 unknowns, and every target has errors of "
+            f"its own; at least {LOCATING} targets are needed"
+        )
+    if len(planned.table_angles) < LEAST_ANGLES:
+        raise PlanError(
+            f"{len(planned.table_angles)} table angles: what turns with the table and what stands "
+            f"still are told apart from {LEAST_ANGLES} on"
+        )
+
+
+def _rows(
+    place: int, visited: Sequence[int], n_targets: int, order: str
+) -> Iterator[tuple[int, int, int]]:
+    """Return place, table position and target of each step at a place."""
+    if order == TARGETS_PER_STATION:
+        return ((place, at, target) for at, target in product(visited, range(n_targets)))
+    return ((place, at, target) for target, at in product(range(n_targets), visited))
+
+
+def _located(steps: Sequence[Step], order: str) -> int:
+    """Return the step after which enough targets were measured at the first angle.
+
+    All of them, where they are measured before the table turns; else LOCATING.
+    """
+    at_first = [step for step in steps if step.table_position == steps[0].table_position]
+    targets = {step.target: step.index for step in reversed(at_first)}
+    indices = sorted(targets.values())
+    return indices[-1] if order == TARGETS_PER_STATION else indices[:LOCATING][-1]
+
+
+def _instruction(
+    number: int, places: tuple[Point, ...], n_targets: int, angles: tuple[float, ...]
+) -> str:
+    return (
+        f"fix the tracer at place {number} (of 0 to {len(places) - 1}) on the table, "
+        f"{described(places[number])}; it will measure {n_targets} targets at "
+        f"{len(angles)} table angles, and must not move on the table meanwhile"
+    )

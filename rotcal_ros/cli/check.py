@@ -1,0 +1,62 @@
+"""``rotcal check``: whether an earlier result is still valid, from a quick new measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from rotcal_ros.cli.check_options import rule_of, rule_options
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.components import COMPONENTS, unit_of
+
+if TYPE_CHECKING:
+    from rotcal_ros.evaluation.quick_check import CheckVerdict
+
+EXIT_CODES: Final[Mapping[CheckVerdict, int]] = {"still valid": 0, "changed": 1, "undecided": 3}
+
+
+@click.command()
+@click.argument("earlier", type=path_type)
+@click.argument("new", type=path_type)
+@rule_options
+@click.option(
+    "--component",
+    type=click.Choice(COMPONENTS),
+    default="ECC",
+    show_default=True,
+    help="The deviation to check.",
+)
+@click.option(
+    "--align-order",
+    type=click.IntRange(0, 12),
+    default=0,
+    show_default=True,
+    help="Harmonics taken off beside the offset; 1 for radial deviations of other origins.",
+)
+@json_option
+def command(
+    earlier: Path, new: Path, component: str, align_order: int, as_json: bool, **asked: Any
+) -> int:
+    """Judge by a NEW measurement whether the EARLIER curve still describes the table.
+
+    Both are a result.json, bag, session or reference table (.csv), of any method. The verdict is
+    'still valid' when every measured angle is within the limit less a guard band, 'changed' when
+    the table moved by more than uncertainty and ageing explain, else 'undecided'. Exit code 0, 1
+    and 3. What a tracer has to measure for it: 'rotcal plan check'.
+    """
+    from rotcal_ros.evaluation.quick_check import quick_check
+    from rotcal_ros.recordings.sources import read_curve
+
+    unit, label = unit_of(component)
+    curves = [read_curve(path, component, None) for path in (earlier, new)]
+    check = quick_check(curves[0], curves[1], rule_of(unit, **asked), align_order, unit, label)
+    if as_json:
+        print_json({"component": component, **check.to_dict()})
+    else:
+        from rotcal_ros.report.terminal.tables import print_check
+
+        print_check(check, component)
+    return EXIT_CODES[check.verdict]

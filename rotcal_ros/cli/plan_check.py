@@ -1,0 +1,118 @@
+"""``rotcal plan check``: the fewest lengths that tell whether an earlier result is still valid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from rotcal_ros.cli.check_options import rule_of, rule_options
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.report.terminal.console import progress, say
+from rotcal_ros.units import ARCSEC, DEGREE
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue.tracer.check_plan import CheckPlan
+
+LEAST_REDUNDANCY: Final = 0.25
+"""That of rotcal_ros.planning.tracer_design.check_lengths, which takes long to load."""
+
+
+@click.command()
+@click.argument("earlier", type=path_type)
+@click.option(
+    "--setup", type=path_type, required=True, help="Configuration of the laser tracer (.yaml)."
+)
+@rule_options
+@click.option(
+    "--every",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Check only each so many-th angle; nothing is known of the others.",
+)
+@click.option(
+    "--candidates",
+    type=path_type,
+    help="Places for the reflector: target,x_m,y_m,z_m. Without it: the block of the set-up.",
+)
+@click.option(
+    "--least-redundancy",
+    type=click.FloatRange(0.0, 0.9),
+    default=LEAST_REDUNDANCY,
+    show_default=True,
+    help="Of each length; 0 checks nothing.",
+)
+@click.option(
+    "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
+)
+@click.option("-o", "--output", type=path_type, help="Folder for configuration and its tables.")
+@json_option
+def command(
+    earlier: Path,
+    setup: Path,
+    every: int,
+    candidates: Path | None,
+    least_redundancy: float,
+    changes: tuple[str, ...],
+    output: Path | None,
+    as_json: bool,
+    **asked: Any,
+) -> int:
+    """Plan the fewest lengths of a laser tracer that check the EARLIER result (ECC).
+
+    A table that has only aged as stated will be found still valid with a probability of 1 less
+    the risk of a false alarm. The folder of -o is ready for 'rotcal run FOLDER/check.yaml', and
+    what it measures for 'rotcal check EARLIER NEW' with the same options.
+    """
+    from rotcal_ros.catalogue import changed, read_configuration
+    from rotcal_ros.catalogue.tracer.check_plan import plan_check
+    from rotcal_ros.catalogue.tracer.table import read_targets
+    from rotcal_ros.recordings.sources import read_curve
+
+    with progress("targets") as shown:
+        plan = plan_check(
+            changed(read_configuration(setup), changes),
+            read_curve(earlier, "ECC", None),
+            rule_of(ARCSEC, **asked),
+            every=every,
+            candidates=() if candidates is None else read_targets(candidates),
+            least_redundancy=least_redundancy,
+            progress=shown,
+        )
+    if as_json:
+        print_json(plan.to_dict())
+    else:
+        _print(plan, every, least_redundancy)
+    if output is not None:
+        say(f"written: {plan.write(output).absolute()}")
+    return 0
+
+
+def _print(plan: CheckPlan, every: int, least_redundancy: float) -> None:
+    click.echo("angle/deg  lengths  U/arcsec  valid up to/arcsec")
+    for position, angle in enumerate(plan.angles):
+        count = int((plan.pairs[:, 0] == position).sum())
+        click.echo(
+            f"{angle / DEGREE:9.4f}  {count:7d}  "
+            f"{COVERAGE_FACTOR * plan.std[position] / ARCSEC:8.3f}  "
+            f"{plan.acceptance[position] / ARCSEC:18.3f}"
+        )
+    click.echo(
+        f"{len(plan.pairs)} lengths to {len(plan.targets)} targets (offered: {plan.offered}), "
+        f"smallest redundancy {plan.least_redundancy:.2f}"
+    )
+    click.echo(
+        f"{plan.seconds / 60.0:.1f} min by the simulated cell's clock; unseen drift at most "
+        f"{plan.unseen.drift:.2g}, unseen knock {plan.unseen.knock:.2g} standard uncertainties"
+    )
+    if every > 1:
+        click.echo(f"nothing will be known of {every - 1} of {every} angles of the earlier result")
+    if least_redundancy < LEAST_REDUNDANCY:
+        click.echo("warning: little checks some lengths: an error of one may turn the verdict")
+    click.echo(
+        f"a table that has only aged as stated is found within {plan.rule.limit / ARCSEC:.4g} "
+        f"arcsec with a probability of at least {100 * plan.assurance:.3g} %"
+    )

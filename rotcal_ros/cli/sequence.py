@@ -1,0 +1,127 @@
+"""``rotcal plan sequence``: in which order a tracer plan is measured, and how long it takes."""
+
+from __future__ import annotations
+
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.reliability import SEED
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.protection import TOLERABLE
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue import Calibration
+    from rotcal_ros.planning.sequence_choice import MeasuringOrder
+    from rotcal_ros.planning.sequence_time import TimeModel
+
+
+@click.command()
+@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change it.")
+@click.option(
+    "--cell", is_flag=True, help="Times of the simulated cell of CONFIG; else the two below."
+)
+@click.option("--turn-s", type=float, default=10.0, show_default=True, help="s, one rotation.")
+@click.option("--length-s", type=float, default=5.0, show_default=True, help="s, one length.")
+@click.option(
+    "--limit",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=TOLERABLE,
+    show_default=True,
+    help="Standard uncertainties that an unseen drift or knock may cause.",
+)
+@click.option("--clock", is_flag=True, help="Also let the simulated cell measure CONFIG as it is.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the search.")
+@click.option("-o", "--output", type=path_type, help="Write the pairs in the best order there.")
+@json_option
+def command(
+    configuration: Path,
+    changes: tuple[str, ...],
+    cell: bool,
+    turn_s: float,
+    length_s: float,
+    limit: float,
+    clock: bool,
+    seed: int,
+    output: Path | None,
+    as_json: bool,
+) -> int:
+    """Find the quickest order of a tracer plan in which drifts and knocks would be seen."""
+    from rotcal_ros.catalogue import changed, prepare, read_configuration
+    from rotcal_ros.catalogue.tracer.plan_tables import write_pairs
+    from rotcal_ros.catalogue.tracer.timing import cell_run, cell_time, plan_seconds
+    from rotcal_ros.planning.sequence_choice import best_order
+    from rotcal_ros.planning.sequence_time import AT_ONCE, Drive, TimeModel
+
+    calibration = prepare(changed(read_configuration(configuration), changes))
+    if calibration.method.name != "tracer_multistation":
+        raise ConfigurationError(f"{configuration}: only plans of a laser tracer have such orders")
+    at_once = Drive(AT_ONCE, AT_ONCE)
+    model = TimeModel(Drive(AT_ONCE, AT_ONCE, settle=turn_s), at_once, dwell=length_s)
+    if cell:
+        model = cell_time(calibration.configuration)
+    ways = _orders(calibration, model, seed)
+    best = best_order(ways, limit)
+    steps = calibration.plan.steps
+    if output is not None:
+        pairs = [(steps[row].table_position, steps[row].target) for row in best.order.tolist()]
+        write_pairs(output, pairs)
+    data: dict[str, Any] = {
+        "lengths": len(steps),
+        "listed_s": plan_seconds(model, steps),
+        "bound_s": best.bound,
+        "best": best.name,
+        "orders": [_row(way) for way in ways],
+    }
+    if clock:
+        data["clock_s"] = cell_run(calibration).seconds
+    if as_json:
+        print_json(data)
+    else:
+        _print(data)
+    return 0
+
+
+def _orders(calibration: Calibration, model: TimeModel, seed: int) -> tuple[MeasuringOrder, ...]:
+    """Return the competing orders of the plan's lengths."""
+    from rotcal_ros.catalogue.tracer.calibration import problem
+    from rotcal_ros.planning.sequence_choice import measuring_orders
+    from rotcal_ros.planning.sequence_forecast import OrderForecast
+
+    plan = calibration.plan
+    position, target = (
+        np.array([getattr(step, name) for step in plan.steps], dtype=np.int64)
+        for name in ("table_position", "target")
+    )
+    costs = model.costs(np.array(plan.table_angles), np.array(plan.targets), position, target)
+    noisy = calibration.measured({}, SEED).observations
+    forecast = OrderForecast(problem(calibration.configuration, plan, noisy))
+    return measuring_orders(position, target, costs, forecast, seed=seed)
+
+
+def _row(way: MeasuringOrder) -> dict[str, Any]:
+    unseen = {} if way.forecast is None else way.forecast.to_dict()
+    return {"order": way.name, "seconds": way.seconds, "unseen_std": unseen}
+
+
+def _print(data: dict[str, Any]) -> None:
+    click.echo(
+        f"{data['lengths']} lengths: {data['listed_s']:.0f} s as listed, no order in less than "
+        f"{data['bound_s']:.0f} s"
+    )
+    if "clock_s" in data:
+        click.echo(f"the simulated cell takes {data['clock_s']:.1f} s for it as listed")
+    click.echo("order     seconds  unseen drift, knock (std)")
+    for row in data["orders"]:
+        unseen = ", ".join(_number(row["unseen_std"][name]) for name in ("drift", "knock"))
+        mark = "   <- taken" if row["order"] == data["best"] else ""
+        click.echo(f"{row['order']:9s} {row['seconds']:7.1f}  {unseen}{mark}")
+
+
+def _number(value: float | None) -> str:
+    return "any" if value is None or not isfinite(value) else f"{value:.2f}"

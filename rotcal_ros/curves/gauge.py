@@ -1,0 +1,32 @@
+"""What a method can see of six deviations that knows neither axis nor artefact beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+
+_PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
+
+
+def without_axis_and_artefact(
+    angles: Floats, deviations: Mapping[str, Floats]
+) -> dict[str, Floats]:
+    """Return the visible part of six deviations (n,) at ``angles`` (n,), rad.
+
+    A mean belongs to the axis. In the pairs EXC, EYC and EAC, EBC, what turns with the table
+    belongs to an artefact or instrument that stands on it. Both are taken away, by least squares
+    over the angles, which need not be equidistant.
+    """
+    seen = {name: values - values.mean() for name, values in deviations.items()}
+    fixed_and_turning = np.column_stack([np.ones(len(angles)), np.exp(1j * angles)])
+    for x, y in _PAIRS:
+        if x in seen and y in seen:
+            plane = seen[x] + 1j * seen[y]
+            part, *_ = np.linalg.lstsq(fixed_and_turning, plane, rcond=None)
+            plane = plane - fixed_and_turning @ part
+            seen[x], seen[y] = plane.real.copy(), plane.imag.copy()
+    return seen

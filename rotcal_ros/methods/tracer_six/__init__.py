@@ -1,0 +1,19 @@
+"""Laser tracer at three or more places on the table: all six deviations from lengths alone.
+
+``solve(SixProblem(...)) -> Result``; see :mod:`.problem` for what goes in and :mod:`.solve` for
+what comes out. docs/tracer_six.md has the derivation.
+"""
+
+from rotcal_ros.methods.tracer_six.problem import SixProblem
+from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings
+from rotcal_ros.methods.tracer_six.solve import METHOD, solve
+from rotcal_ros.methods.tracer_six.trials import SixTrials, six_trials
+
+__all__ = [
+    "METHOD",
+    "SixProblem",
+    "SixTrials",
+    "TracerSixSolverSettings",
+    "six_trials",
+    "solve",
+]

@@ -1,0 +1,109 @@
+"""What protects six curves against each effect that could spoil them, and how well."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.methods.distributions import chi2_isf
+from rotcal_ros.methods.tracer_six import response
+from rotcal_ros.methods.tracer_six.response import Worst
+from rotcal_ros.methods.tracer_six.solution import SixSolution
+from rotcal_ros.protection import POWER, Effect, Protection, ordered
+
+LARGEST_MOVE: Final = 1e-4
+"""Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
+LARGEST_RATIO: Final = 1e-3
+"""Error of the scale, or of the air's index per metre of height, that nobody would overlook."""
+HARMLESS: Final = 0.1
+"""Error, in standard uncertainties, of what cannot be told from nothing."""
+
+
+def protections(solution: SixSolution) -> tuple[Protection, ...]:
+    """Return a statement about every effect, in the fixed order."""
+    when = response.timing(solution)
+    drift = response.worst(solution, response.drifts(solution, when), LARGEST_MOVE)
+    knock = response.worst(solution, response.knocks(solution, when), LARGEST_MOVE)
+    scale = response.worst(solution, response.scale(solution), LARGEST_RATIO)
+    air = response.worst(solution, response.refraction(solution), LARGEST_RATIO)
+    return ordered(
+        (
+            _felt("drift", drift, "a machine that drifts in each run alike moves the curves"),
+            _felt(
+                "knock", knock, "a tracer that slips on the table, up above all, tilts the curves"
+            ),
+            _noise(solution),
+            Protection("error motion", "estimated", "EXC, EYC and EZC are measured"),
+            _repeatability(solution),
+            _felt("refraction", air, "air in layers bends all runs alike"),
+            _felt("scale", scale, "a wrong scale of the lengths stretches places and targets"),
+            _tilt(solution),
+            Protection(
+                "gauge",
+                "harmless",
+                "the curves are referred to the axis itself: what a lean or shift of the machine "
+                "or of the table's own frame does is taken off",
+            ),
+        )
+    )
+
+
+def _felt(effect: Effect, worst: Worst, what: str) -> Protection:
+    if worst.error <= HARMLESS:
+        return Protection(effect, "harmless", f"{what}, by less than a tenth of their uncertainty")
+    if not worst.seen:
+        return Protection(effect, "not protected", f"{what}, and no test shows it")
+    return Protection(
+        effect, "tested", f"{what}; residuals and closures show it at that size", worst.error
+    )
+
+
+def _noise(solution: SixSolution) -> Protection:
+    """Return the statement about noise larger than stated, by the test of chi-squared."""
+    dof = max(solution.fit.dof, 1)
+    significance = solution.problem.settings.test_significance
+    ratio = float(chi2_isf(significance, dof) / chi2_isf(POWER, dof))
+    return Protection(
+        "axis noise",
+        "tested",
+        "the noise of lengths and of the targets' x, y and z is tested apart, and estimated where "
+        "the statement does not hold",
+        float(np.sqrt(max(ratio - 1.0, 0.0))),
+    )
+
+
+def _repeatability(solution: SixSolution) -> Protection:
+    scatter = solution.scatter
+    if scatter.estimated:
+        return Protection(
+            "repeatability",
+            "estimated",
+            f"{scatter.translation:.2g} m and {scatter.rotation:.2g} rad between runs, from "
+            f"{scatter.n_contrasts} contrasts between the places",
+        )
+    contrasts = scatter.n_contrasts
+    if not contrasts:
+        return Protection(
+            "repeatability", "not protected", "no distance between places shows it: it is stated"
+        )
+    significance = solution.problem.settings.test_significance
+    ratio = float(chi2_isf(significance, contrasts) / chi2_isf(POWER, contrasts))
+    return Protection(
+        "repeatability",
+        "tested",
+        f"stated as {scatter.translation:.2g} m and {scatter.rotation:.2g} rad between runs; "
+        f"{contrasts} contrasts between the places show more of it; left unset, it is estimated",
+        float(np.sqrt(max(ratio - 1.0, 0.0))),
+    )
+
+
+def _tilt(solution: SixSolution) -> Protection:
+    std = solution.problem.tilt_std
+    if std is None:
+        return Protection("tilt", "estimated", "EAC and EBC are measured")
+    return Protection(
+        "tilt",
+        "bounded",
+        f"EAC and EBC are held to a stated {std:.2g} rad, which the budget holds",
+    )

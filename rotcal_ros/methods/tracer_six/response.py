@@ -1,0 +1,149 @@
+"""What systematic errors of the lengths do to the six curves, and whether a test sees them.
+
+To first order, about a solution: a pattern of errors moves the curves, and what the network cannot
+take up of it is left in chi-squared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.geometry.rotations import cross_matrix
+from rotcal_ros.methods.distributions import noncentrality
+from rotcal_ros.methods.tracer_six.solution import PLACE, SixSolution
+from rotcal_ros.protection import POWER
+
+KNOCKED_AT: Final = (0.25, 0.5, 0.75)
+"""Shares of a run after which a knock is tried."""
+NOTHING: Final = 1e-150
+
+
+@dataclass(frozen=True, slots=True)
+class Worst:
+    """The largest error that may stay unseen, in standard uncertainties; ``seen``: no larger."""
+
+    error: float
+    seen: bool
+
+
+def worst(solution: SixSolution, patterns: Floats, largest: float) -> Worst:
+    """Return the worst of ``patterns`` (k, V, n), m per unit, none of them beyond ``largest``."""
+    moved, left = _respond(solution, patterns)
+    std = np.sqrt(np.einsum("ajaj->aj", solution.covariance))
+    share = (np.abs(moved) / np.maximum(std, NOTHING)).max(axis=(1, 2))
+    significance = solution.problem.settings.test_significance
+    needed = noncentrality(significance, POWER, max(solution.fit.dof, 1))
+    seen_at = np.sqrt(needed / (left + NOTHING))
+    for name, found in solution.closures.items():
+        for c in found:
+            first, last = np.searchsorted(solution.positions, [c.first, c.last])
+            jump = moved[:, PLACE[name], last] - moved[:, PLACE[name], first]
+            size = np.sqrt(noncentrality(significance, POWER)) * c.std
+            seen_at = np.minimum(seen_at, size / (np.abs(jump) + NOTHING))
+    error = np.minimum(seen_at, largest) * share
+    k = int(np.argmax(error))
+    return Worst(float(error[k]), bool(seen_at[k] <= largest))
+
+
+def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
+    """Return moves of the curves (k, 6, m), and what is left in chi-squared (k,)."""
+    rig, layout = solution.rig, solution.layout
+    k, _, n = patterns.shape
+    here = rig.slopes
+    weighted = rig.grid.weights * patterns
+    if here.factor is not None:
+        taken = here.factor.swapaxes(1, 2) @ patterns[..., None]
+        weighted = weighted - (here.factor @ taken)[..., 0]
+    force = (here.unit * weighted[..., None]).sum(axis=2)  # (k, V, 3)
+    poses = layout.by_position @ (force[:, :, None] @ rig.motion)[:, :, 0]
+    turned = (force[:, :, None] @ rig.state.rotation[layout.position])[:, :, 0]
+    by_target = -np.einsum("kvt,vta->kta", weighted, here.unit).reshape(k, -1)
+    zeros = np.stack(
+        [np.bincount(layout.zero.ravel(), w.ravel(), layout.n_zeros) for w in weighted]
+    )
+    kept = [by_target, (layout.by_place @ turned).reshape(k, -1), -zeros]
+    lean = np.zeros((k, layout.size - 3 * n - 3 * len(layout.places) - layout.n_zeros))
+    slope = np.concatenate([*kept, lean, poses.reshape(k, -1)], axis=1)
+    step = slope @ solution.fit.posterior.covariance
+    left = (weighted * patterns).sum(axis=(1, 2)) - (step * slope).sum(axis=1)
+    moved = step[:, layout.size :] @ solution.table.jacobian.T
+    m = len(layout.angles)
+    ordered = moved.reshape(k, 2, m, 3).transpose(0, 1, 3, 2).reshape(k, 6, m)
+    return ordered, np.maximum(left, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Timing:
+    """Shares (V, n), 0 to 1, that had gone of all runs, and of the own run."""
+
+    whole: Floats
+    own: Floats
+
+
+def timing(solution: SixSolution) -> Timing:
+    """Return when the lengths were taken; see SixProblem.order."""
+    problem, row = solution.problem, solution.grid.row
+    order = problem.order
+    if order is None:
+        arrival = np.zeros_like(problem.place) if problem.arrival is None else problem.arrival
+        order = np.lexsort((problem.target, problem.position, arrival, problem.place)).argsort()
+    whole = _share(order, np.ones(len(order), dtype=np.bool_))
+    own = np.zeros(len(order))
+    for place in np.unique(problem.place):
+        here = problem.place == place
+        own[here] = _share(order, here)[here]
+    there = row >= 0
+    return Timing(np.where(there, whole[row], 0.0), np.where(there, own[row], 0.0))
+
+
+def _share(order: Ints, here: Bools) -> Floats:
+    share = np.zeros(len(order))
+    rows = np.flatnonzero(here)
+    share[rows[np.argsort(order[rows], kind="stable")]] = np.linspace(0.0, 1.0, len(rows))
+    return share
+
+
+def drifts(solution: SixSolution, when: Timing) -> Floats:
+    """Return the machine drifting by a metre, or turning by a radian times the reach: (12, V, n).
+
+    Over all runs, and anew in each run.
+    """
+    state, unit = solution.rig.state, solution.rig.slopes.unit
+    reach = float(np.linalg.norm(state.targets, axis=1).max())
+    turns = -cross_matrix(state.targets / reach)  # (n, 3, 3)
+    shifts = np.broadcast_to(np.eye(3), turns.shape)
+    moves = np.concatenate([shifts, turns], axis=2)  # (n, 3, 6)
+    felt = -(unit[:, :, None] @ moves)[:, :, 0].transpose(2, 0, 1)
+    return np.concatenate([when.whole * felt, when.own * felt])
+
+
+def knocks(solution: SixSolution, when: Timing) -> Floats:
+    """Return the tracer of each run slipping by a metre along three directions: (9 p, V, n)."""
+    layout, unit = solution.layout, solution.rig.slopes.unit
+    along = (unit @ solution.rig.state.rotation[layout.position]).transpose(2, 0, 1)
+    late = [when.own >= share for share in KNOCKED_AT]
+    runs = [(layout.place == k)[:, None] for k in range(len(layout.places))]
+    return np.concatenate([along * after * mine for after in late for mine in runs])
+
+
+def scale(solution: SixSolution) -> Floats:
+    """Return lengths that are too long by their own size: (1, V, n)."""
+    return _distance(solution)[None]
+
+
+def refraction(solution: SixSolution) -> Floats:
+    """Return an index of the air that grows by one per metre of height: (1, V, n)."""
+    rig = solution.rig
+    stations = rig.state.stations(rig.layout)
+    height = 0.5 * (stations[:, None, 2] + rig.state.targets[:, 2])
+    return np.asarray(_distance(solution) * (height - height.mean()))[None]
+
+
+def _distance(solution: SixSolution) -> Floats:
+    state = solution.rig.state
+    stations = state.stations(solution.layout)
+    return np.asarray(np.linalg.norm(stations[:, None] - state.targets, axis=2))

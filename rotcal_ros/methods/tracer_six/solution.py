@@ -1,0 +1,163 @@
+"""The adjustment of a problem and all that follows from it but the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.methods.distributions import chi2_sf
+from rotcal_ros.methods.tracer.grid import Grid
+from rotcal_ros.methods.tracer.noise import Noise, scaled
+from rotcal_ros.methods.tracer.screening import adjust_and_screen, reject_gross
+from rotcal_ros.methods.tracer.station import adjust_stations
+from rotcal_ros.methods.tracer.uncertainty import GlobalTest
+from rotcal_ros.methods.tracer.verdict import Closure, closures
+from rotcal_ros.methods.tracer_six.adjustment import RigidAdjuster, RigidAdjustment
+from rotcal_ros.methods.tracer_six.layout import Layout, lay_out, renamed
+from rotcal_ros.methods.tracer_six.observability import check_curves
+from rotcal_ros.methods.tracer_six.posterior import CurvePosterior, curve_posterior, pulled
+from rotcal_ros.methods.tracer_six.problem import SixProblem
+from rotcal_ros.methods.tracer_six.rig import Rig
+from rotcal_ros.methods.tracer_six.scatter import Scatter, enlargement, turned
+from rotcal_ros.methods.tracer_six.start import find_start
+
+PLACE: Final = {name: index for index, name in enumerate(COMPONENTS)}
+
+
+@dataclass(frozen=True, eq=False)
+class SixSolution:
+    """A solved problem; ``grid`` has the standard deviations that were used, after ``noise``.
+
+    ``table``: curves with their covariance as the network gives it; ``covariance`` (6, m, 6, m),
+    in the order of COMPONENTS, what is known of them in the end: enlarged by ``scale`` for what
+    the noise leaves unexplained, and for a scatter that few contrasts tell. ``lengths``: test of
+    chi-squared with the noise that was used. ``rejected`` says by row why a length was not used;
+    ``n_lengths`` could have been used, ``n_rejected`` of them were not.
+    """
+
+    problem: SixProblem
+    layout: Layout
+    grid: Grid
+    noise: Noise
+    fit: RigidAdjustment
+    table: CurvePosterior
+    covariance: Floats
+    lengths: GlobalTest
+    scale: float
+    closures: dict[str, tuple[Closure, ...]]
+    rejected: dict[int, str]
+    n_lengths: int
+    n_rejected: int
+
+    @property
+    def rig(self) -> Rig:
+        """The network at its minimum."""
+        return self.fit.posterior.rig
+
+    @property
+    def scatter(self) -> Scatter:
+        """The scatter from run to run that was used."""
+        return self.fit.scatter
+
+    @property
+    def positions(self) -> Ints:
+        """The table positions (m,) that have a result."""
+        return self.layout.position_ids
+
+    @property
+    def missing(self) -> tuple[int, ...]:
+        """The table positions without a result."""
+        every = np.arange(len(self.problem.table_angles))
+        return tuple(np.setdiff1d(every, self.positions).tolist())
+
+    def deviations(self) -> dict[str, Floats]:
+        """Return the six curves (m,), m and rad."""
+        curves = self.table.curves
+        columns = np.concatenate([curves.translation, curves.rotation], axis=1)
+        return {name: columns[:, at].copy() for name, at in PLACE.items()}
+
+    def covariance_of(self, name: str) -> Floats:
+        """Return the covariance (m, m) of one curve."""
+        return np.ascontiguousarray(self.covariance[PLACE[name], :, PLACE[name]])
+
+
+def adjust(problem: SixProblem) -> SixSolution:
+    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
+    layout, absent = lay_out(problem)
+    limits = problem.settings
+    state = find_start(layout)
+    start = np.column_stack([state.stations(layout), state.zeros[layout.zero[:, 0]]])
+    coarse, why = reject_gross(adjust_stations, layout.grid, start, limits.rejection_significance)
+    stated = (problem.scatter_translation_std, problem.scatter_rotation_std)
+    adjuster = RigidAdjuster(layout, state, stated, limits.test_significance)
+    screened = adjust_and_screen(adjuster, coarse, start, limits)
+    fit = screened.fit
+    assert isinstance(fit, RigidAdjustment)
+    names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
+    why = {row: renamed(text, names) for row, text in (why | screened.why).items()}
+    table = curve_posterior(fit.posterior.rig, fit.posterior.covariance)
+    lengths, scale = _length_test(fit, limits.test_significance)
+    covariance = scale**2 * _enlarged(fit, table)
+    check_curves(table, fit.posterior.rig.state.places, limits.max_station_std)
+    idle = {row for row, text in absent.items() if text.startswith("repeats")}
+    return SixSolution(
+        problem=problem,
+        layout=layout,
+        grid=scaled(screened.grid, screened.noise.factors),
+        noise=screened.noise,
+        fit=fit,
+        table=table,
+        covariance=covariance,
+        lengths=lengths,
+        scale=scale,
+        closures=_closures(layout, table, covariance),
+        rejected=absent | why,
+        n_lengths=len(problem.length) - len(idle),
+        n_rejected=len(absent) - len(idle) + len(why),
+    )
+
+
+def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest, float]:
+    """Return the test of chi-squared, and the factor by which noise is larger than it allows."""
+    dof = max(fit.dof, 1)
+    test = GlobalTest(float(np.sqrt(fit.chi2 / dof)), chi2_sf(fit.chi2, dof))
+    failed = fit.dof > 0 and test.probability < significance and test.sigma0 > 1.0
+    return test, test.sigma0 if failed else 1.0
+
+
+def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
+    """Return the covariance (6, m, 6, m) with what is not known of the scatter."""
+    rig, after = fit.posterior.rig, fit.posterior
+    m = len(rig.layout.angles)
+    covariance = table.covariance
+    if fit.scatter.estimated:
+        gain = table.jacobian @ after.covariance[rig.layout.size :] @ pulled(rig).T
+        by_station = gain.reshape(len(gain), -1, 3)
+        across = turned(rig.state.arms(rig.layout))
+        slope = np.stack(
+            [
+                (by_station**2).sum(axis=(1, 2)),
+                ((by_station.swapaxes(0, 1) @ across).swapaxes(0, 1) * by_station).sum(
+                    axis=(1, 2)
+                ),
+            ]
+        )
+        factor = enlargement(fit.scatter, covariance.diagonal(), slope)
+        covariance = covariance * factor * factor[:, None]
+    ordered = covariance.reshape(2, m, 3, 2, m, 3).transpose(0, 2, 1, 3, 5, 4)
+    return np.ascontiguousarray(ordered.reshape(6, m, 6, m))
+
+
+def _closures(
+    layout: Layout, table: CurvePosterior, covariance: Floats
+) -> dict[str, tuple[Closure, ...]]:
+    """Return for each component what whole turns apart should agree."""
+    columns = np.concatenate([table.curves.translation, table.curves.rotation], axis=1)
+    return {
+        name: closures(layout.angles, columns[:, at], covariance[at, :, at], layout.position_ids)
+        for name, at in PLACE.items()
+    }

@@ -1,0 +1,100 @@
+"""ok, suspect or failed: the rules, and the sentences that say why.
+
+suspect
+    a component of the noise is larger than stated (the estimate is used), or chi-squared of the
+    lengths is too large all the same (the covariance is then enlarged by it); the distances
+    between the places contradict the stated scatter (the estimate is used); more than
+    ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
+    allows; a position of the plan is missing.
+failed
+    the noise is beyond the limits of :mod:`rotcal_ros.methods.tracer.verdict`, or more than a
+    fifth of the lengths were rejected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotcal_ros.components import ROTATIONS
+from rotcal_ros.methods.distributions import normal_isf
+from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY
+from rotcal_ros.methods.tracer.verdict import FAILED_FACTORS, FAILED_SHARE, times_stated
+from rotcal_ros.methods.tracer_six.solution import SixSolution
+from rotcal_ros.results import Verdict
+
+
+def judge(solution: SixSolution) -> tuple[Verdict, tuple[str, ...]]:
+    """Return the verdict and its warnings by the rules in this module's docstring."""
+    doubts = [*_doubt_noise(solution), *_doubt_motion(solution)]
+    verdict: Verdict = "suspect" if doubts else "ok"
+    factors = solution.scale * solution.noise.factors
+    share = solution.n_rejected / solution.n_lengths
+    if (factors > FAILED_FACTORS).any() or share > FAILED_SHARE:
+        verdict = "failed"
+    return verdict, (*doubts, *_remarks(solution))
+
+
+def _doubt_noise(solution: SixSolution) -> list[str]:
+    noise, settings = solution.noise, solution.problem.settings
+    larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
+    doubts = [
+        f"{times_stated(noise, k)}: the estimate is used; state it, or look for drift"
+        for k in np.flatnonzero(larger).tolist()
+    ]
+    if solution.scale > 1.0:
+        doubts.append(
+            f"the residuals are {solution.scale:.2f} times what their standard deviations allow "
+            "(chi-squared test): the uncertainty is enlarged by that factor; look for drift or a "
+            "tracer that slips on the table"
+        )
+    share = solution.n_rejected / solution.n_lengths
+    if share > settings.max_rejected_share:
+        doubts.append(
+            f"{solution.n_rejected} of {solution.n_lengths} lengths ({100 * share:.1f} %) were "
+            f"rejected, more than {100 * settings.max_rejected_share:g} % is suspicious: look for "
+            "a target with wrong coordinates, or an unstable beam"
+        )
+    return doubts
+
+
+def _doubt_motion(solution: SixSolution) -> list[str]:
+    doubts = []
+    scatter = solution.scatter
+    if scatter.estimated and scatter.probability is not None:
+        doubts.append(
+            "the distances between the places change more than the stated scatter of the table "
+            f"allows (p = {scatter.probability:.2g}): {scatter.translation:.2g} m and "
+            f"{scatter.rotation:.2g} rad, as {scatter.n_contrasts} contrasts tell, are used; look "
+            "for a tracer that slips, or state a larger scatter"
+        )
+    limit = normal_isf(0.5 * solution.problem.settings.test_significance)
+    for name, found in solution.closures.items():
+        unit = "rad" if name in ROTATIONS else "m"
+        doubts += [
+            f"{name} at positions {c.first} and {c.last}, whole turns apart, differs by "
+            f"{c.error:.3g} {unit}, expected 0 with a standard deviation of {c.std:.3g} {unit}: "
+            "something moved or drifted during the runs"
+            for c in found
+            if abs(c.error) > limit * c.std
+        ]
+    if solution.missing:
+        names = ", ".join(map(str, solution.missing))
+        doubts.append(
+            f"no deviations for position(s) {names}: fewer than three places have enough lengths"
+        )
+    return doubts
+
+
+def _remarks(solution: SixSolution) -> list[str]:
+    noise, settings = solution.noise, solution.problem.settings
+    remarks = [
+        f"{times_stated(noise, k)}, and so the estimate is used"
+        for k in np.flatnonzero(noise.contradicted(settings.noise_significance)).tolist()
+        if noise.factors[k] < 1.0 or not noise.contradicted(settings.test_significance)[k]
+    ]
+    bare = solution.grid.used & (solution.fit.redundancy <= MINIMAL_REDUNDANCY)
+    if unchecked := int(bare.sum()):
+        remarks.append(
+            f"{unchecked} lengths are checked by no other: an error in them stays unseen"
+        )
+    return remarks

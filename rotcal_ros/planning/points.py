@@ -1,0 +1,40 @@
+"""Points of a plan: as settings list them, or on a grid in an order that keeps ways short."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotcal_ros.errors import PlanError
+from rotcal_ros.planning.plan import Point
+
+
+def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
+    """Return a flat list of coordinates as points; PlanError when it is not made of triples."""
+    if len(values) % 3:
+        raise PlanError(f"plan: {name} has {len(values)} values, expected x y z of each point")
+    rows = np.reshape(values, (-1, 3)).tolist()
+    return tuple((x, y, z) for x, y, z in rows)
+
+
+def block(
+    centre: Point, size: tuple[float, float, float], points: tuple[int, int, int]
+) -> tuple[Point, ...]:
+    """Return the places (m), layer by layer in a serpentine: neighbours are close together.
+
+    ``centre`` and ``size`` in m; ``points`` is their number along x, y and z.
+    """
+    x_axis, y_axis, z_axis = (
+        np.linspace(c - s / 2, c + s / 2, n) if n > 1 else np.array([c])
+        for c, s, n in zip(centre, size, points, strict=True)
+    )
+    rows = [(y, z) for k, z in enumerate(z_axis) for y in y_axis[:: _zigzag(k)]]
+    return tuple(
+        (float(x), float(y), float(z))
+        for k, (y, z) in enumerate(rows)
+        for x in x_axis[:: _zigzag(k)]
+    )
+
+
+def _zigzag(row: int) -> int:
+    """Return the direction of travel (1 or -1) of a row of a serpentine."""
+    return -1 if row % 2 else 1

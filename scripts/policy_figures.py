@@ -1,0 +1,242 @@
+"""What the policy until_goal brings: coverage, time and blocked beams, by simulation.
+
+    .venv/bin/python scripts/policy_figures.py [--runs 2000] [--sectors 40] [--json FILE]
+
+Every run measures with a tracer of its own place, targets and noise, by the policy itself, with
+nominal geometry from the plan alone; lengths are exact distances with noise. At the end the
+deviations are estimated by generalised least squares, written here and not in the package, and
+compared with the uncertainty that the policy states. All in docs/planning.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.policy.choices import Outcome, Standing
+from rotcal_ros.planning.policy.lengths import Costs, LengthExperiment
+from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal
+from rotcal_ros.planning.tracer_design.scene import Scene, on_table
+from rotcal_ros.units import ARCSEC, DEGREE
+
+MOUNT = np.array([0.0569, -0.0318, 0.1225])
+ANGLES = np.radians(-145.0 + 30.0 * np.arange(11))
+PLANNED_STD, TARGET_STD = 0.2e-6, 1.0e-6
+GOAL = 1.202 * ARCSEC
+STEP_S, TURN_S = 5.0, 10.0
+ATTEMPTS = 3
+TRUE = (0.5, 1.0, 1.5, 2.0)
+
+
+def candidates(spacing: float) -> tuple[tuple[float, float, float], ...]:
+    """Return targets (m) of the volume, seen 10 degrees up and from 0.25 m on."""
+    box = [np.arange(a, b + 1e-9, spacing) for a, b in ((-0.6, 0.6), (-0.5, 0.5), (0.17, 1.02))]
+    stations = on_table(MOUNT, ANGLES)
+    kept = []
+    for place in product(*box):
+        apart = np.array(place) - stations
+        distance = np.linalg.norm(apart, axis=1)
+        if (distance >= 0.25).all() and (apart[:, 2] >= np.sin(10.0 * DEGREE) * distance).all():
+            kept.append((float(place[0]), float(place[1]), float(place[2])))
+    return tuple(kept)
+
+
+def experiment(spacing: float) -> LengthExperiment:
+    """Return the experiment of all candidates at all angles."""
+    targets = candidates(spacing)
+    pairs = enumerate(product(range(len(ANGLES)), range(len(targets))))
+    steps = tuple(
+        Step(k, j, float(ANGLES[j]), Approach.POSITIVE, PointKind.REFLECTOR, i, targets[i])
+        for k, (j, i) in pairs
+    )
+    plan = Plan("tracer_multistation", tuple(ANGLES.tolist()), targets, steps)
+    scene = Scene(on_table(MOUNT, ANGLES), ANGLES, np.array(targets), TARGET_STD, PLANNED_STD)
+    return LengthExperiment(plan, scene, Costs(STEP_S, TURN_S))
+
+
+class Quick(UntilGoal):
+    """The policy; where it stands is asked at the end only, which takes most of the time."""
+
+    def _standing(self) -> Standing:
+        return Standing(len(self._queue)) if self._queue else super()._standing()
+
+
+class Cell:
+    """One simulated calibration: true places and noise; ``blocked`` beams give nothing."""
+
+    def __init__(self, of: LengthExperiment, rng: np.random.Generator, std: float) -> None:
+        self.of, self.rng, self.std = of, rng, std
+        mount = MOUNT + 0.005 * rng.standard_normal(3)
+        self.stations = on_table(mount, ANGLES)
+        nominal = np.array(of.plan.targets)
+        self.targets = nominal + TARGET_STD * rng.standard_normal(nominal.shape)
+        self.zero = rng.standard_normal(len(ANGLES))
+        self.blocked = np.zeros(len(of.plan.steps), dtype=np.bool_)
+        self.seconds, self.at, self.lengths = 0.0, -1, dict[int, float]()
+
+    def measure(self, index: int) -> Outcome:
+        """Return how a step goes, and let the time pass."""
+        step = self.of.plan.steps[index]
+        self.seconds += TURN_S * (self.at != step.table_position)
+        self.at = step.table_position
+        if self.blocked[index]:
+            self.seconds += ATTEMPTS * STEP_S
+            return Outcome(index, None)
+        self.seconds += STEP_S
+        distance = np.linalg.norm(self.targets[step.target] - self.stations[self.at])
+        value = distance - self.zero[self.at] + self.std * self.rng.standard_normal()
+        self.lengths[index] = float(value)
+        return Outcome(index, step.observed((float(value),)))
+
+    def errors(self, factor: float) -> Floats:
+        """Return the errors (m,) of the deviations less their mean, rad, by least squares."""
+        steps = np.array(sorted(self.lengths))
+        position, target = self.of.position[steps], self.of.target[steps]
+        nominal = np.array(self.of.plan.targets)[target]
+        apart = self.stations[position] - nominal
+        distance = np.linalg.norm(apart, axis=1)
+        unit = apart / distance[:, None]
+        y = np.array([self.lengths[s] for s in steps]) - distance + self.zero[position]
+        design = np.zeros((len(steps), len(ANGLES), 4))
+        design[np.arange(len(steps)), position, :3] = unit
+        design[np.arange(len(steps)), position, 3] = -1.0
+        design = design.reshape(len(steps), -1)
+        covariance = TARGET_STD**2 * (unit @ unit.T) * (target[:, None] == target)
+        covariance += (factor * PLANNED_STD) ** 2 * np.eye(len(steps))
+        root = np.linalg.cholesky(covariance)
+        x = np.linalg.lstsq(np.linalg.solve(root, design), np.linalg.solve(root, y))[0]
+        shift = x.reshape(-1, 4)[:, :3]
+        bearing = self.of.scene.bearing @ shift.ravel()
+        return np.asarray(bearing - bearing.mean(), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One calibration: seconds, lengths, whether the goal was met, errors in units of the goal."""
+
+    seconds: float
+    lengths: int
+    met: bool
+    inside: float
+    slowest_choice_s: float
+    reasons: tuple[str, ...] = ()
+
+
+def by_policy(cell: Cell) -> Run:
+    """Measure as the policy chooses."""
+    policy = Quick(cell.of, Limits(GOAL))
+    slowest, reasons = 0.0, []
+    while True:
+        begun = time.thread_time()
+        choice = policy.choose()
+        slowest = max(slowest, time.thread_time() - begun)
+        reasons.append(choice.reason)
+        if choice.step is None:
+            break
+        policy.note(cell.measure(choice.step))
+    stated = choice.standing.uncertainty
+    met = stated <= GOAL
+    return _judged(cell, policy.noise_factor, stated / GOAL, met, slowest, tuple(reasons))
+
+
+def as_planned(cell: Cell) -> Run:
+    """Measure the set that reaches the goal with the planned noise, whatever happens."""
+    for step in cell.of.first_sweep(GOAL):
+        cell.measure(step)
+    now = cell.of.uncertainty(cell.lengths, 1.0, 2.0)
+    return _judged(cell, 1.0, now / GOAL, now <= GOAL, 0.0)
+
+
+def _judged(
+    cell: Cell,
+    factor: float,
+    share: float,
+    met: bool,
+    slowest: float,
+    reasons: tuple[str, ...] = (),
+) -> Run:
+    known = cell.of.information(cell.lengths, factor)
+    spread = np.sqrt(known.variances())
+    half = share * GOAL * spread / np.sqrt((spread**2).mean())  # k u of each angle
+    inside = float((np.abs(cell.errors(factor)) <= half).mean()) if np.isfinite(share) else np.nan
+    return Run(cell.seconds, len(cell.lengths), bool(met), inside, slowest, reasons)
+
+
+def noise_rows(
+    of: LengthExperiment, runs: int, factors: Sequence[float] = TRUE
+) -> list[dict[str, Any]]:
+    """Return time and coverage at several true noises, of policy and fixed plan."""
+    rows = []
+    for true in factors:
+        row: dict[str, Any] = {"true_um": true * PLANNED_STD * 1e6}
+        for name, measure in (("fixed", as_planned), ("policy", by_policy)):
+            rng = np.random.default_rng(20260705)
+            found = [measure(Cell(of, rng, true * PLANNED_STD)) for _ in range(runs)]
+            row[name] = {
+                "seconds": float(np.mean([run.seconds for run in found])),
+                "lengths": float(np.mean([run.lengths for run in found])),
+                "coverage_percent": 100.0 * float(np.mean([run.inside for run in found])),
+                "met_percent": 100.0 * float(np.mean([run.met for run in found])),
+                "slowest_choice_ms": 1e3 * max(run.slowest_choice_s for run in found),
+            }
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+    return rows
+
+
+def blocked_rows(of: LengthExperiment, cases: int) -> list[dict[str, Any]]:
+    """Return how often the goal is met with a sector of the room blocked."""
+    rows = []
+    away = -of.directions
+    azimuth = np.arctan2(away[:, 1], away[:, 0])
+    for half_deg in (20.0, 40.0):
+        row: dict[str, Any] = {"half_width_deg": half_deg}
+        for name, measure in (("fixed", as_planned), ("policy", by_policy)):
+            rng = np.random.default_rng(20260706)
+            found = []
+            for centre in 2.0 * np.pi * np.arange(cases) / cases:
+                cell = Cell(of, rng, PLANNED_STD)
+                off = np.abs((azimuth - centre + np.pi) % (2.0 * np.pi) - np.pi)
+                cell.blocked = off <= half_deg * DEGREE
+                found.append(measure(cell))
+            row[name] = {
+                "met_percent": 100.0 * float(np.mean([run.met for run in found])),
+                "seconds": float(np.mean([run.seconds for run in found])),
+            }
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+    return rows
+
+
+def main() -> None:
+    """Run both simulations."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=2000)
+    parser.add_argument("--true", type=float, nargs="*", default=TRUE, help="times planned noise")
+    parser.add_argument("--sectors", type=int, default=40)
+    parser.add_argument("--spacing", type=float, default=0.2)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    of = experiment(given.spacing)
+    print(f"{len(of.plan.targets)} targets, {len(of.plan.steps)} candidates")
+    found = {
+        "noise": noise_rows(of, given.runs, given.true),
+        "blocked": blocked_rows(of, given.sectors),
+    }
+    if given.json:
+        given.json.write_text(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""``rotcal plan check`` and ``rotcal check``: from an earlier result to the verdict on it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rotcal_ros.catalogue import prepare_to_measure, read_configuration
+from rotcal_ros.catalogue.tracer.timing import cell_time, plan_seconds
+from rotcal_ros.cli.main import rotcal
+from rotcal_ros.methods.tracer import TracerProblem, solve
+from rotcal_ros.planning.tracer_design.scene import on_table
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC
+
+ROOT = Path(__file__).parents[2]
+PLATE = ROOT / "examples" / "data" / "result_ball_plate.json"
+TRACER = ROOT / "examples" / "data" / "result_tracer.json"
+NOISE = ("--set", "solver.length_std_m=2e-7")
+ASKED = ("--within", "2.5", "--ageing", "0.02", "--months", "6")
+PLAN = ("plan", "check", PLATE, "--setup", ROOT / "config" / "tracer.yaml", *NOISE)
+
+
+def run(*arguments):
+    return CliRunner().invoke(rotcal, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("check")
+    ran = run(
+        *PLAN, "--within", "2.5", "--ageing", "0.02", "--months", "6", "-o", folder, "--json"
+    )
+    assert ran.exit_code == 0, ran.output
+    return folder, json.loads(ran.stdout)
+
+
+def place(step):
+    return step.table_position, step.target
+
+
+def test_the_plan_that_is_written_is_the_plan_that_is_measured(planned):
+    folder, data = planned
+    configuration = read_configuration(folder / "check.yaml")
+    plan = prepare_to_measure(configuration).plan
+    np.testing.assert_allclose(plan.table_angles, data["angles_rad"], atol=1e-14)
+    np.testing.assert_allclose(plan.targets, data["targets_m"], rtol=0, atol=0)
+    assert [[step.table_position, step.target] for step in plan.steps] == data["pairs"]
+    assert len(data["pairs"]) == data["lengths"] < data["offered"] / 5
+    assert (folder / "pairs.csv").read_text().startswith("step,table_position,target\n0,0,")
+    assert data["unseen_std"]["drift"] <= 2.0
+    assert data["unseen_std"]["knock"] <= 2.0
+    model, in_turn = cell_time(configuration), sorted(plan.steps, key=place)
+    assert data["duration_s"] == pytest.approx(plan_seconds(model, plan.steps), rel=1e-9)
+    assert data["duration_s"] < 0.6 * plan_seconds(model, in_turn)
+
+
+def measured(folder, deviation, seed):
+    """The solver's result of the plan in ``folder``, on a table that turns by so much more."""
+    calibration = prepare_to_measure(read_configuration(folder / "check.yaml"))
+    plan, solver = calibration.plan, calibration.configuration.solver
+    rng = np.random.default_rng(seed)
+    nominal, angles = np.array(plan.targets), np.array(plan.table_angles)
+    stations = on_table((0.0569, -0.0318, 0.1225), angles + deviation)
+    position = np.array([step.table_position for step in plan.steps])
+    target = np.array([step.target for step in plan.steps])
+    targets = nominal + solver.target_std_m * rng.standard_normal(nominal.shape)
+    apart = np.linalg.norm(stations[position] - targets[target], axis=1)
+    zero = rng.uniform(-1e-3, 1e-3, len(stations))[position]
+    return solve(
+        TracerProblem(
+            position=position,
+            target=target,
+            length=apart - zero + solver.length_std_m * rng.standard_normal(len(apart)),
+            length_std=solver.length_std_m,
+            targets=nominal,
+            target_std=solver.target_std_m,
+            table_angles=angles,
+            error_motion_std=solver.error_motion_std_m,
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("size", "verdict", "code"), [(0.0, "still valid", 0), (5.0, "changed", 1)]
+)
+def test_what_the_plan_measures_decides(planned, tmp_path, size, verdict, code):
+    folder, data = planned
+    earlier = Result.from_dict(json.loads(PLATE.read_text())).deviations["ECC"]
+    worn = earlier.copy()
+    worn[4] += size * ARCSEC
+    result = measured(folder, worn, 4)
+    assert not result.rejected
+    new = tmp_path / "result.json"
+    new.write_text(result.to_json())
+    ran = run("check", PLATE, new, *ASKED, "--json")
+    assert ran.exit_code == code, ran.output
+    check = json.loads(ran.stdout)
+    assert check["verdict"] == verdict
+    np.testing.assert_allclose(check["std"], data["predicted_std"], rtol=0.01)
+    np.testing.assert_allclose(check["acceptance"], data["acceptance"], rtol=0.01)
+    assert check["assurance"] == pytest.approx(data["assurance"], abs=0.01)
+
+
+def test_an_undecided_check_says_what_would_decide_it():
+    ran = run("check", PLATE, TRACER, "--within", "0.7")
+    assert ran.exit_code == 3
+    last = ran.stdout.strip().splitlines()[-1]
+    assert last.startswith("undecided: 0.385 arcsec at 240 deg needs U <= 0.383 arcsec (k = 2)")
+    needed = 2.0 * (0.7 - 0.385) / 1.645
+    assert needed == pytest.approx(0.383, abs=1e-3)
+
+
+def test_every_method_can_be_checked_in_its_own_unit():
+    ran = run("check", PLATE, PLATE, "--within", "1", "--component", "EXC", "--align-order", "1")
+    assert ran.exit_code == 0, ran.output
+    assert "EXC: new - earlier, aligned, µm" in ran.stdout
+
+
+def test_ageing_needs_the_months():
+    ran = run("check", PLATE, TRACER, "--within", "2", "--ageing", "0.1")
+    assert ran.exit_code == 2
+    assert "--months" in ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (("--set", "solver.variant=station"), "variant joint"),
+        (("--set", "solver.error_motion_std_m=null"), "what the full calibration has found"),
+        (("--every", "6"), "2 angles to check"),
+        (("--every", "3", "--set", "solver.length_std_m=3e-8"), "check more angles"),
+    ],
+)
+def test_plans_that_cannot_be_are_refused(change, text):
+    ran = run(*PLAN, "--within", "3", *change)
+    assert ran.exit_code == 2
+    assert text in ran.stderr
+
+
+def test_people_are_shown_what_is_not_covered():
+    ran = run(*PLAN, "--within", "4", "--every", "2", "--least-redundancy", "0")
+    assert ran.exit_code == 0, ran.output
+    assert "nothing will be known of 1 of 2 angles" in ran.stdout
+    assert "warning: little checks some lengths" in ran.stdout
+    assert "30 lengths to 5 targets" in ran.stdout

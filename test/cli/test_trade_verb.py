@@ -1,0 +1,88 @@
+"""``rotcal plan trade`` and ``rotcal plan sequence``."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rotcal_ros.catalogue.tracer.plan_tables import read_pairs
+from rotcal_ros.cli.plan import command
+from rotcal_ros.errors import ConfigurationError, PlanError
+
+CONFIG = Path(__file__).parents[2] / "config"
+
+
+def run(*arguments):
+    return CliRunner().invoke(command, [str(a) for a in arguments], standalone_mode=False)
+
+
+def data_of(*arguments):
+    done = run(*arguments, "--json")
+    if done.exception:
+        raise done.exception
+    return json.loads(done.stdout)
+
+
+def test_the_mirrors_hours_and_uncertainties_are_the_known_ones():
+    """6 stations with a reflector: 1.28 arcsec in 1.5 h; more reflectors replace stations."""
+    ways = data_of("trade", "mirror", "--stations", "4,6", "--reflectors", "1,3")["ways"]
+    found = {(way["stations"], way["reflectors"]): way for way in ways}
+    six = found[6, 1]
+    assert np.degrees(six["expanded"]) * 3600.0 == pytest.approx(1.28, rel=0.03)
+    assert six["seconds"] / 3600.0 == pytest.approx(1.5, abs=0.02)
+    # 17 positions and 5 shared, six nests twice at each of six stations
+    assert (six["pairs"], six["nests"]) == (22, 72)
+    more = found[4, 3]
+    assert np.degrees(more["expanded"]) * 3600.0 < 0.87
+    assert more["seconds"] == 4 * 600.0 + 60 * 50.0 + 48 * 10.0
+    assert [way["seconds"] for way in ways] == sorted(way["seconds"] for way in ways)
+
+
+def test_stations_that_see_nothing_are_refused():
+    with pytest.raises(PlanError, match=r"none of \[2\] tracker stations"):
+        data_of("trade", "mirror", "--stations", "2")
+
+
+def test_tables_for_people():
+    done = run("trade", "plate", "--grid", "12", "--balls", "6")
+    assert done.exception is None
+    assert "balls  centres  hours" in done.output
+    assert "11.1 % of the centres" in done.output
+    done = run("trade", "tracer", "--radius-m", "0.1", "--sigma-um", "0.1", "--need-arcsec", "2")
+    assert done.exception is None
+    assert "R/mm  sigma/um  targets  lengths  no plan below" in done.output
+
+
+@pytest.mark.parametrize("text", ["", "0,1", "x", "-1"])
+def test_lists_are_of_positive_numbers(text):
+    with pytest.raises(PlanError, match="expected positive numbers"):
+        data_of("trade", "tracer", f"--sigma-um={text}")
+
+
+def test_numbers_of_balls_are_whole():
+    with pytest.raises(PlanError, match="expected whole numbers"):
+        data_of("trade", "plate", "--balls", "6.5")
+
+
+def test_the_order_of_a_plan_is_found_and_written(tmp_path):
+    order = ["plan.order=targets_per_station", "plan.box_points=[2, 2, 2]"]
+    changes = [part for change in order for part in ("--set", change)]
+    written = tmp_path / "pairs.csv"
+    demo = CONFIG / "tracer_demo.yaml"
+    found = data_of("sequence", demo, *changes, "--limit", "1e9", "-o", written)
+    assert found["lengths"] == 88
+    assert found["listed_s"] == pytest.approx(87 * 5.0 + 10 * 10.0, abs=0.01)
+    assert found["bound_s"] == pytest.approx(found["listed_s"], abs=0.01)
+    assert found["best"] == "closed"  # nothing bounds what drifts in the quickest
+    pairs = np.reshape(read_pairs(written), (-1, 2))
+    assert {tuple(pair) for pair in pairs.tolist()} == {
+        (j, i) for j in range(11) for i in range(8)
+    }
+    assert (np.diff(pairs[:, 0]) != 0).sum() == 11
+
+
+def test_only_tracer_plans_have_such_orders():
+    with pytest.raises(ConfigurationError, match="only plans of a laser tracer"):
+        data_of("sequence", CONFIG / "ball_plate_demo.yaml")

@@ -1,0 +1,60 @@
+"""Scatter from run to run: found, tested, and in the uncertainty."""
+
+import numpy as np
+import pytest
+from six_coverage import coverage
+from six_scene import scene
+
+from rotcal_ros.methods.tracer_six import SixProblem, solve
+from rotcal_ros.methods.tracer_six.scatter import enlargement, stated
+from rotcal_ros.methods.tracer_six.solution import adjust
+
+NONE = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
+
+
+def test_intervals_hold_without_scatter():
+    found = coverage(60, (0.0, 0.0), seed=1, **NONE)
+    assert (found.share > 0.92).all()
+    assert (found.share < 0.975).all()
+
+
+def test_intervals_hold_with_scatter_that_is_estimated():
+    found = coverage(40, (1e-7, 5e-7), seed=2)
+    assert (found.share > 0.92).all()
+    ignored = coverage(15, (1e-7, 5e-7), seed=2, ignored=True)
+    assert ignored.share.mean() < 0.85
+
+
+@pytest.mark.parametrize(("arrivals", "n_contrasts"), [(1, 33), (2, 141)])
+def test_counts_of_contrasts(arrivals, n_contrasts):
+    rows = scene(np.random.default_rng(3), arrivals=arrivals, scatter=(1e-7, 5e-7)).rows
+    assert adjust(SixProblem(**rows)).scatter.n_contrasts == n_contrasts
+
+
+def test_two_arrivals_halve_the_error_of_the_estimate():
+    error = {}
+    for arrivals in (1, 2):
+        found = []
+        for seed in range(14):
+            rows = scene(np.random.default_rng(seed), arrivals=arrivals, scatter=(4e-7, 2e-6)).rows
+            scatter = adjust(SixProblem(**rows)).scatter
+            found.append(np.hypot(scatter.translation, 0.15 * scatter.rotation) / 5e-7)
+        error[arrivals] = np.sqrt(np.mean((np.array(found) - 1.0) ** 2))
+    assert error[1] < 0.25
+    assert error[2] < 0.75 * error[1]
+
+
+def test_a_stated_scatter_is_believed_until_the_places_contradict_it():
+    rows = scene(np.random.default_rng(5), scatter=(4e-7, 2e-6)).rows
+    wrong = solve(SixProblem(**rows, **NONE))
+    assert wrong.verdict == "suspect"
+    assert any("stated scatter of the table" in text for text in wrong.warnings)
+    assert wrong.details["scatter"]["estimated"]
+    right = solve(SixProblem(**rows, scatter_translation_std=4e-7, scatter_rotation_std=2e-6))
+    assert right.verdict == "ok"
+    assert not right.details["scatter"]["estimated"]
+
+
+def test_known_scatter_needs_no_enlargement_and_a_wide_posterior_does():
+    variance, slope = np.ones(2), np.array([[1.0, 0.5], [0.0, 0.0]])
+    assert enlargement(stated(1.0, 0.0), variance, slope).tolist() == [1.0, 1.0]

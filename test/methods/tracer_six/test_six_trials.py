@@ -1,0 +1,21 @@
+"""Monte Carlo about a measured problem agrees with the stated uncertainty."""
+
+import numpy as np
+import pytest
+from six_scene import good_targets, scene
+
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.methods.tracer_six import SixProblem, six_trials, solve
+
+
+@pytest.mark.parametrize("known", [0.0, 2e-7])
+def test_trials_scatter_as_stated(known):
+    rows = scene(np.random.default_rng(1), good_targets()[:14], m=5, scatter=(known, known)).rows
+    problem = SixProblem(**rows, scatter_translation_std=known, scatter_rotation_std=known)
+    result = solve(problem)
+    drawn = six_trials(problem)(np.random.default_rng(2), 120)
+    curves = np.concatenate([result.deviations[name] for name in COMPONENTS])
+    std = np.concatenate([result.std[name] for name in COMPONENTS])
+    assert np.abs(drawn.mean(axis=0) - curves).max() < 5.0 * std.max() / np.sqrt(120)
+    ratio = (drawn.std(axis=0) / std).reshape(6, 5)
+    assert ratio.mean(axis=1) == pytest.approx(np.ones(6), abs=0.15)

@@ -1,0 +1,69 @@
+"""Six deviations over DDS: a person fixes the tracer at three places, once at a wrong one."""
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_cell import SUITE, LiveCell
+
+from rotcal_ros.catalogue.configuration import changed, parse_configuration, read_configuration
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.results import Result
+from rotcal_ros.simulation import SimulatedCell
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
+SHORT = (
+    "plan.table_positions=3",
+    "plan.table_step_deg=120.0",
+    "plan.box_points=[3, 2, 2]",
+    "planner.preflight_timeout_s=30.0",
+    "simulation.tracer.misplaced_place=1",
+    "simulation.tracer.misplaced_mm=40.0",
+)
+PER_PLACE = 3 * 12
+
+
+def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    live = LiveCell(tmp_path, changed(read_configuration(DEMO), SHORT))
+    try:
+        live.start(*SUITE, "simulated_cell")
+        client, asked = live.client(), []
+        while (event := client.wait_for("paused", "result"))["event"] == "paused":
+            asked.append(event["instruction"])
+            live.processes.tell("client", "resume")
+    finally:
+        live.processes.end()
+    assert event["error_code"] == 0, event["error_msg"]
+    assert [text.split(" on the table")[0] for text in asked if text.startswith("fix")] == [
+        f"fix the tracer at place {number} (of 0 to 2)" for number in range(3)
+    ]
+    assert len(asked) == 4
+    assert asked[2].startswith("not as it should be: place 1: the tracer stands ")
+    assert event["n_used"] == 3 * PER_PLACE
+
+    recording = read_recording(live.bag)
+    text = (live.session / "result.json").read_text()
+    assert recording.same_as_recorded
+    assert recording.solve().to_json() == text
+    # The first angle of the second place was measured twice; what counts is the second time.
+    assert len([o for o in recording.recorded if o.station == 1]) == PER_PLACE + 12
+
+    result = Result.from_dict(json.loads(text))
+    assert result.components == COMPONENTS
+    settings = parse_configuration(live.file.read_text()).simulation
+    method = recording.calibration.method
+    truth = method.gauge(result.angles, SimulatedCell(settings).truth(result.angles))
+    for name in COMPONENTS:
+        error = result.deviations[name] - truth[name]
+        assert np.abs(error / result.std[name]).max() < 5.0, name

@@ -1,0 +1,125 @@
+"""The policy asked again: the same choices from the same observations, and where they differ."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rotcal_ros.catalogue import changed, prepare, prepare_to_measure, read_configuration
+from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, continued
+from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.planning.policy.choices import Outcome
+from rotcal_ros.recordings.choices import RecordedChoice, differences
+
+DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
+SHORT = (
+    "plan.table_positions=5",
+    "plan.box_points=[3, 2, 2]",
+    "solver.length_std_m=2.0e-7",
+    "planner.policy=until_goal",
+    "planner.goal_arcsec=7.0",
+)
+GIVEN_UP = 3
+
+
+def calibration(*changes):
+    return prepare(changed(read_configuration(DEMO), (*SHORT, *changes)))
+
+
+@pytest.fixture(scope="module")
+def cell():
+    """Return the calibration and an accepted observation of every step."""
+    posed = calibration()
+    return posed, {o.step: o for o in posed.measured({}, seed=3).observations}
+
+
+def run_of(posed, seen, continuation, most=1000):
+    """Return choices and observations of one run; the step that is chosen third is given up."""
+    policy, choices, observed = posed.policy(continuation), [], []
+    first = continuation.run * ATTEMPTS_PER_RUN
+    while len(choices) < most:
+        choice = policy.choose()
+        times = sum(c.choice.step == choice.step for c in choices)
+        attempt = first + GIVEN_UP * times
+        choices.append(RecordedChoice(continuation.run, len(choices), attempt, choice))
+        if choice.step is None:
+            break
+        accepted = len(choices) != 3
+        observations = [
+            replace(
+                seen[choice.step], attempt=attempt + n, run=continuation.run, accepted=accepted
+            )
+            for n in range(1 if accepted else GIVEN_UP)
+        ]
+        observed += observations
+        policy.note(Outcome(choice.step, observations[0] if accepted else None))
+    return choices, observed
+
+
+def test_the_policy_makes_the_choices_of_the_bag_again(cell):
+    posed, seen = cell
+    choices, observed = run_of(posed, seen, posed.from_the_start())
+    assert choices[-1].choice.reason.startswith("goal reached")
+    assert "given up" in choices[3].choice.reason
+    assert len(choices) < len(posed.plan.steps)
+    assert differences(posed, choices, observed) == ()
+
+
+def test_an_interrupted_run_and_the_one_that_continues_it_are_made_again(cell):
+    posed, seen = cell
+    choices, observed = run_of(posed, seen, posed.from_the_start(), most=12)
+    rest = continued(
+        posed.plan, posed.configuration.plan_id, 1, observed, max_attempts=GIVEN_UP, join_steps=8
+    )
+    more, further = run_of(posed, seen, rest)
+    assert more[0].choice.reason == "done step, measured again to join the runs"
+    assert more[-1].choice.step is None
+    assert differences(posed, [*choices, *more], [*observed, *further]) == ()
+
+
+def test_another_observation_leads_to_another_choice(cell):
+    posed, seen = cell
+    choices, observed = run_of(posed, seen, posed.from_the_start())
+    wrong = choices[10].choice.step  # whichever length is the first suspect then
+    other = [replace(o, mean=(o.mean[0] + 2e-5,)) if o.step == wrong else o for o in observed]
+    (text,) = differences(posed, choices, other)
+    assert text.startswith("run 0, choice ")
+    assert "with what was recorded the policy chooses step" in text
+    assert "is suspect (" in text
+
+
+def test_a_choice_that_is_missing_is_named(cell):
+    posed, seen = cell
+    choices, observed = run_of(posed, seen, posed.from_the_start())
+    (text,) = differences(posed, choices[:5] + choices[6:], observed)
+    assert text.startswith("run 0, choice 5: ")
+
+
+def test_a_list_needs_no_asking(cell):
+    posed, seen = cell
+    listed = calibration("planner.policy=as_listed")
+    choices, observed = run_of(posed, seen, posed.from_the_start())
+    assert differences(listed, choices[3:], observed) == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ("planner.goal_arcsec=0.0", ConfigurationError, "needs a goal"),
+        ("planner.goal_arcsec=0.1", PlanError, "out of reach: all 60 steps"),
+        ("solver.datum=free", ConfigurationError, "datum must be 'prior'"),
+        ("plan.tracer_m=[0.1]", ConfigurationError, "where the tracer stands"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused_before_anything_moves(change, error, words):
+    with pytest.raises(error, match=words):
+        prepare_to_measure(changed(read_configuration(DEMO), (*SHORT, change)))
+
+
+def test_a_first_step_and_another_method_are_refused():
+    posed = calibration()
+    with pytest.raises(PlanError, match="rotcal run --resume"):
+        posed.policy(posed.from_the_start(7))
+    plate = read_configuration(DEMO.with_name("ball_plate_demo.yaml"))
+    with pytest.raises(ConfigurationError, match="has no policy until_goal"):
+        prepare_to_measure(changed(plate, ("planner.policy=until_goal",)))
