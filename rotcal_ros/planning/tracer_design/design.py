@@ -22,6 +22,7 @@ from rotcal_ros.planning.tracer_design.settings import PER_STATION, TracerDesign
 
 ARCSEC: Final = unit_of("ECC")[0]
 POOL_TARGETS: Final = 64
+ENOUGH_TARGETS: Final = 40
 POOL_SPACINGS: Final = 1.8
 """Whole plans are sought among all pairs of so many good targets, so many spacings apart."""
 START_CHECKED: Final = 14
@@ -144,11 +145,14 @@ def _pool(ideal: Optimum, pairs: Lengths, scene: Scene, apart: float) -> tuple[I
     All pairs of the best targets that are ``apart`` (m): shared targets check their lengths.
     """
     by_target = np.bincount(pairs.target, weights=ideal.weight, minlength=len(scene.targets))
+    best = np.argsort(-by_target, kind="stable").tolist()
     good: list[int] = []
-    for target in np.argsort(-by_target, kind="stable").tolist():
+    for target in best:
         away = np.linalg.norm(scene.targets[good] - scene.targets[target], axis=1)
         if len(good) < POOL_TARGETS and (away >= apart).all():
             good.append(target)
+    if len(good) < ENOUGH_TARGETS:
+        good = best[:POOL_TARGETS]
     which = np.flatnonzero(np.isin(pairs.target, good))
     liked = ideal.weight[which] + 1e-6 * ideal.slopes[which] / ideal.slopes.max()
     return which, liked

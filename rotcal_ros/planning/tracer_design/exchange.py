@@ -186,6 +186,8 @@ class _Search:
             return
         self.exchanges += 1
         free = self._candidates()
+        if not len(free):
+            return  # all that could come has just gone, or is there already
         came = int(free[np.argmin(plan.with_each(self.pool[free]))])
         more = np.append(self.chosen, came)
         self._hold(came)
