@@ -70,7 +70,7 @@ def choices(bag: Path, as_json: bool) -> int:
     with progress("reading") as shown:
         recording = read_recording(bag, "observations", progress=shown)
     differing = recording.choices_that_differ()
-    made = [
+    rows = [
         {
             "run": recorded.run,
             "number": recorded.number,
@@ -80,9 +80,9 @@ def choices(bag: Path, as_json: bool) -> int:
         for recorded in recording.choices
     ]
     if as_json:
-        print_json({"choices": made, "differences": list(differing)})
+        print_json({"choices": rows, "differences": list(differing)})
         return 1 if differing else 0
-    for row in made:
+    for row in rows:
         what = "stop" if row["step"] is None else f"step {row['step']}"
         click.echo(f"run {row['run']} {row['number']:5} {what}: {row['reason']}")
     for text in differing:

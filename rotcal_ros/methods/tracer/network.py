@@ -24,7 +24,7 @@ from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.layout import Layout
 from rotcal_ros.methods.tracer.schur import Reduced, eliminate, eliminate_from
 
-CONVERGED: Final = 1e-14
+CONVERGED: Final = 1e-17
 """Squared length of the last step in standard deviations."""
 STAGNANT: Final = 1e-6
 """Squared length below which a step that no longer shrinks is rounding."""

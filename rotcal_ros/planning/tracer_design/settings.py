@@ -9,7 +9,7 @@ from rotcal_ros.planning.table_angles import TableAngleSettings
 from rotcal_ros.settings import setting
 
 Triple = tuple[float, float, float]
-ONE = "one"
+SHARED = "one"
 PER_STATION = "per_station"
 ANY = "any"
 DIRECTION = "direction"
@@ -85,7 +85,7 @@ class TracerDesignSettings(TableAngleSettings):
     zero: str = setting(
         PER_STATION,
         doc="zeros of the lengths: of each station, or one for all (the beam is never broken)",
-        choices=(PER_STATION, ONE),
+        choices=(PER_STATION, SHARED),
     )
     circle_std_m: float | None = setting(
         None, doc="m, by which stations may leave one circle; absent: not assumed", minimum=1e-9
