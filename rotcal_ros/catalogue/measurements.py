@@ -62,24 +62,24 @@ class StepFinder:
     """Finds the step of the plan that a row measures, and refuses it twice.
 
     What the plan measures again, as a plan that closes does, may stand in the table again.
+    ``stations``: rows say from which place they were measured; else all places count as the same.
     """
 
-    def __init__(self, plan: Plan) -> None:
-        self._plan = plan
+    def __init__(self, plan: Plan, *, stations: bool = False) -> None:
+        self._plan, self._by_station = plan, stations
         self._steps: dict[tuple[int, int, int], list[Step]] = {}
         for step in plan.steps:
-            key = (step.station, step.table_position, step.target)
+            key = (step.station if stations else 0, step.table_position, step.target)
             self._steps.setdefault(key, []).append(step)
-        self._stations = len({step.station for step in plan.steps})
         self._seen: dict[tuple[int, int, int], list[str]] = {}
 
     def __call__(self, row: Row, position: int, target: int, station: int = 0) -> Step:
         """Return the step that measures a target at a table position, from a place or station."""
         steps = self._steps.get((station, position, target))
-        what = f"position {position}, target {target}"
-        places = ""
-        if self._stations > 1:
-            what, places = f"place {station}, {what}", f"places 0 to {self._stations - 1}, "
+        what, places = f"position {position}, target {target}", ""
+        if self._by_station:
+            known = len({step.station for step in self._plan.steps})
+            what, places = f"place {station}, {what}", f"places 0 to {known - 1}, "
         if steps is None:
             raise DataError(
                 f"{row.place}: {what} is not in the plan, which has {places}positions 0 to "

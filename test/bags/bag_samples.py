@@ -151,7 +151,7 @@ def _observation(r: Observation) -> list[tuple[str, bytes]]:
         temperature=float("nan") if r.temperature_c is None else r.temperature_c,
         n_samples=r.n_samples, n_used=r.n_used, accepted=r.accepted, reason=r.reason,
         window_start=time_message(r.window_start_ns), window_end=time_message(r.window_end_ns),
-        run=r.run,
+        run=r.run, segment=r.segment,
     )  # fmt: skip
     return [(names.OBSERVATION, data)]
 

@@ -53,7 +53,7 @@ observations = st.builds(
     kind=kinds, mean=lists, std=lists, scatter=lists, probe_position=points, n_samples=u32,
     n_used=u32, accepted=st.booleans(), reason=text, table_angle_measured=any_float,
     temperature_c=st.none() | st.floats(allow_nan=False), window_start_ns=stamps,
-    window_end_ns=stamps,
+    window_end_ns=stamps, segment=u32,
 )  # fmt: skip
 
 

@@ -40,7 +40,7 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         angles = calibration.plan.table_angles
         plan = plan_of(configuration.plan, angles, read_targets(targets))
         calibration = Calibration(configuration, plan)
-    find, check = StepFinder(calibration.plan), PlaceLengths(calibration.plan)
+    find, check = StepFinder(calibration.plan, stations=True), PlaceLengths(calibration.plan)
     observations = []
     for row in table.rows():
         step = find(row, row.index("position"), row.index("target"), row.index("place"))

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import erfc
 
 from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.methods.roots import root_between
 from rotcal_ros.methods.tracer.adjustment import Adjustment
 from rotcal_ros.methods.tracer.gain import NetworkGain
 from rotcal_ros.methods.tracer.grid import Grid
@@ -176,4 +176,4 @@ def _limit(alike: Floats, significance: float) -> float:
         crossings = min(rate * float(np.exp(-0.5 * u * u)), len(alike) * above)
         return 2.0 * (above + crossings) - significance
 
-    return float(brentq(false_alarms, 0.0, 40.0))
+    return root_between(false_alarms, 0.0, 40.0, 1e-12)

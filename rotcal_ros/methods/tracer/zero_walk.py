@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
@@ -68,6 +67,8 @@ def likely_walk(grid: Grid, start: Floats, order: Ints) -> float:
         size = np.linalg.slogdet(reduced.regular())[1] - 2.0 * np.log(reduced.scale).sum()
         size -= np.linalg.slogdet(reduced.inverse)[1].sum()
         return float(network.chi2 + 2.0 * steps * log_std + size)
+
+    from scipy.optimize import minimize_scalar  # slow to load, and rarely needed
 
     bounds = (np.log(LEAST_STD), np.log(LARGEST_STD))
     found = minimize_scalar(deviance, bounds=bounds, method="bounded", options={"xatol": NEAR})
