@@ -96,7 +96,9 @@ TRACER = dump_configuration(
 
 def test_the_effect_on_the_deviations_stays_below_its_bound_and_is_that_of_a_real_error():
     calibration = prepare(parse_configuration(TRACER))
-    observations = calibration.measured({}, seed=1).observations  # exact ones have no noise to test
+    observations = calibration.measured(
+        {}, seed=1
+    ).observations  # exact ones have no noise to test
     result = calibration.solve(observations)
     found = reliability(result.residuals)
     which = found.worst(3)
