@@ -95,6 +95,17 @@ def _beyond(stated: Callable[[Configuration], float] | None) -> str:
     return " (k = 1)" if stated is None else " more (k = 1) than is stated"
 
 
+def table_deviations(count: int, sizes: Sizes, other: np.random.Generator) -> dict[str, Floats]:
+    """Return the true deviations (count,) that ``sizes`` give a perfect table, m and rad."""
+    motion = sizes.get("error motion", 0.0) * other.standard_normal((2, count))
+    tilts = sizes.get("tilt", 0.0) * other.standard_normal((2, count))
+    zero = np.zeros(count)
+    return {
+        "EXC": motion[0], "EYC": motion[1], "EZC": zero,
+        "EAC": tilts[0], "EBC": tilts[1], "ECC": zero,
+    }  # fmt: skip
+
+
 def streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
     """Return the random numbers of the noise and, apart from them, those of the effects."""
     return np.random.default_rng([seed, 0]), np.random.default_rng([seed, 1])

@@ -10,7 +10,8 @@ import click
 
 from rotcal_ros.cli.check_options import rule_of, rule_options
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.components import COMPONENTS, unit_of
+from rotcal_ros.cli.curve_options import align_option, component_option
+from rotcal_ros.components import unit_of
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.quick_check import CheckVerdict
@@ -22,20 +23,8 @@ EXIT_CODES: Final[Mapping[CheckVerdict, int]] = {"still valid": 0, "changed": 1,
 @click.argument("earlier", type=path_type)
 @click.argument("new", type=path_type)
 @rule_options
-@click.option(
-    "--component",
-    type=click.Choice(COMPONENTS),
-    default="ECC",
-    show_default=True,
-    help="The deviation to check.",
-)
-@click.option(
-    "--align-order",
-    type=click.IntRange(0, 12),
-    default=0,
-    show_default=True,
-    help="Harmonics taken off beside the offset; 1 for radial deviations of other origins.",
-)
+@component_option
+@align_option
 @json_option
 def command(
     earlier: Path, new: Path, component: str, align_order: int, as_json: bool, **asked: Any

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import draw, json_option, path_type, print_json
-from rotcal_ros.components import COMPONENTS
+from rotcal_ros.cli.curve_options import align_option, component_option
 
 if TYPE_CHECKING:
     from rotcal_ros.curves.measured import MeasuredCurve
@@ -24,20 +24,8 @@ if TYPE_CHECKING:
     type=path_type,
     help="Calibrated face errors by table angle, taken off every reference table.",
 )
-@click.option(
-    "--component",
-    type=click.Choice(COMPONENTS),
-    default="ECC",
-    show_default=True,
-    help="The deviation to compare.",
-)
-@click.option(
-    "--align-order",
-    type=click.IntRange(0, 12),
-    default=0,
-    show_default=True,
-    help="Harmonics taken off beside the offset; 1 for radial deviations of other origins.",
-)
+@component_option
+@align_option
 @click.option(
     "-o", "--output", type=path_type, help="Draw the curves and E_n there: .svg or .html."
 )

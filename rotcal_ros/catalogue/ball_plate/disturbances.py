@@ -19,6 +19,7 @@ from rotcal_ros.catalogue.disturbance import (
     error_motion,
     repeatability,
     streams,
+    table_deviations,
     tilt,
     times,
 )
@@ -77,7 +78,7 @@ def measure(
     The table has no deviations but those that ``sizes`` give it, which are true ones.
     """
     noise, other = streams(seed)
-    true = _deviations(len(plan.table_angles), sizes, other)
+    true = table_deviations(len(plan.table_angles), sizes, other)
     position = np.array([step.table_position for step in plan.steps], dtype=np.int64)
     place = np.array([step.position for step in plan.steps])
     centres = _true_centres(configuration, plan, position, sizes, true, (noise, other))
@@ -92,17 +93,6 @@ def measure(
         for step, (x, y, z) in zip(plan.steps, centres.tolist(), strict=True)
     )
     return DisturbedMeasurement(observations, true)
-
-
-def _deviations(count: int, sizes: Sizes, other: np.random.Generator) -> dict[str, Floats]:
-    """Return the true deviations (count,) of the table, m and rad."""
-    motion = sizes.get("error motion", 0.0) * other.standard_normal((2, count))
-    tilts = sizes.get("tilt", 0.0) * other.standard_normal((2, count))
-    zero = np.zeros(count)
-    return {
-        "EXC": motion[0], "EYC": motion[1], "EZC": zero,
-        "EAC": tilts[0], "EBC": tilts[1], "ECC": zero,
-    }  # fmt: skip
 
 
 def _true_centres(

@@ -35,39 +35,51 @@ def _error_motion(configuration: Configuration) -> float:
     return 0.0 if stated is None else stated
 
 
+def of_lengths(drift: float, knock: float, air: float) -> tuple[Disturbance, ...]:
+    """Return what spoils lengths of a tracer on the table, wherever it stands.
+
+    Worth a search from these sizes on: ``drift`` and ``knock`` in um, ``air`` in ppm (per metre).
+    """
+    return (
+        Disturbance(
+            "drift",
+            "the origin of the machine drifts along x, y and z alike, linearly over the whole run",
+            "um", MICROMETRE, drift, 100.0,
+        ),
+        Disturbance(
+            "knock",
+            "the tracer is shifted on the table, along x, y and z alike, half-way through the run",
+            "um", MICROMETRE, knock, 100.0,
+        ),
+        Disturbance(
+            "axis noise",
+            "the machine's errors along z are so many times the stated ones",
+            "times", 1.0, 1.5, 100.0, scatters=True,
+        ),
+        Disturbance(
+            "refraction",
+            "the index of the air changes with the height by so much per metre",
+            "ppm/m", PPM, air, 1000.0,
+        ),
+        Disturbance(
+            "scale", "the tracer's lengths are too long by so much", "ppm", PPM, air, 1000.0
+        ),
+    )  # fmt: skip
+
+
+def leaning_axis(largest: float) -> Disturbance:
+    """Return the lean of the table's axis, up to ``largest`` arcsec."""
+    what = "the table's axis leans by so much against the machine's z axis"
+    return Disturbance("gauge", what, "arcsec", ARCSEC, 100.0, largest)
+
+
 LISTED: Final = (
-    Disturbance(
-        "drift",
-        "the origin of the machine drifts along x, y and z alike, linearly over the whole run",
-        "um", MICROMETRE, 1.0, 100.0,
-    ),
-    Disturbance(
-        "knock",
-        "the tracer is shifted on the table, along x, y and z alike, half-way through the run",
-        "um", MICROMETRE, 0.3, 100.0,
-    ),
-    Disturbance(
-        "axis noise",
-        "the machine's errors along z are so many times the stated ones",
-        "times", 1.0, 1.5, 100.0, scatters=True,
-    ),
+    *of_lengths(1.0, 0.3, 1.0),
     error_motion(0.1, 100.0, _error_motion),
     repeatability(0.3, 100.0),
-    Disturbance(
-        "refraction",
-        "the index of the air changes with the height by so much per metre",
-        "ppm/m", PPM, 1.0, 1000.0,
-    ),
-    Disturbance(
-        "scale", "the tracer's lengths are too long by so much", "ppm", PPM, 1.0, 1000.0
-    ),
     tilt(0.3, 100.0),
-    Disturbance(
-        "gauge",
-        "the table's axis leans by so much against the machine's z axis",
-        "arcsec", ARCSEC, 100.0, 3600.0,
-    ),
-)  # fmt: skip
+    leaning_axis(3600.0),
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,16 +10,20 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.disturbance import (
     ALL_AXES,
-    PPM,
-    Disturbance,
     Disturbances,
     DisturbedMeasurement,
     Sizes,
     arrivals,
+    error_motion,
+    repeatability,
     streams,
+    table_deviations,
+    tilt,
 )
 from rotcal_ros.catalogue.tracer.disturbances import (
     Steps,
+    leaning_axis,
+    of_lengths,
     readings,
     reflector_places,
     steps_of,
@@ -27,53 +31,14 @@ from rotcal_ros.catalogue.tracer.disturbances import (
 from rotcal_ros.catalogue.tracer_six.plan import places_of
 from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.planning.plan import Plan
-from rotcal_ros.units import ARCSEC, MICROMETRE
 
 LISTED: Final = (
-    Disturbance(
-        "drift",
-        "the origin of the machine drifts along x, y and z alike, linearly over the whole run",
-        "um", MICROMETRE, 0.3, 100.0,
-    ),
-    Disturbance(
-        "knock",
-        "the tracer is shifted on the table, along x, y and z alike, half-way through the run",
-        "um", MICROMETRE, 0.1, 100.0,
-    ),
-    Disturbance(
-        "axis noise",
-        "the machine's errors along z are so many times the stated ones",
-        "times", 1.0, 1.5, 100.0, scatters=True,
-    ),
-    Disturbance(
-        "error motion",
-        "EXC and EYC scatter from position to position by so much (k = 1)",
-        "um", MICROMETRE, 0.1, 10.0, scatters=True,
-    ),
-    Disturbance(
-        "repeatability",
-        "every arrival of the table is off by itself, by so much about x, y and z (k = 1)",
-        "arcsec", ARCSEC, 0.05, 10.0, scatters=True,
-    ),
-    Disturbance(
-        "refraction",
-        "the index of the air changes with the height by so much per metre",
-        "ppm/m", PPM, 0.3, 1000.0,
-    ),
-    Disturbance(
-        "scale", "the tracer's lengths are too long by so much", "ppm", PPM, 0.3, 1000.0
-    ),
-    Disturbance(
-        "tilt",
-        "EAC and EBC scatter from position to position by so much (k = 1)",
-        "arcsec", ARCSEC, 0.1, 10.0, scatters=True,
-    ),
-    Disturbance(
-        "gauge",
-        "the table's axis leans by so much against the machine's z axis",
-        "arcsec", ARCSEC, 100.0, 2000.0,
-    ),
-)  # fmt: skip
+    *of_lengths(0.3, 0.1, 0.3),
+    error_motion(0.1, 10.0),
+    repeatability(0.05, 10.0),
+    tilt(0.1, 10.0),
+    leaning_axis(2000.0),
+)
 
 
 def measure(
@@ -84,7 +49,7 @@ def measure(
     The table has no deviations but those that ``sizes`` give it, which are true ones.
     """
     noise, other = streams(seed)
-    true = _deviations(len(plan.table_angles), sizes, other)
+    true = table_deviations(len(plan.table_angles), sizes, other)
     steps = steps_of(plan)
     stations = _stations(configuration, plan, steps, sizes, true, other)
     places = reflector_places(configuration, plan, steps, sizes, noise)
@@ -93,17 +58,6 @@ def measure(
         step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
     )
     return DisturbedMeasurement(observations, true)
-
-
-def _deviations(count: int, sizes: Sizes, other: np.random.Generator) -> dict[str, Floats]:
-    """Return the true deviations (count,) of the table, m and rad."""
-    motion = sizes.get("error motion", 0.0) * other.standard_normal((2, count))
-    tilt = sizes.get("tilt", 0.0) * other.standard_normal((2, count))
-    zero = np.zeros(count)
-    return {
-        "EXC": motion[0], "EYC": motion[1], "EZC": zero,
-        "EAC": tilt[0], "EBC": tilt[1], "ECC": zero,
-    }  # fmt: skip
 
 
 def _stations(

@@ -24,7 +24,7 @@ below one the uncertainty becomes smaller.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -97,6 +97,19 @@ class Noise:
             return np.zeros(len(COMPONENTS), dtype=np.bool_)
         limit = normal_isf(0.5 * significance)
         return np.asarray(np.abs(np.log(self.factors)) > limit * self.log_std, dtype=np.bool_)
+
+    def details(self) -> list[dict[str, Any]]:
+        """Return each component for the details of a result: its statement, its factor."""
+        return [
+            {
+                "component": name,
+                "stated": self.stated[k],
+                "factor": self.factors[k],
+                "relative_std": self.log_std[k],
+            }
+            for k, name in enumerate(COMPONENTS)
+            if self.stated[k] > 0.0 or k == 0
+        ]
 
 
 def noise_evidence(grid: Grid, fit: Adjustment, bent: bool = False) -> NoiseEvidence:

@@ -9,7 +9,6 @@ import numpy as np
 
 from rotcal_ros.components import HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer.angles import algorithm_error, scatter
-from rotcal_ros.methods.tracer.noise import COMPONENTS
 from rotcal_ros.methods.tracer.observability import weakest_direction
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.protections import protections
@@ -152,7 +151,7 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
     squared = grid.per_station(grid.used * (fit.residual / fit.std) ** 2)
     return {
         "dof_effective": solution.covariance.dof_effective,
-        "noise": _noise(solution),
+        "noise": solution.noise.details(),
         "error_motion": asdict(solution.error_motion),
         "length_test": asdict(evidence.lengths),
         "circle_test": asdict(evidence.circle),
@@ -171,18 +170,3 @@ def _zeros(solution: TracerSolution) -> dict[str, Any]:
         "segments": segment_report(solution),
         "zero_walk_std": 0.0 if walk is None else float(walk.min()),
     }
-
-
-def _noise(solution: TracerSolution) -> list[dict[str, Any]]:
-    """Return each component of the noise: what was stated, and the factor that was used."""
-    noise = solution.noise
-    return [
-        {
-            "component": name,
-            "stated": noise.stated[k],
-            "factor": noise.factors[k],
-            "relative_std": noise.log_std[k],
-        }
-        for k, name in enumerate(COMPONENTS)
-        if noise.stated[k] > 0.0 or k == 0
-    ]

@@ -121,26 +121,35 @@ def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[st
 
 
 def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
-    noise = evidence.noise
-    larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
-    doubts = [
-        f"{times_stated(noise, k)}: the estimate is used; state it, or look for drift"
-        for k in np.flatnonzero(larger).tolist()
-    ]
+    doubts = doubt_noise(evidence.noise, settings)
     if evidence.unexplained > 1.0:
         doubts.append(
             f"the residuals of the lengths are {evidence.unexplained:.2f} times what their "
             "standard deviations allow (chi-squared test): the uncertainty is enlarged by "
             "that factor; look for drift, or state larger standard deviations"
         )
-    share = evidence.n_rejected / evidence.n_lengths
-    if share > settings.max_rejected_share:
-        doubts.append(
-            f"{evidence.n_rejected} of {evidence.n_lengths} lengths ({100 * share:.1f} %) were "
-            f"rejected, more than {100 * settings.max_rejected_share:g} % is suspicious: look for "
-            "a target with wrong coordinates, or an unstable beam"
-        )
-    return doubts
+    return doubts + doubt_rejected(evidence.n_rejected, evidence.n_lengths, settings)
+
+
+def doubt_noise(noise: Noise, settings: TracerLimits) -> list[str]:
+    """Return a sentence for every component of the noise that is larger than stated."""
+    larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
+    return [
+        f"{times_stated(noise, k)}: the estimate is used; state it, or look for drift"
+        for k in np.flatnonzero(larger).tolist()
+    ]
+
+
+def doubt_rejected(n_rejected: int, n_lengths: int, settings: TracerLimits) -> list[str]:
+    """Return a sentence when more lengths were rejected than the settings allow."""
+    share = n_rejected / n_lengths
+    if share <= settings.max_rejected_share:
+        return []
+    return [
+        f"{n_rejected} of {n_lengths} lengths ({100 * share:.1f} %) were rejected, more than "
+        f"{100 * settings.max_rejected_share:g} % is suspicious: look for a target with wrong "
+        "coordinates, or an unstable beam"
+    ]
 
 
 def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:

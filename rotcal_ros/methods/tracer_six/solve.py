@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.components import COMPONENTS, HALF_OF_95_PERCENT
-from rotcal_ros.methods.tracer.noise import COMPONENTS as NOISES
 from rotcal_ros.methods.tracer.screening import rejection_limit
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.protections import protections
@@ -105,7 +104,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "covariance_scale": solution.scale,
         "coverage_factor": HALF_OF_95_PERCENT,
         "scatter": _scatter(solution),
-        "noise": _noise(solution),
+        "noise": solution.noise.details(),
         "length_test": asdict(solution.lengths),
         "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
@@ -125,18 +124,3 @@ def _scatter(solution: SixSolution) -> dict[str, Any]:
         "n_contrasts": scatter.n_contrasts,
         "p_value": scatter.probability,
     }
-
-
-def _noise(solution: SixSolution) -> list[dict[str, Any]]:
-    """Return each component of the noise: what was stated, and the factor that was used."""
-    noise = solution.noise
-    return [
-        {
-            "component": name,
-            "stated": noise.stated[k],
-            "factor": noise.factors[k],
-            "relative_std": noise.log_std[k],
-        }
-        for k, name in enumerate(NOISES)
-        if noise.stated[k] > 0.0 or k == 0
-    ]

@@ -18,7 +18,13 @@ import numpy as np
 from rotcal_ros.components import ROTATIONS
 from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY
-from rotcal_ros.methods.tracer.verdict import FAILED_FACTORS, FAILED_SHARE, times_stated
+from rotcal_ros.methods.tracer.verdict import (
+    FAILED_FACTORS,
+    FAILED_SHARE,
+    doubt_noise,
+    doubt_rejected,
+    times_stated,
+)
 from rotcal_ros.methods.tracer_six.solution import SixSolution
 from rotcal_ros.results import Verdict
 
@@ -35,26 +41,15 @@ def judge(solution: SixSolution) -> tuple[Verdict, tuple[str, ...]]:
 
 
 def _doubt_noise(solution: SixSolution) -> list[str]:
-    noise, settings = solution.noise, solution.problem.settings
-    larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
-    doubts = [
-        f"{times_stated(noise, k)}: the estimate is used; state it, or look for drift"
-        for k in np.flatnonzero(larger).tolist()
-    ]
+    settings = solution.problem.settings
+    doubts = doubt_noise(solution.noise, settings)
     if solution.scale > 1.0:
         doubts.append(
             f"the residuals are {solution.scale:.2f} times what their standard deviations allow "
             "(chi-squared test): the uncertainty is enlarged by that factor; look for drift or a "
             "tracer that slips on the table"
         )
-    share = solution.n_rejected / solution.n_lengths
-    if share > settings.max_rejected_share:
-        doubts.append(
-            f"{solution.n_rejected} of {solution.n_lengths} lengths ({100 * share:.1f} %) were "
-            f"rejected, more than {100 * settings.max_rejected_share:g} % is suspicious: look for "
-            "a target with wrong coordinates, or an unstable beam"
-        )
-    return doubts
+    return doubts + doubt_rejected(solution.n_rejected, solution.n_lengths, settings)
 
 
 def _doubt_motion(solution: SixSolution) -> list[str]:
