@@ -25,7 +25,9 @@ from rotcal_ros.methods.tracer.layout import Layout
 from rotcal_ros.methods.tracer.schur import Reduced, eliminate, eliminate_from
 
 CONVERGED: Final = 1e-17
-"""Squared length of the last step in standard deviations."""
+"""Squared length in standard deviations of the step that would follow the last."""
+CONTRACTING: Final = 1e-4
+"""Squared length of a step from which on the ratio of steps tells the next."""
 STAGNANT: Final = 1e-6
 """Squared length below which a step that no longer shrinks is rounding."""
 FLAT: Final = 1e-4
@@ -154,7 +156,9 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
             continue
         network = trial
         if damping == 0.0:
-            if squared < CONVERGED or (squared < STAGNANT and squared > 0.25 * before):
+            contracts = squared < CONTRACTING and before < np.inf
+            follows = squared * squared / before if contracts else squared
+            if follows < CONVERGED or (squared < STAGNANT and squared > 0.25 * before):
                 return network
         elif damping < 2.0 * least and squared < FLAT:
             return network
