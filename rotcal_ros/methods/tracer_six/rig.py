@@ -27,6 +27,8 @@ CONVERGED: Final = 1e-14
 """Squared length of the last step in standard deviations."""
 STAGNANT: Final = 1e-6
 """Squared length below which a step that no longer shrinks is rounding."""
+SHRINKING: Final = 1e-4
+"""Ratio of squared steps above which the normal matrix is made anew."""
 MAX_ITERATIONS: Final = 60
 
 
@@ -151,9 +153,10 @@ def _factor(weights: Floats, unit: Floats, scatter: Floats | None) -> Floats | N
     return np.asarray(weighted @ np.linalg.cholesky(inner), dtype=np.float64)
 
 
-def linearise(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> Rig:
-    """Return the network at ``state``: errors, slopes, and the reduced normal matrix."""
-    here = slopes(grid, layout, scatter, state)
+def linearise(
+    grid: Grid, layout: Layout, scatter: Floats | None, state: State, here: Slopes
+) -> Rig:
+    """Return the network at ``state``, with its slopes ``here`` and the reduced normal matrix."""
     unit, weights = here.unit, grid.weights
     pull = (unit * weights[:, :, None]).swapaxes(1, 2)
     if here.factor is not None:
@@ -250,19 +253,22 @@ def _reduced(poses: Floats, cross: Floats, matrix: Floats, gauge: Floats) -> Red
 def relax(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> Rig:
     """Return the least-squares network near ``state``.
 
-    Gauss-Newton: start values are good to some micrometres, so that two or three steps reach
-    rounding. Raises DataError when it does not settle.
+    Chord steps: Gauss-Newton with the normal matrix of the start, as long as its steps shrink
+    fast, and the slopes of now. Start values are good to some micrometres, so that two or three
+    steps reach rounding. Raises DataError when it does not settle.
     """
-    rig = linearise(grid, layout, scatter, state)
-    here, before = rig.slopes, np.inf
+    here, before = slopes(grid, layout, scatter, state), np.inf
+    rig = linearise(grid, layout, scatter, state, here)
     for _ in range(MAX_ITERATIONS):
         kept, poses = rig.reduced.solve(-here.kept, -here.poses.ravel())
         squared = -float(here.kept @ kept + here.poses.ravel() @ poses)
         if abs(squared) < CONVERGED or (abs(squared) < STAGNANT and squared > 0.25 * before):
-            return rig
-        state = rig.state.moved(kept, poses.reshape(-1, 6))
-        rig = linearise(grid, layout, scatter, state)
-        here, before = rig.slopes, squared
+            return linearise(grid, layout, scatter, state, here)
+        if abs(squared) > SHRINKING * before:
+            rig = linearise(grid, layout, scatter, state, here)
+            kept, poses = rig.reduced.solve(-here.kept, -here.poses.ravel())
+        state = state.moved(kept, poses.reshape(-1, 6))
+        here, before = slopes(grid, layout, scatter, state), squared
     raise DataError(
         f"table, places and targets do not settle together in {MAX_ITERATIONS} iterations: the "
         "lengths do not fit the targets or the places; check their order and units"
