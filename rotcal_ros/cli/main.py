@@ -21,7 +21,7 @@ VERBS: Final[Mapping[str, str]] = {
     "solve": "Solve a recorded bag or a plain table, without ROS.",
     "reprocess": "Solve many bags with one configuration, on all cores or a cluster.",
     "export": "Write the correction table of a calibration for a controller.",
-    "plan": "Design a ball plate and its measurement, or a quick check.",
+    "plan": "Plan what to measure, in what order, and what it could hide.",
     "report": "Write the self-contained HTML report of a calibration.",
     "compare": "Compare results of one table, and references: do they agree?",
     "check": "Check quickly: is an earlier result still valid?",

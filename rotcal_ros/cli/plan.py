@@ -1,4 +1,4 @@
-"""``rotcal plan``: design a ball plate, the effort it takes, and the order of measuring."""
+"""``rotcal plan``: what to measure; here ball plates, their effort and their order."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ touch_option = shown_option("--touches", type=click.IntRange(min=1), default=15,
 
 @click.group()
 def command() -> None:
-    """Design a ball plate, its measurement, a quick check; tell what a plan could hide."""
+    """Plan what to measure, in what order, and what it could hide: lengths, plates, checks."""
 
 
 command.add_command(reliability.command, "reliability")
