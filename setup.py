@@ -18,7 +18,18 @@ CONTROLLERS = {
     "csv": "plain_csv",
     **{
         name: name
-        for name in ("fagor", "fanuc", "heidenhain", "linuxcnc", "pmac", "sinumerik", "twincat")
+        for name in (
+            "fagor",
+            "fanuc",
+            "heidenhain",
+            "kflop",
+            "linuxcnc",
+            "pmac",
+            "sinumerik",
+            "smoothieware",
+            "twincat",
+            "twincat_nc",
+        )
     },
 }
 SHARED = ["config", "config/plates", "launch"]
@@ -69,6 +80,8 @@ setup(
             "ros-std-srvs",
         ],
         "many": ["distributed", "fsspec", "pyarrow"],
+        "opcua": ["asyncua", "cryptography"],
+        "ads": ["pyads"],
         "build": [
             "catkin-pkg",
             "cmake",

@@ -1,43 +1,60 @@
-"""How often the stated 95 % intervals of the six curves hold the truth.
+"""How often the stated 95 % intervals of the six curves hold the truth, and how wide they are."""
 
-usage: python benchmarks/six_coverage.py [RUNS]
-"""
-
-import sys
+import argparse
 from dataclasses import dataclass, replace
 
 import numpy as np
-from six_scene import scene
+from six_scene import good_targets, scene
 
 from rotcal_ros.components import COMPONENTS, HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer_six import SixProblem
 from rotcal_ros.methods.tracer_six.solution import adjust
+from rotcal_ros.methods.tracer_six.timing import taken
 
-LEVELS = (0.0, 0.5, 1.0, 2.0)
-UNIT = (1e-7, 5e-7)
-"""Scatter (m, rad) that doubles about the variance of the curves that the lengths leave."""
+LEVELS = (0.5, 1.0, 2.0)
+KINDS = {"shifts": (6.5e-8, 0.0), "turns": (0.0, 4.3e-7), "both": (5.2e-8, 2.6e-7)}
+"""Scatter (m, rad) that doubles the variance of EAC and EBC, 864 lengths with one arrival."""
+TWELVE = [0, 2, 3, 5, 8, 9, 10, 11, 14, 15, 18, 21]
+"""Of the good targets, those that tell the six curves as well when each is measured twice."""
+ALL = list(range(24))
+CASES = {"one arrival": (1, ALL), "two arrivals, 12 targets": (2, TWELVE)}
+NONE = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
+BREAKS = {"3 breaks": ("per_segment", 3), "each angle": ("per_station", 0)}
+"""Where the beam is broken, at random or at every angle of the table."""
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """``share`` (6,) of true values inside, and rms of ``error`` and ``std`` (6,), m and rad."""
+    """``share`` (6,) of true values inside, and rms of ``error`` and ``std`` (6,), m and rad.
+
+    ``jumped``: share of the measurements in which a zero was seen to jump.
+    """
 
     share: np.ndarray
     error: np.ndarray
     std: np.ndarray
+    jumped: float = 0.0
 
 
-def coverage(runs, scatter, *, arrivals=1, seed=0, ignored=False, **options):
+def coverage(
+    runs, scatter, *, arrivals=1, chosen=ALL, seed=0, ignored=False, zero="per_run", breaks=0,
+    slips=False, **options,
+):  # fmt: skip
     """Simulate ``runs`` measurements with ``scatter`` (m, rad) and solve each.
 
-    ``ignored``: the scatter is stated to be none, and believed whatever the places say.
+    ``chosen`` of the good targets are measured; ``zero``, ``breaks``: as in a scene. ``ignored``:
+    the scatter is stated to be none, and believed whatever the places say. ``slips``: in each
+    measurement the counter slips one fringe at random.
     """
-    rng, inside, errors, stds = np.random.default_rng(seed), [], [], []
+    rng, inside, errors, stds, jumped = np.random.default_rng(seed), [], [], [], 0
+    targets = good_targets()[chosen]
     if ignored:
-        options = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
+        options = NONE
     for _ in range(runs):
-        truth = scene(rng, scatter=scatter, arrivals=arrivals)
+        truth = scene(rng, targets, scatter=scatter, arrivals=arrivals, zero=zero, breaks=breaks)
         problem = SixProblem(**truth.rows, **options)
+        if slips:
+            problem = slipped(problem, rng)
         if ignored:
             sure = replace(problem.settings, test_significance=1e-30)
             problem = replace(problem, settings=sure)
@@ -48,22 +65,76 @@ def coverage(runs, scatter, *, arrivals=1, seed=0, ignored=False, **options):
         inside.append((np.abs(error) < HALF_OF_95_PERCENT * std).mean(axis=1))
         errors.append((error**2).mean(axis=1))
         stds.append((std**2).mean(axis=1))
+        jumped += len(solution.jumps) > 0
     return Coverage(
-        np.mean(inside, axis=0), np.sqrt(np.mean(errors, axis=0)), np.sqrt(np.mean(stds, axis=0))
-    )
+        np.mean(inside, axis=0), np.sqrt(np.mean(errors, axis=0)), np.mean(np.sqrt(stds), axis=0),
+        jumped / runs,
+    )  # fmt: skip
+
+
+def slipped(problem, rng):
+    """Return ``problem`` with one place's lengths a fringe longer from some moment on."""
+    time = taken(problem)
+    at = rng.integers(len(time))
+    here = problem.place == problem.place[time == at]
+    return replace(problem, length=problem.length + problem.slip * (here & (time >= at)))
+
+
+def sizes():
+    """Return what scatters, its level, and its size in m and rad."""
+    scattered = [
+        (kind, level, (level * unit[0], level * unit[1]))
+        for kind, unit in KINDS.items()
+        for level in LEVELS
+    ]
+    return [("none", 0.0, (0.0, 0.0)), *scattered]
 
 
 def main():
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    none = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
-    cases = [("no scatter, known", 0.0, 1, none)]
-    cases += [("estimated", level, 1, {}) for level in LEVELS]
-    cases += [("estimated, two arrivals", 1.0, 2, {}), ("ignored", 1.0, 1, {"ignored": True})]
-    print(f"{'':26}level  " + "  ".join(f"{name:>6}" for name in COMPONENTS))
-    for name, level, arrivals, options in cases:
-        found = coverage(runs, (level * UNIT[0], level * UNIT[1]), arrivals=arrivals, **options)
-        share = "  ".join(f"{100 * value:6.1f}" for value in found.share)
-        print(f"{name:26}{level:5.1f}  {share}", flush=True)
+    from six_linear import Linear, linear_coverage
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("runs", type=int, nargs="?", default=1000)
+    parser.add_argument("--case", choices=CASES, action="append", help="default: all")
+    parser.add_argument("--whole", action="store_true", help="solve every measurement whole")
+    parser.add_argument("--broken", action="store_true", help="the beam is broken on the way")
+    parser.add_argument("--slips", action="store_true", help="the counter slips a fringe")
+    parser.add_argument("--angles", type=int, default=12, help="to first order only")
+    parser.add_argument("--kind", choices=["none", *KINDS], action="append", help="default: all")
+    chosen = parser.parse_args()
+    names = "".join(f"{name:>7}" for name in COMPONENTS)
+    print(f"{'':26}{'scatter':10}level {names}   {'U':6}{names} um, urad")
+    if chosen.broken:
+        for name, (zero, breaks) in BREAKS.items():
+            found = coverage(chosen.runs, KINDS["both"], zero=zero, breaks=breaks)
+            show(name, "both", 1.0, found)
+        return
+    for case in chosen.case or CASES:
+        arrivals, targets = CASES[case]
+        if chosen.slips:
+            size = KINDS["both"]
+            found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets, slips=True)
+            show(case, "both", 1.0, found)
+            print(f"found in {100 * found.jumped:.0f} %", flush=True)
+            continue
+        network = (
+            None if chosen.whole else Linear(good_targets()[targets], arrivals, m=chosen.angles)
+        )
+        for kind, level, size in sizes():
+            if chosen.kind and kind not in chosen.kind:
+                continue
+            if network is None:
+                found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets)
+            else:
+                found = linear_coverage(network, chosen.runs, size)
+            show(case, kind, level, found)
+
+
+def show(case, kind, level, found):
+    """Print one line."""
+    share = "".join(f"{100 * value:7.1f}" for value in found.share)
+    wide = "".join(f"{2e6 * value:7.3f}" for value in found.std)
+    print(f"{case:26}{kind:10}{level:5.1f} {share}   {'':6}{wide}", flush=True)
 
 
 if __name__ == "__main__":

@@ -40,11 +40,22 @@ class SixScene:
         return np.concatenate([gauge_free(self.d, angles).T, gauge_free(self.c, angles).T])
 
 
+def place_segments(rng, n_places, per_place, breaks):
+    """Return the segment of each length, every run broken ``breaks`` times at random."""
+    first = [
+        np.searchsorted(np.sort(rng.integers(1, per_place, breaks)), np.arange(per_place), "right")
+        for _ in range(n_places)
+    ]
+    return np.concatenate([run + k * (breaks + 1) for k, run in enumerate(first)])
+
+
 def scene(
     rng, targets=None, places=None, m=12, curves=(2e-6, 1e-5), scatter=(0.0, 0.0), arrivals=1,
-    noise=1.0, mounted=1e-3, lean=(0.0, 0.0), zero="per_run", angles=None,
+    noise=1.0, mounted=1e-3, lean=(0.0, 0.0), zero="per_run", angles=None, breaks=0,
 ):  # fmt: skip
     """Return a simulated measurement.
+
+    ``zero`` "per_segment": in each run the beam broke ``breaks`` times, at random.
 
     ``curves``, ``scatter``: standard deviations in m and rad. ``mounted``: how far from the
     nominal places the tracer stands, m; ``lean`` of the axis in the machine, rad.
@@ -66,13 +77,17 @@ def scene(
     count = p if zero == "per_run" else len(stations)
     segment = place if zero == "per_run" else np.arange(count)
     length = np.linalg.norm(there - stations[:, None], axis=2)
-    length -= rng.uniform(0.2, 0.5, count)[segment][:, None]
+    whole = place_segments(rng, p, m * arrivals * n, breaks) if zero == "per_segment" else None
+    if whole is None:
+        length -= rng.uniform(0.2, 0.5, count)[segment][:, None]
+    else:
+        length -= rng.uniform(0.2, 0.5, p * (breaks + 1))[whole].reshape(length.shape)
     length += noise * LENGTH_STD * rng.normal(size=length.shape)
     rows = {
         "position": np.repeat(position, n), "place": np.repeat(place, n),
         "target": np.tile(np.arange(n), len(stations)), "length": length.ravel(),
         "length_std": LENGTH_STD, "targets": targets, "target_std": TARGET_STD,
         "table_angles": angles, "places": places, "zero": zero,
-        "arrival": np.repeat(arrival, n),
+        "arrival": np.repeat(arrival, n), "segment": whole,
     }  # fmt: skip
     return SixScene(c, d, rows)

@@ -21,9 +21,14 @@ Effect = Literal[
     "scale",
     "tilt",
     "gauge",
+    "slip",
 ]
-EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
+PARTICULAR: Final[tuple[Effect, ...]] = ("slip",)
+"""Effects that only those methods speak of whose instruments have them: counted fringes."""
+ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """In the order in which people are shown them."""
+EFFECTS: Final[tuple[Effect, ...]] = tuple(e for e in ALL_EFFECTS if e not in PARTICULAR)
+"""Those that every method speaks of."""
 Treatment = Literal["estimated", "tested", "bounded", "harmless", "not protected"]
 TREATMENTS: Final[tuple[Treatment, ...]] = get_args(Treatment)
 
@@ -51,8 +56,8 @@ class Protection:
 
     def __post_init__(self) -> None:
         """Refuse words that are not of this language; raises ValueError."""
-        if self.effect not in EFFECTS:
-            raise ValueError(f"effect {self.effect!r}: expected one of {', '.join(EFFECTS)}")
+        if self.effect not in ALL_EFFECTS:
+            raise ValueError(f"effect {self.effect!r}: expected one of {', '.join(ALL_EFFECTS)}")
         if self.treatment not in TREATMENTS:
             raise ValueError(
                 f"treatment {self.treatment!r}: expected one of {', '.join(TREATMENTS)}"
@@ -60,7 +65,7 @@ class Protection:
 
 
 def unprotected(protections: Iterable[Protection]) -> tuple[Effect, ...]:
-    """Return the effects against which there is no protection, in the order of EFFECTS.
+    """Return the effects against which there is no protection, in the order of ALL_EFFECTS.
 
     A tested effect that may cause more than TOLERABLE before it is found counts among them.
     """
@@ -70,14 +75,14 @@ def unprotected(protections: Iterable[Protection]) -> tuple[Effect, ...]:
         if p.treatment == "not protected"
         or (p.treatment == "tested" and p.error is not None and p.error > TOLERABLE)
     }
-    return tuple(effect for effect in EFFECTS if effect in bare)
+    return tuple(effect for effect in ALL_EFFECTS if effect in bare)
 
 
 def ordered(protections: Iterable[Protection]) -> tuple[Protection, ...]:
-    """Return the protections in the order of EFFECTS; raises ValueError for a second one."""
+    """Return the protections in the order of ALL_EFFECTS; raises ValueError for a second one."""
     by_effect: dict[Effect, Protection] = {}
     for protection in protections:
         if protection.effect in by_effect:
             raise ValueError(f"the effect {protection.effect!r} is stated twice")
         by_effect[protection.effect] = protection
-    return tuple(by_effect[effect] for effect in EFFECTS if effect in by_effect)
+    return tuple(by_effect[effect] for effect in ALL_EFFECTS if effect in by_effect)

@@ -18,11 +18,12 @@ import numpy as np
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import DataError
+from rotcal_ros.in_force import UNKNOWN, check_in_force
 from rotcal_ros.protection import Effect, Protection, ordered, unprotected
 from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
-FILE_NAMES: Final = {"table_position": "table_index"}
+FILE_NAMES: Final = {"table_position": "table_index", "angles": "angles_rad"}
 """Names that files use for something, where they differ from ours."""
 RUNS: Final = "runs"
 """Where a file has the repeated runs: among the details."""
@@ -74,6 +75,44 @@ class RepeatedRuns:
     repeatability_std: float | None = None
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Directions:
+    """A deviation for approaches from either side, at the ``angles`` (k,) rad that have both.
+
+    ``forward`` (k,) with increasing and ``reverse`` (k,) with decreasing angle count from the same
+    zero as the deviations of the result, which are their mean. ``covariance`` (2 k, 2 k) is that
+    of both together, forward first. Raises DataError when the shapes do not fit, or for NaN.
+    """
+
+    angles: Floats
+    forward: Floats
+    reverse: Floats
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        for name in ("forward", "reverse"):
+            _require_numbers(f"the direction {name}", self.angles, getattr(self, name))
+        wanted, found = (2 * len(self.angles),) * 2, np.shape(self.covariance)
+        if found != wanted or not np.all(np.isfinite(self.covariance)):
+            raise DataError(
+                f"the covariance of both directions has shape {found} or is not finite, expected "
+                f"{wanted} finite numbers: forward, then reverse, at {len(self.angles)} angles"
+            )
+
+    @property
+    def reversal(self) -> Floats:
+        """B_i of ISO 230-2 (k,): forward - reverse."""
+        return self.forward - self.reverse
+
+    @property
+    def reversal_std(self) -> Floats:
+        """The standard uncertainties (k,) of the reversal, from the joint covariance."""
+        k = len(self.angles)
+        difference = np.hstack([np.eye(k), -np.eye(k)])
+        variance = np.sum((difference @ self.covariance) * difference, axis=1)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+
+
 @dataclass(frozen=True)
 class Result:
     """Deviations of a rotary table with their uncertainties, and how far to trust them.
@@ -84,6 +123,9 @@ class Result:
     the a posteriori standard deviation of unit weight; 1 means that the stated noise fits.
     ``details`` are for people: nothing but the figures of a method reads them. ``protections``
     say what was done about each effect that could spoil the result; empty when not stated.
+    ``directions`` maps the components that were measured from both sides to what they are from
+    each; ``deviations`` then holds the mean. ``measured_on`` is the compensation table in force
+    meanwhile: the hash of the controller's files, "none" or "unknown".
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")
@@ -108,6 +150,8 @@ class Result:
     details: Mapping[str, Any] = field(default_factory=dict)
     runs: RepeatedRuns | None = None
     protections: tuple[Protection, ...] = ()
+    directions: Mapping[str, Directions] = field(default_factory=dict)
+    measured_on: str = UNKNOWN
 
     @property
     def unprotected(self) -> tuple[Effect, ...]:
@@ -158,6 +202,13 @@ class Result:
             data["adjacent_deviations_rad"] = self.adjacent_deviations
         if self.adjacent_std is not None:
             data["adjacent_std_rad"] = self.adjacent_std
+        if self.directions:
+            data["directions"] = {
+                name: {FILE_NAMES.get(key, key): v for key, v in plain_fields(both).items()}
+                for name, both in self.directions.items()
+            }
+        if self.measured_on != UNKNOWN:
+            data["measured_on"] = self.measured_on
         data |= {
             "sigma0": self.sigma0,
             "dof": self.dof,
@@ -219,6 +270,8 @@ class Result:
                 residuals=_residuals(data.get("residuals")),
                 details={k: v for k, v in data["details"].items() if not (runs and k == RUNS)},
                 runs=runs,
+                directions=_directions(data.get("directions", {})),
+                measured_on=check_in_force(data.get("measured_on", UNKNOWN)),
             )
         except KeyError as error:
             raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
@@ -282,6 +335,14 @@ def _runs(details: Any) -> RepeatedRuns | None:
         reverse=_optional(data.get("reverse")),
         repeatability_std=data.get("repeatability_std"),
     )
+
+
+def _directions(data: Mapping[str, Mapping[str, Any]]) -> dict[str, Directions]:
+    columns = [field.name for field in fields(Directions)]
+    return {
+        name: Directions(**{c: _floats(both[FILE_NAMES.get(c, c)]) for c in columns})
+        for name, both in data.items()
+    }
 
 
 def _residuals(data: Mapping[str, Any] | None) -> Residuals | None:

@@ -1,6 +1,6 @@
 """What the policy until_goal brings: coverage, time and blocked beams, by simulation.
 
-    .venv/bin/python scripts/policy_figures.py [--runs 2000] [--sectors 40] [--json FILE]
+    .venv/bin/python scripts/policy_figures.py [--runs 2000] [--zero per_segment] [--json FILE]
 
 Every run measures with a tracer of its own place, targets and noise, by the policy itself, with
 nominal geometry from the plan alone; lengths are exact distances with noise. At the end the
@@ -14,7 +14,7 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,11 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.policy.choices import Outcome, Standing
+from rotcal_ros.planning.policy.first_sweep import first_sweep
 from rotcal_ros.planning.policy.lengths import Costs, LengthExperiment
 from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal
 from rotcal_ros.planning.tracer_design.scene import Scene, on_table
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 MOUNT = np.array([0.0569, -0.0318, 0.1225])
 ANGLES = np.radians(-145.0 + 30.0 * np.arange(11))
@@ -52,7 +53,7 @@ def candidates(spacing: float) -> tuple[tuple[float, float, float], ...]:
     return tuple(kept)
 
 
-def experiment(spacing: float) -> LengthExperiment:
+def experiment(spacing: float, per_segment: bool = False) -> LengthExperiment:
     """Return the experiment of all candidates at all angles."""
     targets = candidates(spacing)
     pairs = enumerate(product(range(len(ANGLES)), range(len(targets))))
@@ -62,7 +63,7 @@ def experiment(spacing: float) -> LengthExperiment:
     )
     plan = Plan("tracer_multistation", tuple(ANGLES.tolist()), targets, steps)
     scene = Scene(on_table(MOUNT, ANGLES), ANGLES, np.array(targets), TARGET_STD, PLANNED_STD)
-    return LengthExperiment(plan, scene, Costs(STEP_S, TURN_S))
+    return LengthExperiment(plan, scene, Costs(STEP_S, TURN_S), per_segment=per_segment)
 
 
 class Quick(UntilGoal):
@@ -73,17 +74,28 @@ class Quick(UntilGoal):
 
 
 class Cell:
-    """One simulated calibration: true places and noise; ``blocked`` beams give nothing."""
+    """One simulated calibration: true places and noise.
 
-    def __init__(self, of: LengthExperiment, rng: np.random.Generator, std: float) -> None:
+    ``blocked`` beams give nothing, and break the beam: the next length is read from another zero.
+    ``break_after``: the beam breaks once more after so many lengths.
+    """
+
+    def __init__(
+        self,
+        of: LengthExperiment,
+        rng: np.random.Generator,
+        std: float,
+        break_after: int | None = None,
+    ) -> None:
         self.of, self.rng, self.std = of, rng, std
         mount = MOUNT + 0.005 * rng.standard_normal(3)
         self.stations = on_table(mount, ANGLES)
         nominal = np.array(of.plan.targets)
         self.targets = nominal + TARGET_STD * rng.standard_normal(nominal.shape)
-        self.zero = rng.standard_normal(len(ANGLES))
+        self.zeros = rng.standard_normal(len(ANGLES))
         self.blocked = np.zeros(len(of.plan.steps), dtype=np.bool_)
-        self.seconds, self.at, self.lengths = 0.0, -1, dict[int, float]()
+        self.seconds, self.at, self.measured = 0.0, -1, of.nothing
+        self.breaks, self.break_after, self.taken = 0, break_after, 0
 
     def measure(self, index: int) -> Outcome:
         """Return how a step goes, and let the time pass."""
@@ -92,32 +104,39 @@ class Cell:
         self.at = step.table_position
         if self.blocked[index]:
             self.seconds += ATTEMPTS * STEP_S
+            self.breaks += 1
             return Outcome(index, None)
         self.seconds += STEP_S
         distance = np.linalg.norm(self.targets[step.target] - self.stations[self.at])
-        value = distance - self.zero[self.at] + self.std * self.rng.standard_normal()
-        self.lengths[index] = float(value)
-        return Outcome(index, step.observed((float(value),)))
+        zero = self.zeros[0] + self.breaks if self.of.per_segment else self.zeros[self.at]
+        value = float(distance - zero + self.std * self.rng.standard_normal())
+        seen = step.observed((value,))
+        seen = replace(seen, segment=self.breaks, window_end_ns=round(self.seconds / NANOSECOND))
+        self.measured.add(seen)
+        self.taken += 1
+        self.breaks += self.taken == self.break_after
+        return Outcome(index, seen)
 
     def errors(self, factor: float) -> Floats:
         """Return the errors (m,) of the deviations less their mean, rad, by least squares."""
-        steps = np.array(sorted(self.lengths))
-        position, target = self.of.position[steps], self.of.target[steps]
-        nominal = np.array(self.of.plan.targets)[target]
-        apart = self.stations[position] - nominal
+        seen = self.measured.observations
+        position = np.array([o.table_position for o in seen])
+        target = np.array([o.target for o in seen])
+        of_zero = np.array([o.segment for o in seen]) if self.of.per_segment else position
+        zero = np.unique(of_zero, return_inverse=True)[1]
+        apart = self.stations[position] - np.array(self.of.plan.targets)[target]
         distance = np.linalg.norm(apart, axis=1)
         unit = apart / distance[:, None]
-        y = np.array([self.lengths[s] for s in steps]) - distance + self.zero[position]
-        design = np.zeros((len(steps), len(ANGLES), 4))
-        design[np.arange(len(steps)), position, :3] = unit
-        design[np.arange(len(steps)), position, 3] = -1.0
-        design = design.reshape(len(steps), -1)
+        y = np.array([o.mean[0] for o in seen]) - distance
+        each, m = np.arange(len(seen)), len(ANGLES)
+        design = np.zeros((len(seen), m, 3))
+        design[each, position] = unit
+        design = np.column_stack([design.reshape(len(seen), -1), -np.eye(zero.max() + 1)[zero]])
         covariance = TARGET_STD**2 * (unit @ unit.T) * (target[:, None] == target)
-        covariance += (factor * PLANNED_STD) ** 2 * np.eye(len(steps))
+        covariance += (factor * PLANNED_STD) ** 2 * np.eye(len(seen))
         root = np.linalg.cholesky(covariance)
         x = np.linalg.lstsq(np.linalg.solve(root, design), np.linalg.solve(root, y))[0]
-        shift = x.reshape(-1, 4)[:, :3]
-        bearing = self.of.scene.bearing @ shift.ravel()
+        bearing = self.of.scene.bearing @ x[: 3 * m]
         return np.asarray(bearing - bearing.mean(), dtype=np.float64)
 
 
@@ -152,9 +171,9 @@ def by_policy(cell: Cell) -> Run:
 
 def as_planned(cell: Cell) -> Run:
     """Measure the set that reaches the goal with the planned noise, whatever happens."""
-    for step in cell.of.first_sweep(GOAL):
+    for step in first_sweep(cell.of, GOAL):
         cell.measure(step)
-    now = cell.of.uncertainty(cell.lengths, 1.0, 2.0)
+    now = cell.of.uncertainty(cell.measured, 1.0, 2.0)
     return _judged(cell, 1.0, now / GOAL, now <= GOAL, 0.0)
 
 
@@ -166,15 +185,18 @@ def _judged(
     slowest: float,
     reasons: tuple[str, ...] = (),
 ) -> Run:
-    known = cell.of.information(cell.lengths, factor)
+    known = cell.of.information(cell.measured, factor)
     spread = np.sqrt(known.variances())
     half = share * GOAL * spread / np.sqrt((spread**2).mean())  # k u of each angle
     inside = float((np.abs(cell.errors(factor)) <= half).mean()) if np.isfinite(share) else np.nan
-    return Run(cell.seconds, len(cell.lengths), bool(met), inside, slowest, reasons)
+    return Run(cell.seconds, len(cell.measured.observations), bool(met), inside, slowest, reasons)
 
 
 def noise_rows(
-    of: LengthExperiment, runs: int, factors: Sequence[float] = TRUE
+    of: LengthExperiment,
+    runs: int,
+    factors: Sequence[float] = TRUE,
+    break_after: int | None = None,
 ) -> list[dict[str, Any]]:
     """Return time and coverage at several true noises, of policy and fixed plan."""
     rows = []
@@ -182,7 +204,8 @@ def noise_rows(
         row: dict[str, Any] = {"true_um": true * PLANNED_STD * 1e6}
         for name, measure in (("fixed", as_planned), ("policy", by_policy)):
             rng = np.random.default_rng(20260705)
-            found = [measure(Cell(of, rng, true * PLANNED_STD)) for _ in range(runs)]
+            std = true * PLANNED_STD
+            found = [measure(Cell(of, rng, std, break_after)) for _ in range(runs)]
             row[name] = {
                 "seconds": float(np.mean([run.seconds for run in found])),
                 "lengths": float(np.mean([run.lengths for run in found])),
@@ -226,12 +249,14 @@ def main() -> None:
     parser.add_argument("--true", type=float, nargs="*", default=TRUE, help="times planned noise")
     parser.add_argument("--sectors", type=int, default=40)
     parser.add_argument("--spacing", type=float, default=0.2)
+    parser.add_argument("--zero", choices=("per_station", "per_segment"), default="per_station")
+    parser.add_argument("--break-after", type=int, help="lengths until the beam breaks once")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    of = experiment(given.spacing)
+    of = experiment(given.spacing, given.zero == "per_segment")
     print(f"{len(of.plan.targets)} targets, {len(of.plan.steps)} candidates")
     found = {
-        "noise": noise_rows(of, given.runs, given.true),
+        "noise": noise_rows(of, given.runs, given.true, given.break_after),
         "blocked": blocked_rows(of, given.sectors),
     }
     if given.json:

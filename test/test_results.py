@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.results import Rejection, Residuals, Result
+from rotcal_ros.results import Directions, Rejection, Residuals, Result
 
 finite = st.floats(allow_nan=False, allow_infinity=False, width=64)
 
@@ -82,3 +82,49 @@ def test_the_missing_entry_of_another_file_is_named() -> None:
     truth = {"schema": 1, "angles_rad": [0.0], "deviations": {"ECC": [0.0]}}
     with pytest.raises(DataError, match="no whole rotcal result: the entry 'method' is missing"):
         Result.from_dict(truth)
+
+
+def with_directions(**changes):
+    given = {
+        "angles": np.array([0.0, 1.0 / 3.0]),
+        "forward": np.array([0.1, 0.2]),
+        "reverse": np.array([0.3, -0.1]),
+        "covariance": np.diag([1.0, 2.0, 3.0, 4.0]) / 7.0,
+    }
+    return Directions(**{**given, **changes})
+
+
+def test_both_directions_keep_every_bit_and_are_absent_where_they_were_not_measured():
+    single = Result("m", np.array([0.0, 1.0]), {}, {}, {}, 1.0, 0, 0)
+    assert "directions" not in single.to_dict()
+    both = replace(single, directions={"ECC": with_directions()})
+    text = both.to_json()
+    again = Result.from_dict(json.loads(text))
+    assert again.to_json() == text
+    assert set(json.loads(text)["directions"]["ECC"]) == {
+        "angles_rad", "forward", "reverse", "covariance",
+    }  # fmt: skip
+    np.testing.assert_array_equal(again.directions["ECC"].covariance, with_directions().covariance)
+    assert not Result.from_dict(single.to_dict()).directions
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"forward": np.zeros(3)}, "direction forward has shape"),
+        ({"reverse": np.array([0.0, np.nan])}, "direction reverse is nan"),
+        ({"covariance": np.eye(2)}, r"covariance of both directions has shape \(2, 2\)"),
+        ({"covariance": np.full((4, 4), np.inf)}, "not finite"),
+    ],
+)
+def test_directions_that_do_not_fit_are_refused(changes, words):
+    with pytest.raises(DataError, match=words):
+        with_directions(**changes)
+
+
+def test_reversal_is_forward_less_reverse_with_its_own_uncertainty():
+    both = with_directions()
+    np.testing.assert_allclose(both.reversal, [-0.2, 0.3])
+    np.testing.assert_allclose(both.reversal_std, np.sqrt([4.0 / 7.0, 6.0 / 7.0]))
+    tied = np.kron(np.ones((2, 2)), np.eye(2))  # what both have in common is in no reversal
+    np.testing.assert_allclose(with_directions(covariance=tied).reversal_std, 0.0, atol=1e-12)

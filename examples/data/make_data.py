@@ -1,6 +1,6 @@
 """Make the sample data of the examples from the simulated cell: ``python make_data.py FOLDER``.
 
-One table with a known error is measured by all three methods. The tables are the same whenever
+One table with a known error is measured by all four methods. The tables are the same whenever
 this runs; the last digits of result files may differ from one processor to the next.
 """
 
@@ -17,6 +17,7 @@ ECC = "{amplitudes_arcsec: [4.0, 1.5, 0.6, 0.3], phases_deg: [20.0, -75.0, 140.0
 BALLS = "[0, 1, 3, 5, 8, 9]"
 CHANGES = {
     "tracer": (
+        "simulation.probe.repeatability_um=0.1",
         "plan.table_start_deg=0.0",
         "plan.table_positions=12",
         "plan.box_centre_m=[0.0, 0.0, 0.6]",
@@ -26,6 +27,14 @@ CHANGES = {
         "solver.length_std_m=1.2e-7",
         "simulation.tracer.dead_distance_m=0.4",
         "simulation.faults.blocked_targets=[]",
+    ),
+    "tracer_six": (
+        "plan.box_points=[3, 3, 2]",
+        "plan.closes=true",
+        "capture.window_samples=10",
+        "solver.length_std_m=3.4e-7",
+        "simulation.faults.break_probability=3.0e-5",
+        "simulation.faults.break_shift_um=50.0",
     ),
     "ball_plate": (
         "plan.plate={grid: 12, ball_steps: " + BALLS + ", circle_radius_m: 0.185, "
@@ -59,7 +68,8 @@ def write_table(path, header, rows):
 def measured(method, folder):
     """Write the configuration of a method and return it with what the cell observes."""
     changes = (*CHANGES[method], f"simulation.table.ecc={ECC}")
-    text = rc.read_configuration(CONFIG / f"{method}_demo.yaml", *changes).text
+    base = "tracer_paper" if method == "tracer" else f"{method}_demo"
+    text = rc.read_configuration(CONFIG / f"{base}.yaml", *changes).text
     path = folder / f"{method}.yaml"
     path.write_text(f"# The sample data of this folder: {method}, simulated.\n{text}")
     configuration = rc.read_configuration(path)
@@ -71,11 +81,30 @@ def tracer(folder):
     configuration, observations = measured("tracer", folder)
     rows = [(o.table_position, o.target, *o.mean) for o in observations if o.accepted]
     write_table(folder / "lengths.csv", "position,target,length_m", rows)
+    write_targets(folder / "targets.csv", observations)
+    (folder / "result_tracer.json").write_text(rc.solve(observations, configuration).to_json())
+
+
+def write_targets(path, observations):
+    """Write where the targets are, to 0.1 mm."""
     targets = sorted({(o.target, *o.probe_position) for o in observations})
     nominal = {number: place for number, *place in targets}
     rows = [(number, *(round(x, 4) for x in place)) for number, place in nominal.items()]
-    write_table(folder / "targets.csv", "target,x_m,y_m,z_m", rows)
-    (folder / "result_tracer.json").write_text(rc.solve(observations, configuration).to_json())
+    write_table(path, "target,x_m,y_m,z_m", rows)
+
+
+def tracer_six(folder):
+    """Lengths by place, table position and target; a broken beam begins another segment."""
+    _configuration, observations = measured("tracer_six", folder)
+    rows = [
+        (o.station, o.table_position, o.target, *o.mean, o.segment)
+        for o in observations
+        if o.accepted
+    ]
+    tables = folder / "three_places"
+    tables.mkdir(exist_ok=True)
+    write_table(tables / "lengths.csv", "place,position,target,length_m,segment", rows)
+    write_targets(tables / "targets.csv", observations)
 
 
 def ball_plate(folder):
@@ -111,5 +140,5 @@ def runs(folder):
 
 
 if __name__ == "__main__":
-    for make in (tracer, ball_plate, plane_mirror, runs):
+    for make in (tracer, tracer_six, ball_plate, plane_mirror, runs):
         make(Path(sys.argv[1]))

@@ -33,9 +33,10 @@ TABLE_ANGLE: Final = "table_angle"
 PROBE_TARGET: Final = "probe_target"
 OBSERVATION: Final = "observation"
 STEP_CHOICE: Final = "step_choice"
+TABLE_IN_FORCE: Final = "table_in_force"
 
 ROLES: Final = frozenset({
     PLAN, TRACER_LENGTH, PROBE_POINT, JOINT_STATES, TEMPERATURE, TABLE_ANGLE, PROBE_TARGET,
-    OBSERVATION, STEP_CHOICE,
+    OBSERVATION, STEP_CHOICE, TABLE_IN_FORCE,
 })  # fmt: skip
 """Topics that a replay needs, by their last name."""

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
-from rotcal_ros.catalogue.method import Method, Trials
+from rotcal_ros.catalogue.method import Adaptive, Method, Trials
 from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.in_force import UNKNOWN, agreed
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.policy.as_listed import AsListed
@@ -42,10 +44,19 @@ class Calibration:
         """Return a new capture for one run of the plan."""
         return Capture(self.plan, self.configuration.capture, self.method.capture, run)
 
-    def solve(self, observations: Iterable[Observation]) -> Result:
-        """Solve with the observations that count; see :func:`final_observations`."""
+    def solve(self, observations: Iterable[Observation], announced: Iterable[str] = ()) -> Result:
+        """Solve with the observations that count; see :func:`final_observations`.
+
+        ``announced`` are the tables in force that the cell announced meanwhile.
+        """
         used = self._that_count(observations)
-        return self.method.solve(self.configuration, self.plan, used)
+        result = self.method.solve(self.configuration, self.plan, used)
+        measured_on = agreed(self.in_force(announced))
+        return result if measured_on == UNKNOWN else replace(result, measured_on=measured_on)
+
+    def in_force(self, announced: Iterable[str]) -> tuple[str, ...]:
+        """Return what configuration and cell say about the table in force."""
+        return (self.configuration.cell.table_in_force, *announced)
 
     def trials(self, observations: Iterable[Observation]) -> Trials:
         """Prepare Monte Carlo trials about the observations that count."""
@@ -66,7 +77,12 @@ class Calibration:
                 f"{self.configuration.source}: planner: policy: the method {self.method.name} has "
                 f"no policy {self.configuration.planner.policy}; leave it out"
             )
-        return self.method.adaptive(self.configuration, self.plan, continuation)
+        return self._adaptive(continuation)
+
+    @cached_property
+    def _adaptive(self) -> Adaptive:
+        assert self.method.adaptive is not None
+        return self.method.adaptive(self.configuration, self.plan)
 
     def from_the_start(self, start_index: int = 0) -> Continuation:
         """Return the first run of the plan, from step ``start_index`` on."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -17,6 +17,7 @@ from rotcal_ros.catalogue.plan_files import PlanFile
 from rotcal_ros.figures import Figure
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.plan_figures import Compared
 from rotcal_ros.planning.policy.choices import Policy
 from rotcal_ros.results import Result
 from rotcal_ros.simulation.settings import SimulationSettings
@@ -30,6 +31,8 @@ Trials = Callable[[np.random.Generator, int], Floats]
 """``trials(rng, count)`` draws measurements, solves them and returns (count, outputs)."""
 Curves = Mapping[str, Floats]
 Observed = Sequence[Observation]
+Adaptive = Callable[["Continuation"], Policy]
+"""Makes a policy that chooses what a continuation leaves."""
 See = Callable[[Step], tuple[float, ...]]
 """What an instrument without error sees at a step."""
 
@@ -96,8 +99,9 @@ class Method:
     interruption changes ``joins_runs``: it gets the accepted observations of all runs of a
     plan, not only the last one of each step.
 
-    ``adaptive`` makes the policy that measures until a goal is reached; ConfigurationError or
-    PlanError where it cannot be.
+    ``adaptive`` prepares the policy that measures until a goal is reached; ConfigurationError or
+    PlanError where it cannot be. ``compare`` tells what is known in advance of steps of the plan
+    in their order, some of which gave no length, and of the plan that the method is known by.
 
     ``check_plan`` raises PlanError for a plan whose data could never be solved, before anything is
     measured. ``plan_files`` are files that stand for lists of the group ``plan``, by the settings
@@ -129,7 +133,10 @@ class Method:
     older_plans: tuple[Callable[[Configuration], Plan], ...] = ()
     trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
     check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
-    adaptive: Callable[[Configuration, Plan, Continuation], Policy] | None = None
+    adaptive: Callable[[Configuration, Plan], Adaptive] | None = None
+    compare: Callable[[Configuration, Plan, Sequence[int], Collection[int]], Compared] | None = (
+        None
+    )
     check_plan: Callable[[Configuration, Plan], None] | None = None
     plan_files: Mapping[str, PlanFile] = field(default_factory=dict)
     table: TableReader | None = None

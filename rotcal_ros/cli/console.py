@@ -45,6 +45,12 @@ def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
     say(f"drawn: {output.absolute()}")
 
 
+def print_line(text: str) -> None:
+    """Print a line, if there is anything to say."""
+    if text:
+        click.echo(text)
+
+
 def print_verdict(verdict_line: str, text: str) -> None:
     """Print the last line: the verdict, what it does not cover, and what it rests on."""
     verdict, *reserve = verdict_line.split(",", 1)

@@ -11,12 +11,14 @@ import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from importlib import metadata, util
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
 import click
 
-from rotcal_ros.cli.console import json_option, print_json
+from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.middleware import middleware
 from rotcal_ros.sessions.domains import free_domain
 
@@ -44,14 +46,16 @@ class Check:
     show_default=True,
     help="Folder that calibrations shall be written to.",
 )
+@click.option("--machine-ini", type=path_type, metavar="FILE", help="Ini file of a LinuxCNC.")
 @json_option
-def command(output: Path, as_json: bool) -> int:
+def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:
     """Check this machine and say what to do.
 
-    Without ROS a bag can still be solved: the lines on ROS concern live calibration only.
+    Without ROS a bag can still be solved: the lines on ROS concern live calibration only. With
+    --machine-ini it says which tables that LinuxCNC loads, and what is wrong with them.
     """
     done: list[Check] = []
-    for check in checks(output):
+    for check in chain(checks(output), tables(machine_ini) if machine_ini else ()):
         done.append(check)
         if not as_json:
             mark = click.style("✓", "green") if check.ok else click.style("✗", "red")
@@ -74,6 +78,21 @@ def checks(output: Path) -> Iterator[Check]:
         yield loopback()
     yield writable(output)
     yield space(output)
+
+
+def tables(machine_ini: Path) -> Iterator[Check]:
+    """Look whether the ini file of a LinuxCNC puts its tables into force as they are meant."""
+    from rotcal_ros.compensation.linuxcnc_hookup import hook_up
+
+    advice = "the copy that 'rotcal export --machine-ini' writes has the lines where they belong"
+    try:
+        found = list(hook_up(machine_ini))
+    except ConfigurationError as error:
+        found = [(str(machine_ini), (str(error),))]
+    for about, wrong in found:
+        yield Check("LinuxCNC table", not wrong, "; ".join((about, *wrong)), advice)
+    if not found:
+        yield Check("LinuxCNC table", False, f"{machine_ini} names none", advice)
 
 
 def compiler() -> Check:

@@ -16,6 +16,7 @@ from rotcal_ros.report.terminal.console import say
 from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
+    from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
     from rotcal_ros.recordings.sources import Source
 
@@ -36,8 +37,11 @@ DEFAULT_AXIS: Final = "C"
 @click.option(
     "--revolutions", metavar="FIRST:LAST", help="Travel, for controllers that do not wrap."
 )
+@click.option("--machine-ini", type=path_type, metavar="FILE", help="LinuxCNC's; see below.")
 @click.option("--set", "options", multiple=True, metavar="NAME=VALUE", help="Controller setting.")
 @click.option("--name", help="File name without extension; default: axis_controller.")
+@click.option("--replace", is_flag=True, help="No table was in force during the measurement.")
+@click.option("--add-to", type=path_type, metavar="FOLDER", help="Files of the table in force.")
 @click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet.")
 @json_option
 def command(
@@ -50,24 +54,29 @@ def command(
     reverse: Path | None,
     harmonics: int | None,
     revolutions: str | None,
+    machine_ini: Path | None,
     options: tuple[str, ...],
     name: str | None,
+    replace: bool,
+    add_to: Path | None,
     accept_unverified: bool,
     as_json: bool,
 ) -> int:
     """Write the table of BAG (a folder, .mcap, .db3) or RESULT (.json) for a controller.
 
     The files are read back and applied by the controller's own rule before they are written,
-    all or none, and nothing is ever overwritten. Only the verdict ok may be fed.
+    all or none, and nothing is ever overwritten. Only the verdict ok may be fed. What was measured
+    with a table in force is what that one leaves: it is added to it, --add-to. Where it is not
+    known which was in force, --replace or --add-to must say it.
+
+    --machine-ini is read for what it says about the joint, and a copy of it that uses the table is
+    written beside the table. The same as --set machine_ini=FILE.
     """
     from rotcal_ros.compensation.export import prepare_export
-    from rotcal_ros.compensation.options import parse_options, parse_revolutions
     from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
 
-    settings = parse_options(options)
-    if revolutions is not None:
-        settings |= parse_revolutions(revolutions)
+    settings = _settings(options, revolutions, machine_ini)
     forward = _read(source)
     backward = None if reverse is None else _read(reverse)
     measured = forward.axis or axis or DEFAULT_AXIS
@@ -77,26 +86,41 @@ def command(
         stem = name or f"{letter}_{VOLUMETRIC}".lower()
         _show(write_files(volumetric_files(forward.result, stem, letter), out), as_json)
         return 0
+    if replace and add_to is not None:
+        raise ConfigurationError("--replace and --add-to exclude each other")
     table = _table(forward, backward, measured, harmonics, spacing)
     export = prepare_export(
-        table,
+        _combined(table, controller, add_to, replace=replace),
         controller,
         now=datetime.now(timezone.utc),
         axis=axis,
-        spacing=None if spacing is None else spacing * DEGREE,
-        reference_angle=None if reference is None else reference * DEGREE,
+        spacing=_radians(spacing),
+        reference_angle=_radians(reference),
         settings=settings,
         stem=name,
         accept_unverified=accept_unverified,
         sources=sources,
     )
-    side = next(text for file, text in export.files.items() if file.endswith(".provenance.json"))
-    _show(write_files(export.files, out), as_json, provenance=json.loads(side))
-    if not as_json:
-        say(export.residual.in_words())
-        for warning in export.warnings:
-            say(f"warning: {warning}")
+    _show_export(export, write_files(export.with_machine_files(), out), as_json)
     return 0
+
+
+def _settings(
+    options: tuple[str, ...], revolutions: str | None, machine_ini: Path | None
+) -> dict[str, Any]:
+    """Return the settings of the controller that the command line states."""
+    from rotcal_ros.compensation.options import parse_options, parse_revolutions
+
+    settings = parse_options(options)
+    if revolutions is not None:
+        settings |= parse_revolutions(revolutions)
+    if machine_ini is not None:
+        settings["machine_ini"] = str(machine_ini)
+    return settings
+
+
+def _radians(degrees: float | None) -> float | None:
+    return None if degrees is None else degrees * DEGREE
 
 
 def _read(path: Path) -> Source:
@@ -129,8 +153,20 @@ def _table(
         axis=axis,
         harmonics=harmonics,
         # A fit knows its curve between the measured angles; a spline is sampled at export.
-        spacing=None if harmonics is None or spacing is None else spacing * DEGREE,
+        spacing=None if harmonics is None else _radians(spacing),
     )
+
+
+def _combined(
+    table: CompensationTable, controller: str, add_to: Path | None, *, replace: bool
+) -> CompensationTable:
+    """Return the table as it is, or added to the earlier export in ``add_to``."""
+    from rotcal_ros.compensation.adding import combined
+    from rotcal_ros.compensation.earlier import read_earlier
+
+    if add_to is not None:
+        return combined(table, lambda: read_earlier(add_to, controller, table.axis), "add")
+    return combined(table, lambda: None, "replace" if replace else "as_measured")
 
 
 def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:
@@ -140,3 +176,17 @@ def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:
         print_json({"files": files, **facts})
     else:
         click.echo("\n".join(files))
+
+
+def _show_export(export: ExportFiles, paths: Iterable[Path], as_json: bool) -> None:
+    """Print what was written, with its provenance, and what the reader must know of it."""
+    from rotcal_ros.compensation.export import standing
+    from rotcal_ros.compensation.writing import PROVENANCE
+
+    side = next(text for file, text in export.files.items() if file.endswith(PROVENANCE))
+    _show(paths, as_json, provenance=json.loads(side))
+    if not as_json:
+        say(standing(export.table))
+        say(export.residual.in_words())
+        for warning in export.warnings:
+            say(f"warning: {warning}")

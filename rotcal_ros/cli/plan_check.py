@@ -9,6 +9,7 @@ import click
 
 from rotcal_ros.cli.check_options import rule_of, rule_options
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.goal_settings import goal_settings
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -36,7 +37,16 @@ LEAST_REDUNDANCY: Final = 0.25
 @click.option(
     "--candidates",
     type=path_type,
-    help="Places for the reflector: target,x_m,y_m,z_m. Without it: the block of the set-up.",
+    help="Places for the reflector: target,x_m,y_m,z_m. Else --volume, or the block.",
+)
+@click.option(
+    "--volume",
+    type=path_type,
+    metavar="GOAL.yaml",
+    help="Where the reflector may go and what is in the way, as 'rotcal plan tracer' takes it.",
+)
+@click.option(
+    "--volume-set", "limits", multiple=True, metavar="NAME=VALUE", help="The same, by name."
 )
 @click.option(
     "--least-redundancy",
@@ -55,6 +65,8 @@ def command(
     setup: Path,
     every: int,
     candidates: Path | None,
+    volume: Path | None,
+    limits: tuple[str, ...],
     least_redundancy: float,
     changes: tuple[str, ...],
     output: Path | None,
@@ -72,13 +84,16 @@ def command(
     from rotcal_ros.catalogue.tracer.table import read_targets
     from rotcal_ros.recordings.sources import read_curve
 
+    configuration = changed(read_configuration(setup), changes)
+    room = goal_settings(configuration, volume, limits) if volume or limits else None
     with progress("targets") as shown:
         plan = plan_check(
-            changed(read_configuration(setup), changes),
+            configuration,
             read_curve(earlier, "ECC", None),
             rule_of(ARCSEC, **asked),
             every=every,
-            candidates=() if candidates is None else read_targets(candidates),
+            offered=() if candidates is None else read_targets(candidates),
+            room=room,
             least_redundancy=least_redundancy,
             progress=shown,
         )

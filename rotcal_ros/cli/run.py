@@ -15,6 +15,7 @@ from rotcal_ros.cli.console import (
     json_option,
     path_type,
     print_json,
+    print_line,
     print_verdict,
 )
 
@@ -60,7 +61,7 @@ def command(
     """
     from rotcal_ros.sessions.environment import require_ros
     from rotcal_ros.sessions.following import calibrate
-    from rotcal_ros.sessions.products import write_products
+    from rotcal_ros.sessions.products import goal_line, write_products
     from rotcal_ros.sessions.resume import resume_session
     from rotcal_ros.sessions.session import prepare_session
 
@@ -82,6 +83,7 @@ def command(
         print_json(outcome)
     else:
         _print(outcome)
+        print_line(goal_line(session.folder))
     return VERDICT_EXIT_CODES[outcome["verdict"]]
 
 

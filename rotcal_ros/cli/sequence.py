@@ -56,16 +56,15 @@ def command(
     from rotcal_ros.catalogue.tracer.plan_tables import write_pairs
     from rotcal_ros.catalogue.tracer.timing import cell_run, cell_time, plan_seconds
     from rotcal_ros.planning.sequence_choice import best_order
-    from rotcal_ros.planning.sequence_time import AT_ONCE, Drive, TimeModel
+    from rotcal_ros.planning.sequence_time import stated_time
 
     calibration = prepare(changed(read_configuration(configuration), changes))
     if calibration.method.name != "tracer_multistation":
         raise ConfigurationError(f"{configuration}: only plans of a laser tracer have such orders")
-    at_once = Drive(AT_ONCE, AT_ONCE)
-    model = TimeModel(Drive(AT_ONCE, AT_ONCE, settle=turn_s), at_once, dwell=length_s)
+    model = stated_time(turn_s, length_s)
     if cell:
         model = cell_time(calibration.configuration)
-    ways = _orders(calibration, model, seed)
+    ways = _orders(calibration, model, limit, seed)
     best = best_order(ways, limit)
     steps = calibration.plan.steps
     if output is not None:
@@ -87,7 +86,9 @@ def command(
     return 0
 
 
-def _orders(calibration: Calibration, model: TimeModel, seed: int) -> tuple[MeasuringOrder, ...]:
+def _orders(
+    calibration: Calibration, model: TimeModel, limit: float, seed: int
+) -> tuple[MeasuringOrder, ...]:
     """Return the competing orders of the plan's lengths."""
     from rotcal_ros.catalogue.tracer.calibration import problem
     from rotcal_ros.planning.sequence_choice import measuring_orders
@@ -101,7 +102,7 @@ def _orders(calibration: Calibration, model: TimeModel, seed: int) -> tuple[Meas
     costs = model.costs(np.array(plan.table_angles), np.array(plan.targets), position, target)
     noisy = calibration.measured({}, SEED).observations
     forecast = OrderForecast(problem(calibration.configuration, plan, noisy))
-    return measuring_orders(position, target, costs, forecast, seed=seed)
+    return measuring_orders(position, target, costs, forecast, limit=limit, seed=seed)
 
 
 def _row(way: MeasuringOrder) -> dict[str, Any]:

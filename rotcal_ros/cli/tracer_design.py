@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.goal_settings import goal_settings
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.units import DEGREE, MICROMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.configuration import Configuration
-    from rotcal_ros.planning.sequence_choice import MeasuringOrder
-    from rotcal_ros.planning.tracer_design.design import TracerDesign
+    from rotcal_ros.planning.tracer_design.ordering import OrderedDesign
     from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 
 TARGETS_FILE = "targets.csv"
@@ -55,23 +55,23 @@ def command(
     Prints the plan's uncertainty, the bound that no plan can beat, and how well its lengths check
     each other. GOAL.yaml has settings by name: docs/planning.md lists them.
     """
-    from rotcal_ros.planning.tracer_design.design import design
-    from rotcal_ros.planning.tracer_design.ordering import quickest_order
+    from rotcal_ros.planning.tracer_design.ordering import ordered_design
 
     pattern = _pattern(like)
-    settings = _settings(goal, pattern, need, changes)
+    settings = goal_settings(pattern, goal, [*_needed(need), *changes])
+    if output is not None and len(set(settings.target_std_m)) > 1:
+        raise ConfigurationError(
+            f"target_std_m {list(settings.target_std_m)}: a configuration has one number for all "
+            "axes, and what it solves would not be what is planned: give three equal ones, or "
+            "leave out -o"
+        )
     if plain:
         settings = replace(settings, checked=False)
     with progress("plans") as shown:
-        found = design(settings, progress=shown)
-    if output is not None and settings.repeats > 1:
-        raise PlanError("a plan measures each pair once: set repeats to 1 to write it")
-    order = quickest_order(found) if settings.repeats == 1 else None
+        found = ordered_design(settings, progress=shown)
     data = found.to_dict()
-    if order is not None:
-        data["time_s"] = order.seconds
-    if output is not None and order is not None:
-        _write(output, found, order, pattern)
+    if output is not None:
+        _write(output, found, pattern)
     if as_json:
         print_json(data)
     else:
@@ -90,52 +90,17 @@ def _pattern(like: Path | None) -> Configuration | None:
     return configuration
 
 
-def _settings(
-    goal: Path | None, pattern: Configuration | None, need: str | None, changes: tuple[str, ...]
-) -> TracerDesignSettings:
-    """Return the settings: of the pattern, then of the file, then of the command line."""
-    import yaml
-
-    from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
-    from rotcal_ros.settings import load
-
-    values = {} if pattern is None else _of_pattern(pattern)
-    if goal is not None:
-        try:
-            values.update(yaml.safe_load(goal.read_text()) or {})
-        except (OSError, ValueError, yaml.YAMLError) as error:
-            raise ConfigurationError(f"{goal}: no settings by name: {error}") from error
-    if need is not None:
-        name, _, limit = need.partition("=")
-        if name.strip().upper() != "ECC":
-            raise PlanError(f"--need {need}: expected ECC=ARCSEC, e.g. ECC=1.2")
-        values["need_arcsec"] = yaml.safe_load(limit)
-    for change in changes:
-        name, equals, value = change.partition("=")
-        if not equals:
-            raise ConfigurationError(f"--set {change}: expected NAME=VALUE")
-        values[name.strip()] = yaml.safe_load(value)
-    return load(TracerDesignSettings, values, "goal" if goal is None else str(goal))
+def _needed(need: str | None) -> list[str]:
+    """Return the change of settings that the wanted uncertainty is."""
+    if need is None:
+        return []
+    name, _, limit = need.partition("=")
+    if name.strip().upper() != "ECC":
+        raise PlanError(f"--need {need}: expected ECC=ARCSEC, e.g. ECC=1.2")
+    return [f"need_arcsec={limit}"]
 
 
-def _of_pattern(pattern: Configuration) -> dict[str, Any]:
-    """Return what a configuration of the method tells of a goal's settings."""
-    plan, solver, simulation = pattern.plan, pattern.solver, pattern.simulation
-    angles = ("table_start_deg", "table_step_deg", "table_positions", "table_angles_deg")
-    noise = ("length_std_m", "length_std_relative", "rejection_significance")
-    return {
-        **{name: getattr(plan, name) for name in angles},
-        **{name: getattr(solver, name) for name in noise},
-        "target_std_m": (solver.target_std_m,) * 3,
-        "error_motion_std_m": solver.error_motion_std_m or 0.0,
-        "mount_m": simulation.tracer.mount_m,
-        "axis_m": simulation.table.axis_offset_m[:2],
-    }
-
-
-def _write(
-    folder: Path, found: TracerDesign, order: MeasuringOrder, pattern: Configuration | None
-) -> None:
+def _write(folder: Path, found: OrderedDesign, pattern: Configuration | None) -> None:
     """Write targets, pairs in their order, and a configuration that measures them."""
     import yaml
 
@@ -143,29 +108,43 @@ def _write(
     from rotcal_ros.catalogue.tracer.plan_tables import write_pairs, write_targets
     from rotcal_ros.files import write_atomically
 
-    settings = found.settings
+    settings, scene, lengths = found.design.settings, found.design.scene, found.lengths
     folder.mkdir(parents=True, exist_ok=True)
-    lengths = found.lengths[order.order]
-    write_targets(folder / TARGETS_FILE, [tuple(p) for p in found.scene.targets.tolist()])
+    write_targets(folder / TARGETS_FILE, [tuple(p) for p in scene.targets.tolist()])
     pairs = zip(lengths.position.tolist(), lengths.target.tolist(), strict=True)
     write_pairs(folder / PAIRS_FILE, [*pairs])
     groups: dict[str, Any] = {}
-    if pattern is None:
-        groups["solver"] = {
-            "length_std_m": settings.length_std_m,
-            "length_std_relative": settings.length_std_relative,
-            "target_std_m": max(settings.target_std_m),
-        }
-    else:
+    if pattern is not None:
         groups = dict(yaml.safe_load(pattern.text)["/**"]["ros__parameters"])
         groups.pop("method")
+    groups["solver"] = {**groups.get("solver", {}), **_counted_on(settings)}
     groups["plan"] = {
-        "table_angles_deg": [round(a / DEGREE, 12) for a in found.scene.table_angles.tolist()],
+        "table_angles_deg": [round(a / DEGREE, 12) for a in scene.table_angles.tolist()],
         "targets_file": TARGETS_FILE,
         "pairs_file": PAIRS_FILE,
     }
     write_atomically(folder / PLAN_FILE, dump_configuration("tracer_multistation", groups))
     say(f"written: {(folder / PLAN_FILE).absolute()}, {TARGETS_FILE}, {PAIRS_FILE}")
+
+
+def _counted_on(settings: TracerDesignSettings) -> dict[str, Any]:
+    """Return the settings of a solver that knows what the plan has counted on."""
+    from rotcal_ros.planning.tracer_design.settings import SHARED
+
+    known: dict[str, Any] = {
+        "length_std_m": settings.length_std_m,
+        "length_std_relative": settings.length_std_relative,
+        "target_std_m": settings.target_std_m[0],
+    }
+    if settings.zero == SHARED:
+        known["zero"] = "per_segment"
+        known["slip_m"] = settings.slip_m
+        known["rejection_significance"] = settings.rejection_significance
+    if settings.circle_std_m is not None:
+        known["circle_std_m"] = settings.circle_std_m
+    if settings.circle_std_m is not None or settings.error_motion_std_m:
+        known["error_motion_std_m"] = settings.error_motion_std_m
+    return known
 
 
 def _print(data: dict[str, Any], settings: TracerDesignSettings) -> None:
@@ -183,8 +162,7 @@ def _print(data: dict[str, Any], settings: TracerDesignSettings) -> None:
     )
     if data["checked_bound"]:
         click.echo(f"the wanted redundancy alone asks for {data['checked_bound']}")
-    if "time_s" in data:
-        click.echo(f"expected time {data['time_s']:.0f} s")
+    _print_order(data, settings.max_unseen)
     detectable, share = data["largest_detectable_m"], data["largest_undetected_in_u"]
     click.echo(
         f"smallest redundancy {data['smallest_redundancy']:.2f}, largest minimal detectable error "
@@ -195,6 +173,20 @@ def _print(data: dict[str, Any], settings: TracerDesignSettings) -> None:
         say(
             "warning: this is the plain minimum, its lengths do not check each other: one wrong "
             "length spoils the result unseen"
+        )
+
+
+def _print_order(data: dict[str, Any], limit: float) -> None:
+    unseen = data["unseen_std"]
+    drift, knock = (_number(unseen[name], 1.0) for name in ("drift", "knock"))
+    click.echo(
+        f"expected time {data['time_s']:.0f} s in the order {data['order']}; unseen drift at most "
+        f"{drift}, unseen knock {knock} standard uncertainties"
+    )
+    if any(value is None or value > limit for value in unseen.values()):
+        say(
+            f"warning: no order of these lengths shows every drift and knock before it causes "
+            f"{limit:g} standard uncertainties"
         )
 
 

@@ -7,15 +7,19 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.units import ARCSEC, MICROMETRE
 
 Table = tuple[dict[str, Any], list[str]]
 """In SI for programs; lines for people."""
-PAPER_ANGLES = tuple(float(angle) for angle in np.radians(-145.0 + 30.0 * np.arange(11)))
-"""Table angles (rad) of the laser-tracer paper."""
+PAPER_ANGLES: dict[str, Any] = {
+    "table_start_deg": -145.0,
+    "table_step_deg": 30.0,
+    "table_positions": 11,
+}
+"""Table angles of the laser-tracer paper, as settings."""
+SPACING_M = 0.17
+"""Between the targets that are offered."""
 
 
 def tracer_table(
@@ -29,27 +33,31 @@ def tracer_table(
     length_s: float = 5.0,
 ) -> Table:
     """Return how many targets and lengths each radius and noise takes."""
-    from rotcal_ros.planning.sequence_time import AT_ONCE, Drive, TimeModel
-    from rotcal_ros.planning.tracer_trade import Surroundings, trade
+    from rotcal_ros.planning.sequence_time import stated_time
+    from rotcal_ros.planning.tracer_design.settings import (
+        PER_STATION,
+        SHARED,
+        TracerDesignSettings,
+    )
+    from rotcal_ros.planning.tracer_trade import trade
     from rotcal_ros.report.terminal.console import progress
 
-    surroundings = Surroundings(PAPER_ANGLES, elevation=elevation_deg * DEGREE)
+    settings = TracerDesignSettings(
+        **PAPER_ANGLES,
+        need_arcsec=need_arcsec,
+        target_std_m=(target_um * MICROMETRE,) * 3,
+        min_elevation_deg=elevation_deg,
+        zero=PER_STATION if zero == "station" else SHARED,
+        spacing_m=SPACING_M,
+    )
     with progress("plans") as shown:
         rows = trade(
-            surroundings,
-            need_arcsec * ARCSEC,
-            radii_m,
-            [sigma * MICROMETRE for sigma in sigmas_um],
-            target_std=target_um * MICROMETRE,
-            zero_per_station=zero == "station",
-            time=TimeModel(
-                Drive(AT_ONCE, AT_ONCE, turn_s), Drive(AT_ONCE, AT_ONCE), dwell=length_s
-            ),
-            progress=shown,
-        )
+            settings, radii_m, [sigma * MICROMETRE for sigma in sigmas_um],
+            time=stated_time(turn_s, length_s), progress=shown,
+        )  # fmt: skip
     lines = [
-        f"laser tracer, {len(PAPER_ANGLES)} table angles, for U(ECC) <= {need_arcsec:g} arcsec "
-        f"(k = 2, rms), a zero per {zero}; every length checked",
+        f"laser tracer, {settings.table_positions} table angles, for U(ECC) <= {need_arcsec:g} "
+        f"arcsec (k = 2, rms), a zero per {zero}; every length checked",
         "   R/mm  sigma/um  targets  lengths  no plan below  hours  U/arcsec",
     ]
     for row in rows:

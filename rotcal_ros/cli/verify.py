@@ -12,6 +12,7 @@ from rotcal_ros.cli.console import (
     VERDICT_EXIT_CODES,
     json_option,
     path_type,
+    print_line,
     print_verdict,
 )
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 @click.option("--to", "controllers", multiple=True, help="Controller to write files for, too.")
 @click.option("--files", type=path_type, help="Folder of these; default: OUTPUT/compensation.")
 @click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet, too.")
+@click.option("--again", is_flag=True, help="Add what is left to the table, and measure again.")
 @click.option("--report-of", type=path_type, help="Report of this earlier run, not of OUTPUT.")
 @json_option
 def command(
@@ -42,6 +44,7 @@ def command(
     controllers: tuple[str, ...],
     files: Path | None,
     accept_unverified: bool,
+    again: bool,
     report_of: Path | None,
     as_json: bool,
 ) -> int:
@@ -52,7 +55,7 @@ def command(
     """
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.session_folder import VERIFICATION, SessionFolder
-    from rotcal_ros.sessions.products import write_report
+    from rotcal_ros.sessions.products import goal_line, write_report
     from rotcal_ros.sessions.verification import verify
 
     folder = (output or Path("out") / configuration.stem).absolute()
@@ -67,6 +70,7 @@ def command(
         files=files,
         accept_unverified=accept_unverified,
         report_of=report_of and report_of.absolute(),
+        again=again,
     )
     if verified is None:
         return INTERRUPTED
@@ -79,6 +83,8 @@ def command(
         click.echo(f"verification:  {folder / VERIFICATION}")
         click.echo(f"report:        {shown.report}")
         _print(verification)
+        if report_of is not None:
+            print_line(goal_line(shown))
     return VERDICT_EXIT_CODES[verification.verdict]
 
 
@@ -89,6 +95,11 @@ def _print(verification: Verification) -> None:
         click.echo(
             f"ISO 230-2 {letter}:   {first / ARCSEC:.3f} arcsec before, "
             f"{second / ARCSEC:.3f} after (true angle, both directions)"
+        )
+    if verification.again is not None:
+        click.echo(
+            f"measured E:    {verification.again.systematic / ARCSEC:.3f} arcsec after what was "
+            "left was added to the table"
         )
     for line in verification.reserves:
         click.echo(line)

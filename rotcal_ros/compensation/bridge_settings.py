@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from rotcal_ros import plugins
+from rotcal_ros.compensation.network_settings import AdsSettings, OpcUaSettings
 from rotcal_ros.compensation.options import parse_options
-from rotcal_ros.settings import setting
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.settings import group, setting
 
 DEFAULT: Final = "csv"
 
@@ -32,8 +34,21 @@ class BridgeSettings:
     output_folder: str = setting(
         "", doc="folder that takes the files of every table; empty: no files are written"
     )
+    transport: Literal["folder", "opcua", "ads"] = setting(
+        "folder", doc="way to the controller's table"
+    )
     controller_folder: str = setting(
-        "", doc="folder that the controller loads its table from; empty: nothing can be applied"
+        "",
+        doc="folder that the controller loads its table from (other transports: one on this "
+        "machine for lock, journal and old tables); empty: nothing can be applied",
+    )
+    secret_file: str = setting(
+        "", doc="file that holds what a request has to carry; empty: nothing can be applied"
+    )
+    busy_command: tuple[str, ...] = setting(
+        (),
+        doc="command that tells whether the table may change: exit code 0 yes, 1 no and why; "
+        "empty: as the controller's own settings say",
     )
     max_change_arcsec: float = setting(
         60.0,
@@ -44,11 +59,27 @@ class BridgeSettings:
     accept_unverified: bool = setting(
         False, doc="write files although something about the controller is not verified"
     )
+    combine: str = setting(
+        "as_measured",
+        doc="whether a table replaces the one in force or adds to it, where the measurement does "
+        "not know which was in force",
+        choices=("as_measured", "replace", "add"),
+    )
     answer_timeout_s: float = setting(
         5.0, doc="s, after which the controller counts as silent", minimum=0.01, maximum=600.0
     )
 
+    opcua: OpcUaSettings = group(OpcUaSettings)
+    ads: AdsSettings = group(AdsSettings)
+
     def __post_init__(self) -> None:
+        if self.transport != "folder":
+            getattr(self, self.transport).check()
+            if not self.controller_folder:
+                raise ConfigurationError(
+                    f"transport {self.transport} needs controller_folder: a folder on this "
+                    "machine for lock, journal and old tables"
+                )
         if self.controller == DEFAULT and not self.options:
             return  # nothing can be wrong: solving a bag need not load a controller
         from rotcal_ros.compensation.controllers import make_controller

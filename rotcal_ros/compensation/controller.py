@@ -10,7 +10,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final, Protocol
+from pathlib import Path
+from typing import ClassVar, Final, Protocol, runtime_checkable
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.table import CompensationTable
@@ -32,11 +33,39 @@ class Facts:
     source: str
 
 
+@dataclass(frozen=True)
+class Lag:
+    """What a control leaves because its correction does not follow the table at once, rad.
+
+    ``bound`` is on what stays when the axis has come to rest, ``simulated`` what its rule leaves
+    of it, ``notes`` say in words what to know.
+    """
+
+    bound: float = 0.0
+    simulated: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
 class Rule(Protocol):
     """A table as a control has loaded it."""
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
         """Return the radians that the control adds to the command at ``angle`` (rad)."""
+
+
+@runtime_checkable
+class ArrayForm(Protocol):
+    """A controller whose table is nothing but rows of numbers: an array can carry it."""
+
+    @property
+    def columns(self) -> int:
+        """Numbers in a row."""
+
+    def rows_of(self, name: str, text: str) -> Floats:
+        """Return the numbers (n, columns) of the file ``name``; BagError when it is damaged."""
+
+    def text_of(self, rows: Floats) -> str:
+        """Return the text of the file that holds ``rows``, the same to the last character."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +84,7 @@ class Controller(ABC):
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return names, beginning with ``stem``, and texts of the files that hold ``table``.
 
+        The first file is the table; the others say how it is to be read.
         Raises ConfigurationError when the controller cannot hold it.
         """
 
@@ -65,6 +95,35 @@ class Controller(ABC):
     @abstractmethod
     def resolution(self, table: CompensationTable) -> float:
         """Return the step (rad) of the values in the files of ``table``."""
+
+    def for_axis(self, axis: str) -> Controller:
+        """Return the controller with what the machine's own files say about ``axis``.
+
+        Raises ConfigurationError when they contradict the settings.
+        """
+        del axis
+        return self
+
+    def lag(self, rule: Rule, table: CompensationTable) -> Lag:
+        """Return what stays because the correction does not follow the rows of ``table`` at once.
+
+        ``rule`` is what was read from the files of ``table``.
+        """
+        del rule, table
+        return Lag()
+
+    def not_in_use(self, axis: str, files: Mapping[str, str], folder: Path) -> tuple[str, ...]:
+        """Return in words why the machine would not use ``files`` in ``folder`` as they are meant.
+
+        Empty also where the settings do not name the machine's own files.
+        """
+        del axis, files, folder
+        return ()
+
+    def machine_files(self, axis: str, files: Mapping[str, str]) -> dict[str, str]:
+        """Return copies of the machine's own files, changed so that it uses ``files``, by name."""
+        del axis, files
+        return {}
 
     @property
     def travel(self) -> tuple[float, float]:
@@ -79,4 +138,9 @@ class Controller(ABC):
     @property
     def unverified(self) -> tuple[str, ...]:
         """What nobody has confirmed yet on a real control."""
+        return ()
+
+    @property
+    def busy_command(self) -> tuple[str, ...]:
+        """Command that tells whether the machine is at work; see :mod:`.busy`; empty: none."""
         return ()

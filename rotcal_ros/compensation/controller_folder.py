@@ -9,13 +9,13 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
-import threading
+import stat
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeout
 from pathlib import Path
 from typing import Final, TypeVar
 
+from rotcal_ros.compensation import journal
+from rotcal_ros.compensation.controller_store import ENCODING, answered
 from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.errors import ControllerError
 from rotcal_ros.files import sync_folder, write_atomically
@@ -24,25 +24,38 @@ T = TypeVar("T")
 
 STATE_FOLDER: Final = ".rotcal"
 """Below the controller's folder: lock, journal, and the tables that were there before."""
-ENCODING: Final = "latin-1"
-"""Takes every byte, so that a foreign file is kept and put back as it was."""
+LOCK: Final = "lock"
+OWNER: Final = "controller"
+"""In the state folder: the address of the controller that the journal is about."""
 
 
 class ControllerFolder:
     """The folder of one controller; ``timeout_s`` limits every access.
 
-    Every method raises ControllerError when the folder does not answer.
+    ``owner`` is the address of a controller elsewhere, which this folder only keeps the books of:
+    lock, journal, old tables, provenance. Every method raises ControllerError when the folder
+    does not answer.
     """
 
-    def __init__(self, folder: Path, timeout_s: float) -> None:
+    def __init__(self, folder: Path, timeout_s: float, owner: str = "") -> None:
         self.folder = folder
         self._timeout_s = timeout_s
+        self._owner = owner
         self._lock: int | None = None
 
     def lock(self) -> None:
-        """Become the only one who feeds this controller, until :meth:`close` or the end."""
+        """Become the only one who feeds this controller, until :meth:`close` or the end.
+
+        A lock whose folder was put away in the meantime locks nothing: it is taken anew.
+        """
+        if self._lock is not None and self._answered(self._lost_lock, "lock"):
+            self.close()
         if self._lock is None:
             self._lock = self._answered(self._take_lock, "lock")
+
+    def busy(self) -> str:
+        """Return what the machine is doing, empty when it rests; a folder cannot tell."""
+        return ""
 
     def close(self) -> None:
         """Let others feed the controller."""
@@ -61,10 +74,24 @@ class ControllerFolder:
             check_file_name(name)
         self._answered(lambda: self._write(files), "write")
 
+    def address(self, name: str) -> str:
+        """Return the path of a file."""
+        return str(self.folder / name)
+
+    def _lost_lock(self) -> bool:
+        assert self._lock is not None
+        try:
+            there = (self.folder / STATE_FOLDER / LOCK).lstat()
+        except FileNotFoundError:
+            return True
+        return not os.path.samestat(there, os.fstat(self._lock))
+
     def _take_lock(self) -> int:
         state = self.folder / STATE_FOLDER
-        state.mkdir(exist_ok=True)
-        descriptor = os.open(state / "lock", os.O_RDWR | os.O_CREAT, 0o644)
+        state.mkdir(exist_ok=True, parents=bool(self._owner))
+        if state.is_symlink():
+            raise ControllerError(f"{state} is a link: expected a folder of its own")
+        descriptor = os.open(state / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -74,16 +101,36 @@ class ControllerFolder:
                 f"the controller in {self.folder} is fed by {owner} already: one controller has "
                 "one bridge; end the other one"
             ) from None
+        try:
+            self._own(state)
+        except BaseException:
+            os.close(descriptor)
+            raise
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
         return descriptor
 
+    def _own(self, state: Path) -> None:
+        """Refuse a journal of another controller: its old tables would go to the wrong machine."""
+        path = state / OWNER
+        noted = path.read_text(encoding="utf-8") if path.exists() else ""
+        if noted == self._owner:
+            return
+        if noted or (state / journal.FILE).exists():
+            raise ControllerError(
+                f"the journal in {state} is that of {noted or 'this folder itself'}, not of "
+                f"{self._owner or 'this folder itself'}: give every controller a folder of its own"
+            )
+        write_atomically(path, self._owner)
+
     def _read(self, names: list[str]) -> dict[str, str]:
         self.folder.stat()  # a folder that is gone is not an empty one
         paths = {name: self.folder / name for name in names}
-        return {n: p.read_bytes().decode(ENCODING) for n, p in paths.items() if p.exists()}
+        return {n: p.read_bytes().decode(ENCODING) for n, p in paths.items() if _is_file(p)}
 
     def _write(self, files: Mapping[str, str | None]) -> None:
+        for name in files:
+            _is_file(self.folder / name)
         for name, text in files.items():
             path = self.folder / name
             if text is None:
@@ -93,26 +140,27 @@ class ControllerFolder:
         sync_folder(self.folder)
 
     def _answered(self, action: Callable[[], T], what: str) -> T:
-        """Return what ``action`` returns; ControllerError when it fails or takes too long."""
-        answer: Future[T] = Future()
+        return answered(action, self._timeout_s, str(self.folder), what)
 
-        def run() -> None:
-            try:
-                answer.set_result(action())
-            except BaseException as error:
-                answer.set_exception(error)
 
-        # A daemon: a call that never returns must not keep the process from ending.
-        threading.Thread(target=run, name="controller", daemon=True).start()
-        try:
-            return answer.result(self._timeout_s)
-        except FutureTimeout as error:
-            raise ControllerError(
-                f"the controller in {self.folder} does not answer: no {what} within "
-                f"{self._timeout_s:g} s"
-            ) from error
-        except OSError as error:
-            raise ControllerError(
-                f"the controller in {self.folder} does not answer: cannot {what}: "
-                f"{error.strerror or error}"
-            ) from error
+def _is_file(path: Path) -> bool:
+    """Return whether there is a file; ControllerError for what would not be replaced but lost.
+
+    A link stays one: to put a file in its place would part the controller from where it points.
+    """
+    try:
+        status = path.lstat()
+    except FileNotFoundError:
+        return False
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a link" if stat.S_ISLNK(status.st_mode) else "no plain file"
+        raise ControllerError(
+            f"{path} is {kind}: name the folder where the table itself is as controller_folder; "
+            "nothing was changed"
+        )
+    if status.st_nlink > 1:
+        raise ControllerError(
+            f"{path} has {status.st_nlink} names (hard links), of which only this one would get "
+            "the new table: leave it one name; nothing was changed"
+        )
+    return True

@@ -13,29 +13,61 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller
 from rotcal_ros.compensation.controllers import make_controller
+from rotcal_ros.compensation.held import in_force_of
 from rotcal_ros.compensation.quality import ResidualBudget, residual_budget
-from rotcal_ros.compensation.resample import resample
+from rotcal_ros.compensation.resample import averaged, resample
 from rotcal_ros.compensation.table import (
     SIGN_CONVENTION,
     CompensationTable,
     check_verdict,
 )
-from rotcal_ros.compensation.writing import check_stem
+from rotcal_ros.compensation.writing import PROVENANCE, check_stem, of_the_controller
 from rotcal_ros.components import check_axis
+from rotcal_ros.curves.interpolation import SAME_ANGLE
+from rotcal_ros.curves.measured import gaps_of
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.in_force import in_words, known_hash
 from rotcal_ros.units import ARCSEC, DEGREE
 
 SCHEMA: Final = 1
+WRITTEN: Final = "written"
+CONFIRMATION: Final = "confirmation_sha256"
+CONTENTS: Final = "contents_sha256"
+FIRST_ANGLE_DEG: Final = "first_angle_deg"
+LAST_ANGLE_DEG: Final = "last_angle_deg"
 
 
 @dataclass(frozen=True)
 class ExportFiles:
-    """Names and texts of all files of one export, the provenance included, and what they leave."""
+    """Names and texts of all files of one export, the provenance included, and what they leave.
+
+    ``confirmation`` is the SHA-256 over all that was decided: every file, the table that it
+    comes from, the controller with its settings, and what is left. It is the same whenever the
+    same is exported again, and stands in the provenance too.
+    ``controller`` has what the machine's own files say, where the settings name them.
+    """
 
     files: Mapping[str, str]
     residual: ResidualBudget
     warnings: tuple[str, ...]
     table: CompensationTable
+    confirmation: str
+    controller: Controller
+
+    def with_machine_files(self) -> dict[str, str]:
+        """Return the files, and copies of the machine's own files that use them.
+
+        Nobody but a person puts such a copy into force. Raises ConfigurationError when one cannot
+        be made, or has the name of another file.
+        """
+        controller_files = of_the_controller(self.files)
+        copies = self.controller.machine_files(self.table.axis, controller_files)
+        if same := self.files.keys() & copies.keys():
+            raise ConfigurationError(
+                f"the copy of the machine's {', '.join(same)} would have the name of a file of "
+                "the table: choose another name for the table"
+            )
+        return {**self.files, **copies}
 
 
 def prepare_export(
@@ -61,18 +93,21 @@ def prepare_export(
     Raises DataError for a verdict other than "ok" or a file that would make things worse, and
     ConfigurationError for limits, names and settings. Writes nothing.
     """
-    controller = make_controller(controller_name, settings)
+    controller = make_controller(controller_name, settings).for_axis(table.axis)
     check_verdict(table)
+    _refuse_rest(table)
     _require_axis(table, axis)
     if not accept_unverified:
         _refuse_unverified(controller)
-    name = check_stem(stem or f"{table.axis}_{controller_name}".lower())
+    name = check_stem(stem or default_stem(table.axis, controller_name))
     shifted = resample(table, reference_angle=reference_angle)
     rows = resample(shifted, spacing)
     files = controller.write(rows, name)
-    residual = residual_budget(shifted, rows, controller, controller.read(files))
+    rule = controller.read(files)
+    lag = controller.lag(rule, rows)
+    residual = residual_budget(shifted, rows, controller, rule, lag)
     _refuse_harm(residual, controller.facts.title)
-    warnings = _warnings(table, controller)
+    warnings = (*_warnings(table, controller), *lag.notes)
     side = {
         **_origin(table, now, sources or {}),
         "controller": controller_name,
@@ -81,13 +116,40 @@ def prepare_export(
         **_left(residual, table),
         "warnings": list(warnings),
     }
-    text = json.dumps(side, indent=1, allow_nan=False) + "\n"
+    confirmation = _confirmation(side)
+    text = json.dumps({**side, CONFIRMATION: confirmation}, indent=1, allow_nan=False) + "\n"
     return ExportFiles(
-        files={**files, f"{name}.provenance.json": text},
+        files={**files, f"{name}{PROVENANCE}": text},
         residual=residual,
         warnings=warnings,
         table=rows,
+        confirmation=confirmation,
+        controller=controller,
     )
+
+
+def _confirmation(side: Mapping[str, Any]) -> str:
+    decided = {key: value for key, value in side.items() if key != WRITTEN}
+    return hashlib.sha256(json.dumps(decided, sort_keys=True).encode()).hexdigest()
+
+
+def default_stem(axis: str, controller_name: str) -> str:
+    """Return the name of a controller's files without extension."""
+    return f"{axis}_{controller_name}".lower()
+
+
+def standing(table: CompensationTable) -> str:
+    """Return in words whether ``table`` replaces the table in force or adds to it."""
+    what = f"adds to the table {table.adds_to}" if table.adds_to else "replaces the table in force"
+    return f"{what}; {in_words(table.measured_on)}"
+
+
+def _refuse_rest(table: CompensationTable) -> None:
+    if known_hash(table.measured_on) and not table.adds_to:
+        raise DataError(
+            f"{in_words(table.measured_on)}, and alone it would take away what that table "
+            "corrects: add to it (rotcal export --add-to); nothing was written"
+        )
 
 
 def _require_axis(table: CompensationTable, axis: str | None) -> None:
@@ -126,20 +188,24 @@ def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ..
     line = table.verdict_line
     reserve = (f"the result is {line}",) if line not in ("", "ok") else ()
     unverified = (f"not verified: {text}" for text in controller.unverified)
-    return (*reserve, *table.warnings, *unverified)
+    known = averaged(table).warnings if controller.one_direction else table.warnings
+    return (*reserve, *known, *unverified)
 
 
 def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str]) -> dict[str, Any]:
     """Return what the numbers come from."""
     return {
         "schema": SCHEMA,
-        "written": now.isoformat(timespec="seconds"),
+        WRITTEN: now.isoformat(timespec="seconds"),
         "axis": table.axis,
         "method": table.method,
         "verdict": table.verdict,
         "verdict_line": table.verdict_line,
         "table_sha256": table.table_hash,
         "sources_sha256": dict(sources),
+        "measured_on": table.measured_on,
+        "adds_to": table.adds_to,
+        "in_force": standing(table),
         "sign_of_the_table": SIGN_CONVENTION,
     }
 
@@ -154,7 +220,12 @@ def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str
         "files_sha256": {
             file: hashlib.sha256(text.encode()).hexdigest() for file, text in files.items()
         },
+        CONTENTS: in_force_of(files),
         "rows": len(rows.angles),
+        "row_angles_deg": (rows.angles / DEGREE).tolist(),
+        "closed": rows.closed,
+        FIRST_ANGLE_DEG: float(rows.angles[0]) / DEGREE,
+        LAST_ANGLE_DEG: float(rows.angles[-1]) / DEGREE,
         "widest_spacing_deg": float(np.max(np.diff(rows.angles))) / DEGREE,
         "reference_angle_deg": rows.reference_angle / DEGREE,
     }
@@ -162,9 +233,19 @@ def _written_rows(rows: CompensationTable, files: Mapping[str, str]) -> dict[str
 
 def _left(residual: ResidualBudget, table: CompensationTable) -> dict[str, Any]:
     figures = {**asdict(residual), "stated": residual.stated}
-    count = len(table.angles)
     return {
         "residual": residual.in_words(),
         "residual_arcsec": {part: value / ARCSEC for part, value in figures.items()},
-        "blind_to": f"what repeats more than {count // 2} times over the {count} angles measured",
+        "blind_to": _blind_to(table),
     }
+
+
+def _blind_to(table: CompensationTable) -> str:
+    """Return what the measured angles and directions cannot show, in words."""
+    widest = table.widest_gap or float(np.max(gaps_of(table.angles, table.period)))
+    orders = int(np.pi / widest + SAME_ANGLE)
+    words = (
+        f"what repeats more than {orders} times in a turn: the measured angles are up to "
+        f"{widest / DEGREE:.6g} deg apart"
+    )
+    return words if table.directional else f"{words}; a reversal: both directions are equal"

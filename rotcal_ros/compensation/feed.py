@@ -6,49 +6,55 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.adding import Combination, combined
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
+from rotcal_ros.compensation.busy import work_of
+from rotcal_ros.compensation.change import largest_change
+from rotcal_ros.compensation.controller_folder import STATE_FOLDER
+from rotcal_ros.compensation.controller_store import ControllerStore
 from rotcal_ros.compensation.controllers import make_controller
-from rotcal_ros.compensation.export import ExportFiles, prepare_export
-from rotcal_ros.compensation.journal import Entry, Journal
-from rotcal_ros.compensation.quality import DIRECTIONS
+from rotcal_ros.compensation.exchange import Exchange
+from rotcal_ros.compensation.export import default_stem
+from rotcal_ros.compensation.held import HeldTable, held_table, in_force_of
+from rotcal_ros.compensation.journal import (
+    Action,
+    Contents,
+    Entry,
+    Journal,
+    contents_hash,
+    texts_of,
+)
+from rotcal_ros.compensation.network_store import make_store
+from rotcal_ros.compensation.offer import Offer, make_offer
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.compensation.writing import write_files
+from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
+from rotcal_ros.curves.interpolation import TURN, row_angles
 from rotcal_ros.errors import ControllerError, DataError, RotcalError
-from rotcal_ros.observations import Approach
+from rotcal_ros.in_force import NONE, UNKNOWN
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
-
-GRID_STEP = 0.25 * DEGREE
-"""Angles (rad) at which two corrections are compared, besides all of the new rows."""
 
 
 @dataclass(frozen=True)
 class Applied:
-    """What was done: the controller's files, the folder with the old ones, change in rad."""
+    """What was done: where the controller's files are, the old ones' folder, change in rad.
 
-    files: tuple[Path, ...]
+    ``unfinished`` names a change that had been begun before and never ended, empty if none.
+    """
+
+    files: tuple[str, ...]
     backup: Path
     largest_change: float
-
-
-@dataclass(frozen=True)
-class Offer:
-    """A table that arrived, made at ``stamp_ns``, and the files that it would become."""
-
-    table: CompensationTable
-    stamp_ns: int
-    export: ExportFiles
+    unfinished: str = ""
 
 
 class Feed:
     """The feed of one controller for one axis.
 
-    ``now_ns`` returns the time (ns since 1970). ``store`` replaces the controller's folder of
-    the settings.
+    ``now_ns`` returns the time (ns since 1970). ``store`` replaces that of the settings.
     """
 
     def __init__(
@@ -56,106 +62,145 @@ class Feed:
         settings: BridgeSettings,
         axis: str,
         now_ns: Callable[[], int],
-        store: ControllerFolder | None = None,
+        store: ControllerStore | None = None,
     ) -> None:
         self.settings, self.axis = settings, axis
         self._now_ns = now_ns
         self._controller = make_controller(settings.controller, settings.controller_settings)
-        self._folder = Path(settings.controller_folder)
-        self._store = store or ControllerFolder(self._folder, settings.answer_timeout_s)
-        self._journal = Journal(self._folder / STATE_FOLDER)
+        self._store = store or make_store(settings, self._controller)
+        self._journal = Journal(Path(settings.controller_folder) / STATE_FOLDER)
+        self._exchanging = Exchange(self._store, self._journal, now_ns)
         self.offer: Offer | None = None
 
     def take(self, table: CompensationTable, stamp_ns: int) -> tuple[Path, ...]:
         """Hold ``table`` against the configuration, keep it, and write its files.
 
-        Returns the files: a new folder below the output folder, or the one that holds this
-        very table already. Raises RotcalError, and forgets the table before, when it cannot
-        be fed to this controller.
+        Returns the files: a new folder below the output folder, or the one that holds these
+        very files already. Raises RotcalError, and forgets the table before, when it cannot
+        be fed to this controller. A table that was measured on top of the one in force is
+        added to it, see :func:`combined`.
         """
-        self.offer = None
-        settings = self.settings
-        reference = settings.reference_deg
-        export = prepare_export(
-            table,
-            settings.controller,
-            now=datetime.fromtimestamp(self._now_ns() * NANOSECOND, timezone.utc),
-            axis=self.axis,
-            spacing=settings.spacing_deg * DEGREE,
-            reference_angle=None if reference is None else reference * DEGREE,
-            settings=settings.controller_settings,
-            accept_unverified=settings.accept_unverified,
-        )
-        self.offer = Offer(table, stamp_ns, export)
-        if not settings.output_folder:
-            return ()
-        folder = Path(settings.output_folder) / f"{table.axis}-{table.table_hash[:12]}".lower()
-        if folder.is_dir() and any(folder.iterdir()):
-            return tuple(sorted(folder.iterdir()))
-        return write_files(export.files, folder)
+        self.forget()
+        word = cast(Combination, self.settings.combine)
+        table = combined(table, self._held, word)
+        self.offer = make_offer(table, stamp_ns, self.settings, self.axis, self._now_ns())
+        return self.offer.paths
 
-    def apply(self, table_hash: str) -> Applied:
-        """Give the table to the controller; ``table_hash`` confirms that it is the one meant.
+    def forget(self) -> None:
+        """Have no table to apply any more."""
+        self.offer = None
+
+    def in_force(self) -> str:
+        """Return which table the controller holds: its hash, "none", or "unknown"."""
+        if not self.settings.controller_folder or self._journal.unfinished():
+            return UNKNOWN
+        held = in_force_of(self._present())
+        return UNKNOWN if held == NONE and not self._journal.entries() else held
+
+    def open(self) -> str:
+        """Become the only one who feeds the controller; return what was left unfinished."""
+        self._refuse_no_controller()
+        self._store.lock()
+        return self.unfinished()
+
+    def apply(self, confirmation: str) -> Applied:
+        """Give the table to the controller; ``confirmation`` is the hash over files and options.
 
         Keeps the old table, writes, reads back and compares. When the controller holds
         anything else afterwards the old table is put back and ControllerError raised.
         """
-        offer = self._confirmed(table_hash)
-        self._refuse_no_controller()
-        self._store.lock()
+        offer = self._confirmed(confirmation)
+        self._refuse_unfinished()
         self._refuse_stale(offer)
-        new = dict(offer.export.files)
-        old = self._store.read(new)
-        change = self._largest_change(old, new)
-        limit = self.settings.max_change_arcsec * ARCSEC
-        if change > limit:
-            raise DataError(
-                f"the table changes the correction by up to {change / ARCSEC:.4g} arcsec, "
-                f"max_change_arcsec is {limit / ARCSEC:.4g}: nothing was changed"
-            )
-        before: dict[str, str | None] = {name: old.get(name) for name in new}
-        now_ns = self._now_ns()
-        entry = Entry("applying", now_ns, table_hash, self._journal.keep(before, now_ns))
-        self._journal.note(entry)
-        self._replace(new, before, entry)
-        self._journal.note(replace(entry, action="applied", time_ns=self._now_ns()))
-        paths = tuple(self._folder / name for name in new)
-        return Applied(paths, self._journal.folder / entry.backup, change)
+        self._refuse_unused(offer)
+        self._refuse_another_base(offer)
+        offer.refuse_changed()
+        old = self._store.read(offer.files)
+        rows = offer.export.table.angles
+        change = largest_change(self._controller, old, offer.files, rows)
+        self._refuse_large(change, self.settings.max_change_arcsec)
+        return self._exchange(
+            ("applying", "applied"), old, offer.files, change, offer.table.table_hash
+        )
 
-    def restore(self) -> Applied:
-        """Put back what the controller held before the last table that was applied."""
-        self._refuse_no_controller()
-        self._store.lock()
-        entry = self._journal.to_undo()
-        if entry is None:
-            raise DataError("no table was applied here that could be taken back")
-        kept = self._journal.kept(entry.backup)
+    def restore(self, kept_hash: str, max_change_arcsec: float = 0.0) -> Applied:
+        """Put back what the controller held when its files had this hash, and keep what it holds.
+
+        ``max_change_arcsec`` replaces the limit of the settings this once; 0: it does not. Where
+        what is there now cannot be read, the change is not known: then only a change that was
+        never finished is undone, unless a limit was given.
+        """
+        unfinished = self.open()
+        entry = self._to_restore(kept_hash)
+        kept = self._journal.kept_before(entry)
         present = self._store.read(kept)
-        self._store.write(kept)
-        self._compare(kept)
-        self._journal.note(replace(entry, action="restored", time_ns=self._now_ns()))
-        old = {name: text for name, text in kept.items() if text is not None}
         try:
-            change = self._largest_change(present, old)
-        except RotcalError:  # a half-written table has no correction to compare with
+            change = largest_change(self._controller, present, texts_of(kept))
+        except RotcalError as error:
             change = float("nan")
-        paths = tuple(self._folder / name for name in old)
-        return Applied(paths, self._journal.folder / entry.backup, change)
+            if not max_change_arcsec and entry != self._journal.unfinished():
+                raise ControllerError(
+                    f"{error}; to restore all the same give max_change_arcsec, the largest change "
+                    "that you accept"
+                ) from error
+        else:
+            self._refuse_large(change, max_change_arcsec or self.settings.max_change_arcsec)
+        table_hash = self._journal.table_of(contents_hash(kept))
+        done = self._exchange(("restoring", "restored"), present, kept, change, table_hash)
+        return replace(done, unfinished=unfinished)
+
+    def next_restore(self) -> str:
+        """Return the hash that undoes the last change; empty when there is nothing to undo."""
+        entry = self._journal.to_undo()
+        return "" if entry is None else self._journal.before_hash(entry)
+
+    def unfinished(self) -> str:
+        """Return in words a change that was begun and never ended; empty if there is none."""
+        entry = self._journal.unfinished()
+        if entry is None:
+            return ""
+        kept = self._journal.kept(entry.backup)
+        held = self._store.read(kept)
+        known = {entry.before_hash: "the old files", entry.after_hash: "the new files"}
+        found = known.get(contents_hash({name: held.get(name) for name in kept}))
+        what = (
+            f"{entry.action} table {entry.table_hash[:12]}" if entry.table_hash else entry.action
+        )
+        return (
+            f"{what}, begun at {_utc(entry.time_ns)}, was never finished: the "
+            f"controller holds {found or 'neither the old nor the new files whole'}; restore "
+            f"{self._journal.before_hash(entry)} before the axis moves"
+        )
 
     def close(self) -> None:
         """Let another bridge feed the controller."""
         self._store.close()
 
-    def _confirmed(self, table_hash: str) -> Offer:
-        if self.offer is None:
+    def _confirmed(self, confirmation: str) -> Offer:
+        """Return the offer with this hash, and hold the lock."""
+        offer = self.offer
+        if offer is None:
             raise DataError("no table has arrived that this controller could be fed with")
-        found = self.offer.table.table_hash
-        if table_hash != found:
+        if confirmation != offer.confirmation:
             raise DataError(
-                f"the table here has the hash {found}, the confirmation is for "
-                f"{table_hash or 'none'}: look at the table and confirm this hash"
+                f"the files here have the hash {offer.confirmation}, the confirmation is for "
+                f"{confirmation or 'none'}: look at the files and confirm this hash"
             )
-        return self.offer
+        self._refuse_no_controller()
+        self._store.lock()
+        return offer
+
+    def _to_restore(self, kept_hash: str) -> Entry:
+        entry = self._journal.change_from(kept_hash)
+        if entry is not None:
+            return entry
+        undo = self.next_restore()
+        if not undo:
+            raise DataError("no table was applied here that could be taken back")
+        raise DataError(
+            f"nothing with the hash {kept_hash or 'none'} was kept; the last change is undone by "
+            f"{undo}. {self.unfinished()}".rstrip()
+        )
 
     def _refuse_no_controller(self) -> None:
         if not self.settings.controller_folder:
@@ -163,6 +208,10 @@ class Feed:
                 "no controller is configured (bridge.controller_folder is empty): copy the "
                 "written files by hand"
             )
+
+    def _refuse_unfinished(self) -> None:
+        if unfinished := self.unfinished():
+            raise ControllerError(unfinished)
 
     def _refuse_stale(self, offer: Offer) -> None:
         restored_ns = self._journal.last_restore_ns()
@@ -173,59 +222,74 @@ class Feed:
                 "was restored; measure again with what the controller holds now"
             )
 
-    def _largest_change(self, old: Mapping[str, str], new: Mapping[str, str]) -> float:
-        """Return the largest difference (rad) of what the controller makes of both."""
-        first, last = self._controller.travel
-        count = round((last - first) / GRID_STEP) + 1
-        grid = np.linspace(first, last, count)
-        if self.offer is not None:
-            rows = self.offer.export.table.angles
-            between = np.linspace(rows[0], rows[-1], count)  # an arc may lie outside of the travel
-            grid = np.concatenate([grid, between, rows])
-        differences = [
-            np.abs(self._correction(new, grid, a) - self._correction(old, grid, a))
-            for a in DIRECTIONS
-        ]
-        return float(np.max(differences))
+    def _refuse_unused(self, offer: Offer) -> None:
+        """Refuse a table that the machine's own files would ignore, or read in another way."""
+        controller = self._controller.for_axis(self.axis)
+        files = of_the_controller(offer.files)
+        if wrong := controller.not_in_use(self.axis, files, Path(self.settings.controller_folder)):
+            raise DataError(f"the machine would not use the table: {'; '.join(wrong)}")
 
-    def _correction(self, files: Mapping[str, str], grid: Floats, approach: Approach) -> Floats:
-        tables = {n: t for n, t in files.items() if not n.endswith(".provenance.json")}
-        if not tables:
-            return np.zeros_like(grid)
-        try:
-            rule = self._controller.read(tables)
-        except RotcalError as error:
-            raise ControllerError(
-                f"the table that the controller holds cannot be read, so that the change is not "
-                f"known ({error}): look at it and move it away by hand; nothing was changed"
-            ) from error
-        return rule.correction(grid, approach)
-
-    def _replace(
-        self, new: Mapping[str, str], before: Mapping[str, str | None], entry: Entry
-    ) -> None:
-        """Write ``new`` and read it back; when that fails put ``before`` back."""
-        try:
-            self._store.write(new)
-            self._compare(new)
-        except ControllerError as error:
-            place = self._journal.folder / entry.backup
-            try:
-                self._store.write(before)
-                self._compare(before)
-                self._journal.note(replace(entry, action="rolled_back", time_ns=self._now_ns()))
-            except (ControllerError, OSError) as second:
-                raise ControllerError(
-                    f"{error}; putting the old table back failed too ({second}): it is not known "
-                    f"what the controller holds. The old table is in {place}; restore it before "
-                    "the axis moves"
-                ) from second
-            raise ControllerError(f"{error}; the old table was put back") from error
-
-    def _compare(self, wanted: Mapping[str, str | None]) -> None:
-        found = self._store.read(wanted)
-        wrong = sorted(name for name, text in wanted.items() if found.get(name) != text)
-        if wrong:
-            raise ControllerError(
-                f"read back, the controller's {', '.join(wrong)} differ from what was written"
+    def _refuse_another_base(self, offer: Offer) -> None:
+        base = offer.table.adds_to
+        if base and (found := self.in_force()) != base:
+            since = [ns for ns, held in self._journal.history() if held == base]
+            when = f", which it was given at {_utc(since[-1])}" if since else ""
+            raise DataError(
+                f"the table adds to the table {base[:12]}{when}, and what is in force now is "
+                f"{found[:12]}: measure again with what the controller holds now"
             )
+
+    def _present(self) -> dict[str, str]:
+        """Return the files that the controller holds, our side file among them."""
+        names = self._journal.names() or self._usual_names()
+        return self._store.read(dict.fromkeys(names, ""))
+
+    def _usual_names(self) -> tuple[str, ...]:
+        """Return how our files for this controller are named, before there is a journal."""
+        stem = default_stem(self.axis, self.settings.controller)
+        try:
+            rows = row_angles(np.zeros(1), TURN, self.settings.spacing_deg * DEGREE)
+            nothing = np.zeros_like(rows)
+            table = CompensationTable(
+                self.axis, "", rows, nothing, nothing, nothing, TURN, 0.0, "ok"
+            )
+            return (*self._controller.write(table, stem), stem + PROVENANCE)
+        except RotcalError:
+            return ()
+
+    def _held(self) -> HeldTable | None:
+        """Return the table in force, None where there is none."""
+        if not self.settings.controller_folder or self.in_force() in (NONE, UNKNOWN):
+            return None
+        return held_table(self._controller, self._present())
+
+    def _refuse_large(self, change: float, limit_arcsec: float) -> None:
+        if not change <= limit_arcsec * ARCSEC:
+            raise DataError(
+                f"the table changes the correction by up to {change / ARCSEC:.4g} arcsec, "
+                f"max_change_arcsec is {limit_arcsec:.4g}: nothing was changed"
+            )
+
+    def _refuse_busy(self) -> None:
+        command = self.settings.busy_command or self._controller.busy_command
+        timeout_s = self.settings.answer_timeout_s
+        if work := self._store.busy() or work_of(command, timeout_s):
+            raise ControllerError(f"the machine is at work: {work}; nothing was changed")
+
+    def _exchange(
+        self,
+        words: tuple[Action, Action],
+        held: Mapping[str, str],
+        wanted: Contents,
+        change: float,
+        table_hash: str,
+    ) -> Applied:
+        self._refuse_busy()
+        entry = self._exchanging.make(words, held, wanted, table_hash)
+        paths = tuple(map(self._store.address, texts_of(wanted)))
+        return Applied(paths, self._journal.folder / entry.backup, change)
+
+
+def _utc(time_ns: int) -> str:
+    time = datetime.fromtimestamp(time_ns * NANOSECOND, timezone.utc)
+    return time.isoformat(timespec="seconds")

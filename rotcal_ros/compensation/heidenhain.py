@@ -23,6 +23,14 @@ from rotcal_ros.units import DEGREE
 MAX_ROWS: Final = 256
 DECIMALS: Final = 5
 ABSOLUTE: Final = "absolute"
+OPEN: Final = (
+    "the sign of the axis column: read off a diagram named 'error', not stated in words",
+    "the text form of the files (BEGIN, NR, [END])",
+    "how the table continues beyond 360 deg",
+)
+DIFFERENCE: Final = (
+    "a BACKLASH of differences: the manual (p. 716) has values measured in negative direction"
+)
 
 
 @dataclass(frozen=True)
@@ -37,18 +45,16 @@ class Heidenhain(Controller):
         source="Technical Manual MANUALplus 620 pp. 716-718; TNC 407/415/425 pp. 4-26 .. 4-31",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
-    unverified = (
-        "the sign of the axis column: read off a diagram named 'error', not stated in words",
-        "whether BACKLASH holds the error itself or the difference to the other direction",
-        "the text form of the files (BEGIN, NR, [END])",
-        "how the table continues beyond 360 deg",
-    )
-
     backlash: str = setting(
         ABSOLUTE,
         doc="BACKLASH holds errors, or differences to the other direction",
         choices=(ABSOLUTE, "difference"),
     )
+
+    @property
+    def unverified(self) -> tuple[str, ...]:
+        """What nobody has confirmed yet; differences contradict the manual."""
+        return OPEN if self.backlash == ABSOLUTE else (*OPEN, DIFFERENCE)
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the .COM table and its .CMA table; ConfigurationError above 256 rows."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -12,19 +13,41 @@ from typing import Final, Literal
 from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.errors import ControllerError
 
-Action = Literal["applying", "applied", "rolled_back", "restored"]
+Action = Literal["applying", "applied", "restoring", "restored", "rolled_back"]
+BEGUN: Final = ("applying", "restoring")
 FILE: Final = "journal.jsonl"
 CONTENTS: Final = "contents.json"
+Contents = Mapping[str, str | None]
+"""Names of a controller's files and their texts; None: there is no such file."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One event at ``time_ns``; ``backup`` names the folder with what was there before."""
+    """One event at ``time_ns``; ``backup`` names the folder with what was there before.
+
+    ``before_hash`` and ``after_hash`` (:func:`contents_hash`) are what the controller held and
+    what it was to hold; empty in journals from before they were noted. ``table_hash`` is empty for
+    contents that are not known to be a table of ours. ``in_force`` is what the controller holds
+    from then on, as :func:`in_force_of`; empty while that is open.
+    """
 
     action: Action
     time_ns: int
     table_hash: str
     backup: str
+    before_hash: str = ""
+    after_hash: str = ""
+    in_force: str = ""
+
+
+def contents_hash(files: Contents) -> str:
+    """Return the SHA-256 of names and texts, whatever their order."""
+    return hashlib.sha256(json.dumps(dict(files), sort_keys=True).encode()).hexdigest()
+
+
+def texts_of(files: Contents) -> dict[str, str]:
+    """Return the files that there are."""
+    return {name: text for name, text in files.items() if text is not None}
 
 
 class Journal:
@@ -57,14 +80,15 @@ class Journal:
             ) from error
 
     def _append(self, line: bytes) -> None:
-        with (self.folder / FILE).open("ab+") as stream:
+        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
+        with os.fdopen(os.open(self.folder / FILE, flags, 0o644), "ab+") as stream:
             stream.seek(0)
             stream.truncate(stream.read().rfind(b"\n") + 1)  # a line that a crash cut off
             stream.write(line)
             stream.flush()
             os.fsync(stream.fileno())
 
-    def keep(self, files: Mapping[str, str | None], time_ns: int) -> str:
+    def keep(self, files: Contents, time_ns: int) -> str:
         """Keep what the controller holds (None: no such file); return the folder's name."""
         name, number = f"before-{time_ns}", 0
         while (self.folder / name).exists():
@@ -82,15 +106,69 @@ class Journal:
             raise ControllerError(f"the old table in {path} cannot be read: {error}") from error
         return files
 
+    def kept_before(self, entry: Entry) -> dict[str, str | None]:
+        """Return what was there before ``entry``; ControllerError when it was changed since."""
+        files = self.kept(entry.backup)
+        if entry.before_hash not in ("", contents_hash(files)):
+            raise ControllerError(
+                f"the old table in {self.folder / entry.backup} is not what was kept there: "
+                "somebody changed it; look at it and copy it by hand if it is good"
+            )
+        return files
+
+    def before_hash(self, entry: Entry) -> str:
+        """Return the hash of what was there before ``entry``."""
+        return entry.before_hash or contents_hash(self.kept(entry.backup))
+
     def to_undo(self) -> Entry | None:
-        """Return the last application that was not undone, also one that a crash cut off."""
+        """Return the last change that was not undone, also one that a crash cut off."""
         stack: list[Entry] = []
         for entry in self.entries():
-            if entry.action == "applying":
+            if entry.action in BEGUN:
                 stack.append(entry)
-            elif entry.action in ("rolled_back", "restored") and stack:
+            elif entry.action == "rolled_back" and stack:
                 stack.pop()
+            elif entry.action == "restored" and stack:
+                self._undo(stack, entry)
         return stack[-1] if stack else None
+
+    def _undo(self, stack: list[Entry], restored: Entry) -> None:
+        """Take away the changes that are undone; a restore of anything else is a change itself."""
+        if stack[-1].action != "restoring":  # a journal from before restores were announced
+            stack.pop()
+            return
+        for place in range(len(stack) - 2, -1, -1):
+            if self.before_hash(stack[place]) == restored.after_hash:
+                del stack[place:]
+                return
+
+    def change_from(self, kept_hash: str) -> Entry | None:
+        """Return the last change before which the controller held what has this hash."""
+        begun = (e for e in reversed(self.entries()) if e.action in BEGUN)
+        return next((e for e in begun if self.before_hash(e) == kept_hash), None)
+
+    def unfinished(self) -> Entry | None:
+        """Return the change that was begun and of which nobody noted the end."""
+        entries = self.entries()
+        return entries[-1] if entries and entries[-1].action in BEGUN else None
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the controller's files; empty before the first change."""
+        entries = self.entries()
+        return tuple(self.kept(entries[-1].backup)) if entries else ()
+
+    def history(self) -> list[tuple[int, str]]:
+        """Return since when (ns) the controller has held which table, as far as it was noted."""
+        return [(e.time_ns, e.in_force) for e in self.entries() if e.in_force]
+
+    def table_of(self, held_hash: str) -> str:
+        """Return the hash of the table that was applied as these contents; empty: not known."""
+        done = (e for e in reversed(self.entries()) if e.action == "applied")
+        return next((e.table_hash for e in done if e.after_hash == held_hash), "")
+
+    def last_ns(self) -> int:
+        """Return the time of the last event, 0 if there is none."""
+        return max((e.time_ns for e in self.entries()), default=0)
 
     def last_restore_ns(self) -> int:
         """Return when a table was taken back last, 0 if never."""

@@ -11,24 +11,34 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.controller import Controller, Facts, Lag, Rule
+from rotcal_ros.compensation.linuxcnc_following import Following, lag
+from rotcal_ros.compensation.linuxcnc_ini import Ini
+from rotcal_ros.compensation.linuxcnc_machine import AGENT, SERVO_PERIOD_NS, Joint
 from rotcal_ros.compensation.parsing import only_file
-from rotcal_ros.compensation.rows import columns_deg, fixed, require_at_most
-from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.rows import columns_deg, every_turn, fixed, require_at_most
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.observations import Approach
 from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
+from rotcal_ros.units import DEGREE, NANOSECOND
 
 MAX_ROWS: Final = 256
+POINTS_PER_ROW: Final = 24
+LINES: Final = ("COMP_FILE", "COMP_FILE_TYPE")
+UNKNOWN_LIMITS: Final = (
+    "MAX_ACCELERATION of the joint is not known: what stays in the dead band of LinuxCNC's trim "
+    "is not in the stated residual (setting machine_ini, or max_acceleration_deg_s2)"
+)
 DECIMALS: Final = 9
 
 
@@ -75,6 +85,21 @@ class LinuxCnc(Controller):
     joint: int = setting(0, doc="number in [JOINT_n]", minimum=0, maximum=15)
     first_turn: int = setting(0, doc="turn that the table begins with; 1 is 360 .. 720 deg")
     turns: int = setting(1, doc="number of turns that the table covers", minimum=1)
+    machine_ini: str = setting(
+        "", doc="ini file of the machine; it tells the joint, the below, and whether it is at work"
+    )
+    max_acceleration_deg_s2: float = setting(
+        0.0, doc="deg/s^2, MAX_ACCELERATION of the joint; 0: not known", minimum=0.0
+    )
+    max_velocity_deg_s: float = setting(
+        0.0, doc="deg/s, MAX_VELOCITY of the joint; 0: not known", minimum=0.0
+    )
+    servo_period_ns: int = setting(
+        0, doc="ns, SERVO_PERIOD; 0: not known, 1000000 is taken", minimum=0
+    )
+    feed_deg_s: float = setting(
+        0.0, doc="deg/s, fastest programmed feed; 0: MAX_VELOCITY", minimum=0.0
+    )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table and the two ini lines that must go with it.
@@ -89,16 +114,15 @@ class LinuxCnc(Controller):
                 "linuxcnc: an arc cannot be repeated, set turns 1, first_turn 0"
             )
         require_at_most(len(angles), MAX_ROWS, "linuxcnc: rows", "choose a wider spacing")
+        if self.machine_ini and (beyond := self._joint(table.axis).beyond(angles[0], angles[-1])):
+            raise ConfigurationError(beyond)
         if self.file_type == 0:
             up, down = angles - up, angles - down
         lines = [
             " ".join(fixed(x, DECIMALS) for x in row) for row in zip(angles, up, down, strict=True)
         ]
-        ini = [
-            f"[JOINT_{self.joint}]",
-            f"COMP_FILE = {stem}.comp",
-            f"COMP_FILE_TYPE = {self.file_type}",
-        ]
+        values = zip(LINES, (f"{stem}.comp", self.file_type), strict=True)
+        ini = [f"[JOINT_{self.joint}]", *(f"{key} = {value}" for key, value in values)]
         return {f"{stem}.comp": "\n".join(lines) + "\n", f"{stem}.ini": "\n".join(ini) + "\n"}
 
     def read(self, files: Mapping[str, str]) -> LoadedComp:
@@ -128,6 +152,57 @@ class LinuxCnc(Controller):
         largest = np.max(np.abs([table.correction_forward, table.correction_reverse]))
         return float(2.0 * 10.0**-DECIMALS * DEGREE + 8.0 * np.finfo(np.float32).eps * largest)
 
+    def for_axis(self, axis: str) -> LinuxCnc:
+        """Return it with what the machine's ini file says, where no setting does."""
+        if not self.machine_ini:
+            return self
+        joint = self._joint(axis)
+        return replace(
+            self,
+            joint=joint.number,
+            max_acceleration_deg_s2=self.max_acceleration_deg_s2 or joint.acceleration,
+            max_velocity_deg_s=self.max_velocity_deg_s or joint.velocity,
+            servo_period_ns=self.servo_period_ns or joint.servo_period_ns,
+        )
+
+    def lag(self, rule: Rule, table: CompensationTable) -> Lag:
+        """Return what the trim leaves that does not follow; see :mod:`.linuxcnc_following`."""
+        if not self.max_acceleration_deg_s2:
+            return Lag(notes=(UNKNOWN_LIMITS,))
+        following = Following(
+            acceleration=self.max_acceleration_deg_s2 * DEGREE,
+            velocity=(self.max_velocity_deg_s or np.inf) * DEGREE,
+            period=(self.servo_period_ns or SERVO_PERIOD_NS) * NANOSECOND,
+        )
+        first, last = table.angles[0], TURN if table.closed else table.angles[-1]
+        angles = np.linspace(first, last, POINTS_PER_ROW * len(table.angles) + 1)
+        start = self.first_turn * TURN if table.closed else 0.0
+        up, down = (rule.correction(start + angles, approach) for approach in DIRECTIONS)
+        feed = (self.feed_deg_s or self.max_velocity_deg_s) * DEGREE
+        return lag(following, angles, up, down, feed, table.closed)
+
+    def not_in_use(self, axis: str, files: Mapping[str, str], folder: Path) -> tuple[str, ...]:
+        """Return why the machine of ``machine_ini`` would not use the table as it is meant."""
+        if not self.machine_ini:
+            return ()
+        name, _ = only_file(files, ".comp")
+        rows, joint = self.read(files).nominal_deg, self._joint(axis)
+        wrong = joint.not_using(folder / name, self.file_type)
+        return tuple(text for text in (*wrong, joint.beyond(rows[0], rows[-1])) if text)
+
+    def machine_files(self, axis: str, files: Mapping[str, str]) -> dict[str, str]:
+        """Return a copy of ``machine_ini`` with the lines of ``files`` in the joint's section."""
+        if not self.machine_ini:
+            return {}
+        joint = self._joint(axis)
+        _, lines = only_file(files, ".ini")
+        own = Ini(joint.ini.path, lines)
+        values = {key: own.value(joint.section, key) or "" for key in LINES}
+        return {joint.ini.path.name: joint.ini.merged(joint.section, values)}
+
+    def _joint(self, axis: str) -> Joint:
+        return Joint.of_axis(Ini.read(Path(self.machine_ini)), axis, self.joint)
+
     def _every_turn(self, *columns: Floats) -> tuple[Floats, Floats, Floats]:
         """Repeat angles, forward and reverse column (n,) of a closed turn for all turns."""
         rows = len(columns[0]) - 1
@@ -139,14 +214,20 @@ class LinuxCnc(Controller):
             f"a spacing of at least {360 * self.turns / (MAX_ROWS - 1):.3g} deg"
             + (f", or at most {fit} turns at this spacing" if fit else ""),
         )
-        angles, up, down = (np.append(np.tile(c[:-1], self.turns), c[-1]) for c in columns)
-        turn = self.first_turn + np.append(np.repeat(np.arange(self.turns), rows), self.turns - 1)
-        return angles + 360.0 * turn, up, down
+        angles, up, down = every_turn(self.first_turn, self.turns, *columns)
+        return angles, up, down
 
     @property
     def travel(self) -> tuple[float, float]:
         """First and last angle (rad) of the turns that are written."""
         return self.first_turn * TURN, (self.first_turn + self.turns) * TURN
+
+    @property
+    def busy_command(self) -> tuple[str, ...]:
+        """Ask the running program, by its own modules on the system's Python."""
+        if not self.machine_ini:
+            return ()
+        return *AGENT, "-ini", self.machine_ini, "--busy"
 
 
 def load(text: str, file_type: int) -> LoadedComp:

@@ -38,8 +38,8 @@ class Correction:
         at = within(self.table.angles, angle, self.table.period)
         return np.asarray(self._curves[approach](at), dtype=np.float64)
 
-    def std(self, angle: ArrayLike) -> Floats:
+    def std(self, angle: ArrayLike, approach: Approach = Approach.POSITIVE) -> Floats:
         """Return the standard uncertainty (rad, k = 1), linear between the rows."""
         angles, period = self.table.angles, self.table.period
-        at = within(angles, angle, period)
-        return np.asarray(np.interp(at, angles, self.table.std, period=period or None))
+        at, std = within(angles, angle, period), self.table.std_of(approach)
+        return np.asarray(np.interp(at, angles, std, period=period or None))

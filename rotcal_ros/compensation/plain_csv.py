@@ -1,7 +1,8 @@
 """A plain CSV table, for software and people: no controller's rule, nothing rounded away.
 
-``angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec``; a full circle ends
-with the row at 360 deg, equal to the first.
+``angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec``, and behind them
+``std_reverse_arcsec`` where the reverse correction has an uncertainty of its own; a full circle
+ends with the row at 360 deg, equal to the first.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC, DEGREE
 
 HEADER: Final = "angle_deg,correction_forward_arcsec,correction_reverse_arcsec,std_arcsec"
+OWN_STD: Final = f"{HEADER},std_reverse_arcsec"
+SAME_STD: Final = -1.0
+"""In the place of a second standard uncertainty, when there is one for both directions."""
 ANGLE_DECIMALS: Final = 9
 DECIMALS: Final = 6
 
@@ -60,22 +64,43 @@ class PlainCsv(Controller):
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table, closed with a row at 360 deg when it is a full circle."""
         angles, up, down = columns_deg(table)
-        std = np.append(table.std, table.std[0]) if table.closed else table.std
-        columns = (angles, up * 3600.0, down * 3600.0, std / ARCSEC)
-        lines = [
-            ",".join([fixed(row[0], ANGLE_DECIMALS), *(fixed(x, DECIMALS) for x in row[1:])])
-            for row in zip(*columns, strict=True)
-        ]
-        return {f"{stem}.csv": "\n".join([HEADER, *lines]) + "\n"}
+        known = [table.std] if table.std_reverse is None else [table.std, table.std_reverse]
+        std = [np.append(s, s[0]) if table.closed else s for s in known]
+        columns = [angles, up * 3600.0, down * 3600.0, *(s / ARCSEC for s in std)]
+        if table.std_reverse is None:
+            columns.append(np.full(len(angles), SAME_STD))
+        return {f"{stem}.csv": self.text_of(np.column_stack(columns))}
 
     def read(self, files: Mapping[str, str]) -> CsvTable:
         """Read the table back; BagError names the row that is damaged."""
-        name, text = only_file(files, ".csv")
-        head, *lines = text.splitlines() or [""]
-        if head.strip() != HEADER:
-            raise BagError(f"{name}: the first line is {head!r}, expected {HEADER}")
-        angles, up, down, _ = parse_rows(name, lines, 4, ",").T
+        angles, up, down, *_ = self.rows_of(*only_file(files, ".csv")).T
         return CsvTable(angles, up, down)
+
+    @property
+    def columns(self) -> int:
+        """Numbers in a row: angle, two corrections, the standard uncertainty of each."""
+        return 5
+
+    def rows_of(self, name: str, text: str) -> Floats:
+        """Return the numbers (n, 5); BagError names the row that is damaged.
+
+        The last column is -1 where the file has one standard uncertainty for both directions.
+        """
+        head, *lines = text.splitlines() or [""]
+        if head.strip() not in (HEADER, OWN_STD):
+            raise BagError(f"{name}: the first line is {head!r}, expected {HEADER}")
+        rows = parse_rows(name, lines, head.count(",") + 1, ",")
+        same = np.full((len(rows), self.columns - rows.shape[1]), SAME_STD)
+        return np.hstack([rows, same])
+
+    def text_of(self, rows: Floats) -> str:
+        """Return the text of a file with ``rows`` (n, 5), the last column -1 as above."""
+        head = HEADER if np.all(rows[:, -1] == SAME_STD) else OWN_STD
+        lines = [
+            ",".join([fixed(row[0], ANGLE_DECIMALS), *(fixed(x, DECIMALS) for x in row[1:])])
+            for row in rows[:, : head.count(",") + 1]
+        ]
+        return "\n".join([head, *lines]) + "\n"
 
     def resolution(self, table: CompensationTable) -> float:
         """Return the last decimal, in rad."""

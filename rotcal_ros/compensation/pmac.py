@@ -1,9 +1,10 @@
 """Delta Tau PMAC: DEFINE COMP and DEFINE BLCOMP, whole numbers of 1/16 count.
 
-Entry k holds the correction at k x spacing, k = 1 .. N; zero is zero by definition and
-the last entry is the one at zero again. The table rolls over by itself. The backlash table is
-taken off when the motor moves in the negative direction; its constant part is the backlash
-size Ixx86. Source: PMAC User's Manual pp. 79-80, PMAC Software Reference pp. 207-211.
+Entry k holds the correction at k x spacing, k = 1 .. N; zero is zero by definition and the last
+entry is the one at zero again. The table rolls over by itself, it is added to the desired
+position. The backlash is taken off while the motor moves in the negative direction: its size at
+home is Ixx86, which is never negative, BLCOMP holds what it differs elsewhere, and with Ixx85 = 0
+nothing of it is taken off at all. Sources: ``Pmac.facts``.
 """
 
 from __future__ import annotations
@@ -18,50 +19,75 @@ import numpy as np
 from rotcal_ros.arrays import Ints
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, only_file
-from rotcal_ros.compensation.rows import columns_deg, even_interval_deg, require_zero_at_start
+from rotcal_ros.compensation.rows import (
+    columns_deg,
+    even_interval_deg,
+    mean_deg,
+    require_zero_at_start,
+)
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
-from rotcal_ros.errors import BagError
+from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.settings import setting
-from rotcal_ros.units import DEGREE
+from rotcal_ros.units import ARCSEC, DEGREE
 
 FRACTION: Final = 16
+LARGEST: Final = 8_388_607
+"""Of Ixx85 and Ixx86."""
+BLCOMP: Final = "blcomp"
 
 
 @dataclass(frozen=True)
 class Pmac(Controller):
-    """Delta Tau PMAC."""
+    """Delta Tau PMAC and Turbo PMAC."""
 
     facts = Facts(
         title="Delta Tau PMAC",
-        sign="entry = -(actual - commanded), added to the motor",
+        sign="entry = -(actual - commanded), added to the desired position",
         wrap="automatic roll-over; entry N = entry at 0 = 0",
         unit="whole numbers of 1/16 count",
-        source="PMAC User's Manual pp. 79-80; Software Reference pp. 207-211",
-    )
-    unverified = (
-        "that the correction is added to the command, not to the measured position",
-        "that the constant part of the reversal belongs into Ixx86, in 1/16 count",
+        source="Turbo PMAC User Manual pp. 189-192; Turbo PMAC Software Reference pp. 148, 303; "
+        "PMAC Software Reference pp. 207-211",
     )
 
     motor: int = setting(1, doc="number of the motor", minimum=1, maximum=32)
     counts_per_turn: int = setting(
         360_000, doc="counts of the motor's position in a turn of the table", minimum=360
     )
+    reversal: str = setting(
+        BLCOMP,
+        doc="the way back in BLCOMP and Ixx86, or one column, the mean of both directions",
+        choices=(BLCOMP, "mean"),
+    )
+    take_up_rate: int = setting(
+        16,
+        doc="Ixx85, 1/16 count per background cycle; 0 would switch the way back off",
+        minimum=1,
+        maximum=LARGEST,
+    )
+
+    @property
+    def one_direction(self) -> bool:
+        """Whether COMP alone is written."""
+        return self.reversal != BLCOMP
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
-        """Return the on-line commands; ConfigurationError unless zero stays zero."""
+        """Return the on-line commands; ConfigurationError unless zero stays zero.
+
+        So is a reversal that has the wrong sign at the motor's zero for Ixx86.
+        """
         turn, motor, unit_deg = self.counts_per_turn, self.motor, self._unit_deg
         spacing = even_interval_deg(table, "PMAC", 360.0 / turn)
         require_zero_at_start(table, "PMAC", unit_deg * DEGREE)
         n = round(360.0 / spacing)
-        _, up, down = (np.rint(c / unit_deg).astype(np.int64) for c in columns_deg(table))
-        up = up - up[0]
-        backlash = up - down
-        lines = [f"#{motor} DEFINE COMP {n},{turn}", " ".join(map(str, up[1:]))]
-        if table.directional:
-            lines += [f"#{motor} DEFINE BLCOMP {n},{turn}"]
-            lines += [" ".join(map(str, backlash[1:] - backlash[0])), f"I{motor}86={backlash[0]}"]
+        _, up, down = columns_deg(table)
+        both = table.directional and not self.one_direction
+        columns = (up, down) if both else (mean_deg(table),) * 2
+        comp, back = (np.rint(c / unit_deg).astype(np.int64) for c in columns)
+        comp = comp - comp[0]
+        lines = [f"#{motor} DEFINE COMP {n},{turn}", " ".join(map(str, comp[1:]))]
+        if both:
+            lines += self._way_back(comp - back, n)
         return {f"{stem}.pmc": "\n".join([*lines, "I51=1"]) + "\n"}
 
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
@@ -71,16 +97,20 @@ class Pmac(Controller):
         if comp is None:
             raise BagError(f"{name}: no DEFINE COMP for motor {self.motor}")
         varying = self._entries(name, text, "BLCOMP")
-        constant = re.search(rf"^I{self.motor}86=(-?\d+)$", text, re.MULTILINE)
-        backlash = np.zeros_like(comp) if varying is None else varying
-        if constant is not None:
-            backlash = backlash + integer(constant.group(1), f"{name}, I{self.motor}86")
-        if len(backlash) != len(comp):
+        home = self._variable(name, text, 86)
+        if varying is None and home is None:
+            varying, home = np.zeros_like(comp), 0
+        elif varying is None or home is None or not self._variable(name, text, 85):
             raise BagError(
-                f"{name}: {len(comp) - 1} entries in COMP, {len(backlash) - 1} in BLCOMP"
+                f"{name}: BLCOMP, I{self.motor}86 and an I{self.motor}85 above 0 go together: "
+                "without all of them the way back is wrong"
+            )
+        if len(varying) != len(comp):
+            raise BagError(
+                f"{name}: {len(comp) - 1} entries in COMP, {len(varying) - 1} in BLCOMP"
             )
         rows = np.linspace(0.0, 360.0, len(comp))
-        return PeriodicTable(name, rows, comp, comp - backlash, self._unit_deg * DEGREE)
+        return PeriodicTable(name, rows, comp, comp - varying - home, self._unit_deg * DEGREE)
 
     def resolution(self, table: CompensationTable) -> float:
         """Return two units, in rad: the reverse value is the difference of two rounded ones."""
@@ -89,6 +119,33 @@ class Pmac(Controller):
     @property
     def _unit_deg(self) -> float:
         return 360.0 / self.counts_per_turn / FRACTION
+
+    def _way_back(self, backlash: Ints, n: int) -> list[str]:
+        """Return BLCOMP, take-up rate and backlash at home, of the ``backlash`` (n + 1,)."""
+        motor, home = self.motor, int(backlash[0])
+        if not 0 <= home <= LARGEST:
+            raise ConfigurationError(
+                f"PMAC: the reversal at the motor's zero is {home} sixteenths of a count "
+                f"({home * self._unit_deg * DEGREE / ARCSEC:.4g} arcsec), and I{motor}86 holds "
+                f"0 .. {LARGEST}: give reversal=mean to write the mean of both directions"
+            )
+        return [
+            f"#{motor} DEFINE BLCOMP {n},{self.counts_per_turn}",
+            " ".join(map(str, backlash[1:] - home)),
+            f"I{motor}85={self.take_up_rate}",
+            f"I{motor}86={home}",
+        ]
+
+    def _variable(self, name: str, text: str, number: int) -> int | None:
+        """Return the motor's I-variable ``number``, or None when it is not there."""
+        variable = f"I{self.motor}{number}"
+        match = re.search(rf"^{variable}=(.*)$", text, re.MULTILINE)
+        if match is None:
+            return None
+        value = integer(match.group(1), f"{name}, {variable}")
+        if not 0 <= value <= LARGEST:
+            raise BagError(f"{name}: {variable} is {value}, expected 0 .. {LARGEST}")
+        return value
 
     def _entries(self, name: str, text: str, kind: str) -> Ints | None:
         """Return 0 and the entries of one table, or None when it is not there."""

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.compensation.controller import Controller, Rule
+from rotcal_ros.compensation.between import CERTAIN
+from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import averaged
-from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN
-from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC
 
-DIRECTIONS = (Approach.POSITIVE, Approach.NEGATIVE)
 POINTS_PER_ROW = 24
+NO_LAG = Lag()
 SAMPLING = 1.02
 """A maximum over so fine a grid can miss the true one by less than this factor."""
 
@@ -28,33 +28,39 @@ class ResidualBudget:
 
     ``before`` is what there is without compensation. ``interpolation`` is the distance of the
     control's line (or staircase) between the rows from the smooth curve through the measured
-    points, ``rounding`` comes from the digits or whole numbers of the file, ``direction``
-    from a control that has one column for both directions, ``second_order`` from looking the
-    correction up at the commanded instead of the true angle. ``simulated`` is what the control's
-    own rule leaves when it reads the written file; ``std`` the largest standard uncertainty
-    (k = 1) of the correction, which no table removes.
+    points, ``sampling`` bounds what that curve may miss between them, ``rounding`` comes from the
+    digits or whole numbers of the file, ``direction`` from a control that has one column for both
+    directions, ``second_order`` from looking the correction up at the commanded instead of the
+    true angle. ``following`` is what a control leaves whose correction does not follow its table
+    at once. ``simulated`` is what the control's own rule leaves when it reads the written file;
+    ``std`` the largest standard uncertainty (k = 1) of the correction, which no table removes.
     """
 
     before: float
     interpolation: float
+    sampling: float
     rounding: float
     direction: float
     second_order: float
     simulated: float
     std: float
+    following: float = 0.0
 
     @property
     def stated(self) -> float:
-        """The bound on what is left: the sum of all four parts."""
-        return self.interpolation + self.rounding + self.direction + self.second_order
+        """The bound on what is left: the sum of all six parts."""
+        between_rows = self.interpolation + self.sampling
+        return between_rows + self.rounding + self.direction + self.second_order + self.following
 
     def in_words(self) -> str:
         """Return the figures in one line, in arcseconds."""
         parts = {
             "interpolation": self.interpolation,
+            "between the measured angles": self.sampling,
             "rounding": self.rounding,
             "one column for both directions": self.direction,
             "second order": self.second_order,
+            "where the correction stands": self.following,
         }
         listed = ", ".join(
             f"{name} {value / ARCSEC:.2g}" for name, value in parts.items() if value
@@ -71,11 +77,12 @@ def residual_budget(
     rows: CompensationTable,
     controller: Controller,
     rule: Rule,
+    lag: Lag = NO_LAG,
 ) -> ResidualBudget:
     """Return what is left of the deviations in ``table`` when the control follows ``rule``.
 
     ``table`` holds the measured rows (their smooth curve is taken for true), ``rows`` those that
-    ``controller`` wrote, ``rule`` is what it read in its files.
+    ``controller`` wrote, ``rule`` is what it read in its files, ``lag`` what of it comes too late.
     """
     grid = _fine_grid(table, rows)
     needed = [Correction(table)(grid, approach) for approach in DIRECTIONS]
@@ -90,15 +97,18 @@ def residual_budget(
     interpolation = SAMPLING * _largest(lines - np.array(goal)[:, None, :])
     rounding = controller.resolution(rows) / 2.0
     rounding += steepest * controller.position_resolution
+    sampling = CERTAIN * table.between_std
     before = _largest(needed)
     return ResidualBudget(
         before=before,
         interpolation=interpolation,
+        sampling=sampling,
         rounding=rounding,
         direction=direction,
-        second_order=steepest * (before + interpolation + rounding + direction),
-        simulated=simulate(table, controller, rule, grid),
-        std=float(np.max(table.std)),
+        second_order=steepest * (before + interpolation + sampling + rounding + direction),
+        simulated=simulate(table, controller, rule, grid) + lag.simulated,
+        std=table.largest_std,
+        following=lag.bound,
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.curves.interpolation import interpolation_matrix, row_angles, wrapped
 from rotcal_ros.units import ARCSEC
@@ -39,8 +40,19 @@ def resample(
         correction_forward=up[:-1] - zero,
         correction_reverse=down[:-1] - zero,
         std=np.abs(shift) @ table.std,
+        std_reverse=_reverse_bound(table, weights, moved=reference_angle is not None),
         reference_angle=float(at[-1]),
     )
+
+
+def _reverse_bound(table: CompensationTable, weights: Floats, *, moved: bool) -> Floats | None:
+    """Return the bound for the reverse column; its zero is the forward one, where it is moved."""
+    if table.std_reverse is None:
+        return None
+    bound = np.abs(weights[:-1]) @ table.std_reverse
+    if moved:
+        bound = bound + np.abs(weights[-1]) @ table.std
+    return np.asarray(bound, dtype=np.float64)
 
 
 def averaged(table: CompensationTable) -> CompensationTable:

@@ -40,12 +40,23 @@ def fixed(value: float, decimals: int) -> str:
     return text.lstrip("-") if float(text) == 0.0 else text
 
 
+def every_turn(first: int, turns: int, angles: Floats, *values: Floats) -> tuple[Floats, ...]:
+    """Repeat ``angles`` (n,), 0 .. 360 deg, and the values there for ``turns`` turns.
+
+    Turn ``first`` is the first, and 1 is 360 .. 720 deg. For controls that do not wrap an axis.
+    """
+    rows = len(angles) - 1
+    number = first + np.append(np.repeat(np.arange(turns), rows), turns - 1)
+    repeated = [np.append(np.tile(column[:-1], turns), column[-1]) for column in (angles, *values)]
+    return repeated[0] + 360.0 * number, *repeated[1:]
+
+
 def require_circle(table: CompensationTable, title: str) -> None:
     """Raise ConfigurationError unless ``table`` covers the full circle."""
     if not table.closed:
         first, last = table.angles[[0, -1]] / DEGREE
         raise ConfigurationError(
-            f"{title} repeats its table every turn and this one covers only {first:.6g} .. "
+            f"{title} takes the table of a whole turn and this one covers only {first:.6g} .. "
             f"{last:.6g} deg: measure the full circle, or use linuxcnc or csv, which take an arc"
         )
 

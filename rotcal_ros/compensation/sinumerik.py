@@ -48,7 +48,7 @@ class Sinumerik(Controller):
         sign="ENC_COMP value = actual - commanded (positive moves the axis in negative direction)",
         wrap="IS_MODULO = 1, MIN 0, MAX 360, both end points written and equal",
         unit="degrees, 7 decimals",
-        source="6FC5397-1BP40-3BA1 (03/2013) pp. 237-264; "
+        source="6FC5397-1BP40-3BA1 (03/2013) pp. 237-264; 6FC5397-1CP10-5BA0 (11/2012) p. 222; "
         "808D Function Manual (01/2017) pp. 106-109",
     )
     position_resolution = 10.0**-DECIMALS * DEGREE
@@ -77,12 +77,11 @@ class Sinumerik(Controller):
 
     @property
     def unverified(self) -> tuple[str, ...]:
-        """What nobody has confirmed yet: sign and activation of CEC."""
+        """What nobody has confirmed yet: the sign of CEC."""
         if self.tables == ENC_COMP:
             return ()
         return (
             "the sign of $AN_CEC: the manual's pages at hand do not state it; test with one point",
-            "the activation of a CEC table by setting data SD41300",
         )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
@@ -98,7 +97,7 @@ class Sinumerik(Controller):
         )
         axis = self.axis_name or table.axis
         if self.tables == ENC_COMP:
-            lines = [f"%_N_{axis}_EEC_INI", "CHANDATA(1)"]
+            lines = ["%_N_AX_EEC_INI", "CHANDATA(1)"]
             lines += _enc_comp(table, axis, self.measuring_system, spacing)
         else:
             lines = ["%_N_NC_CEC_INI", "CHANDATA(1)"]

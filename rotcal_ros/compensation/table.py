@@ -12,7 +12,9 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.between import variances, without_gaps
 from rotcal_ros.components import check_axis
+from rotcal_ros.curves.directional import DirectionalCurve, directional_curve
 from rotcal_ros.curves.interpolation import (
     SAME_ANGLE,
     TURN,
@@ -22,11 +24,15 @@ from rotcal_ros.curves.interpolation import (
     row_angles,
     wrapped,
 )
-from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
+from rotcal_ros.curves.measured import gaps_of
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.in_force import UNKNOWN, agreed, check_in_force, contradiction
+from rotcal_ros.observations import Approach
 from rotcal_ros.results import Result, Verdict
 from rotcal_ros.units import ARCSEC, DEGREE
 
+COLUMNS: Final = ("angles", "correction_forward", "correction_reverse", "std", "std_reverse")
+DIRECTIONS: Final = (Approach.POSITIVE, Approach.NEGATIVE)
 SIGN_CONVENTION: Final = "correction = -(actual - commanded); add it to the commanded angle"
 
 
@@ -37,10 +43,14 @@ class CompensationTable:
     Arrays have shape (n,) and are radians. ``angles`` ascend; with ``period`` 2 pi they lie
     within one turn, and the row at angles[0] + 2 pi is the first row again. ``period`` 0 means
     an arc: it neither closes nor wraps. ``correction_forward`` is for approaches with increasing
-    angle and zero at ``reference_angle``, ``correction_reverse`` for decreasing angle. ``std`` is
-    the standard uncertainty (k = 1) of both, ``warnings`` say in words what to know before use.
+    angle and zero at ``reference_angle``, ``correction_reverse`` for decreasing angle. ``std`` and
+    ``std_reverse`` are their standard uncertainties (k = 1); the latter is None where it is the
+    same. ``between_std`` (rad) comes on top of them between the measured angles, which are up to
+    ``widest_gap`` (rad) apart; zero where that is not known, as for a table made by hand.
+    ``warnings`` say in words what to know before use.
     ``verdict_line`` is the verdict with what it does not cover; empty where that is not known, as
-    in a message.
+    in a message. ``measured_on`` is the table in force during the measurement (hash of the
+    controller's files, "none" or "unknown"), ``adds_to`` the one that the corrections contain.
     Raises DataError when the arrays do not fit together.
 
     >>> import rotcal_ros as rc
@@ -60,10 +70,17 @@ class CompensationTable:
     verdict: Verdict
     warnings: tuple[str, ...] = ()
     verdict_line: str = ""
+    std_reverse: Floats | None = None
+    between_std: float = 0.0
+    widest_gap: float = 0.0
+    measured_on: str = UNKNOWN
+    adds_to: str = ""
 
     def __post_init__(self) -> None:
         check_axis(self.axis)
-        for name in ("angles", "correction_forward", "correction_reverse", "std"):
+        if self.std_reverse is not None and np.array_equal(self.std_reverse, self.std):
+            object.__setattr__(self, "std_reverse", None)
+        for name in COLUMNS if self.std_reverse is not None else COLUMNS[:-1]:
             column = np.array(getattr(self, name), dtype=np.float64)
             column.setflags(write=False)
             object.__setattr__(self, name, column)
@@ -75,7 +92,32 @@ class CompensationTable:
             if not np.all(np.isfinite(column)):
                 row = int(np.argmin(np.isfinite(column)))
                 raise DataError(f"compensation table: {name} in row {row} is {column[row]}")
+            if name.startswith("std") and np.min(column) < 0.0:
+                row = int(np.argmin(column))
+                raise DataError(
+                    f"compensation table: {name} in row {row} is {column[row]}, expected 0 or more"
+                )
+        if not np.isfinite(self.reference_angle):
+            raise DataError(
+                f"compensation table: reference angle {self.reference_angle}, expected a number"
+            )
         _check_angles(self.angles, self.period)
+        object.__setattr__(self, "measured_on", check_in_force(self.measured_on or UNKNOWN))
+        for name in ("between_std", "widest_gap"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0.0):
+                raise DataError(f"compensation table: {name} is {value} rad, expected 0 or more")
+
+    def std_of(self, approach: Approach) -> Floats:
+        """Return the standard uncertainty (n,) of the correction for one side of the approach."""
+        if self.std_reverse is None or approach is Approach.POSITIVE:
+            return self.std
+        return self.std_reverse
+
+    @property
+    def largest_std(self) -> float:
+        """The largest standard uncertainty (rad) of any row in any direction."""
+        return float(max(np.max(self.std_of(approach)) for approach in DIRECTIONS))
 
     @property
     def closed(self) -> bool:
@@ -94,7 +136,16 @@ class CompensationTable:
         for text in (self.axis, self.method, self.verdict):
             digest.update(text.encode() + b"\0")
         scalars = np.array([self.period, self.reference_angle, len(self.angles)])
-        columns = (self.angles, self.correction_forward, self.correction_reverse, self.std)
+        columns = [self.angles, self.correction_forward, self.correction_reverse, self.std]
+        if self.std_reverse is not None:
+            digest.update(b"std_reverse\0")  # which numbers follow, so that none stand for others
+            columns.append(self.std_reverse)
+        if self.between_std or self.widest_gap:
+            digest.update(b"between\0")
+            scalars = np.append(scalars, [self.between_std, self.widest_gap])
+        for name in ("measured_on", "adds_to"):
+            if (known := getattr(self, name)) not in ("", UNKNOWN):
+                digest.update(f"{name} {known}\0".encode())
         for block in (scalars, *columns):
             digest.update(np.asarray(block, dtype="<f8").tobytes())
         return digest.hexdigest()
@@ -121,11 +172,13 @@ def table_from_result(
 ) -> CompensationTable:
     """Turn the ECC deviations of ``result`` into a correction table, radians.
 
-    The full circle is recognised by its angles; positions that coincide after a turn must
-    agree within their uncertainties (else DataError: they do not close) and are averaged. An arc
-    becomes a table of ``period`` 0 and says so. ``reverse`` holds the approach with decreasing
-    angle, at the same angles and counted from the same zero; without it both directions are
-    equal. The zero is moved to ``reference_angle`` (default: the first angle of the result).
+    A result that was measured from both sides gives each column its own curve; otherwise
+    ``reverse`` may hold the approach with decreasing angle, at the same angles and counted from
+    the same zero, and without it both directions are equal. The full circle is recognised by its
+    angles; positions that coincide after a turn must agree within their uncertainties (else
+    DataError: they do not close) and are averaged. An arc becomes a table of ``period`` 0 and says
+    so; DataError for a gap amid the angles that is wider than the curve allows. The zero is moved
+    to ``reference_angle`` (default: the first angle of the result).
 
     Without ``spacing`` the table has one row per measured angle, else rows every ``spacing``
     radians from zero, on a curve through the measured points. ``harmonics`` =
@@ -133,68 +186,70 @@ def table_from_result(
     leaves out is stated in the warnings. The uncertainty is carried through with the full
     covariance. Raises DataError when ECC is absent, not finite, or does not close.
     """
-    forward = measured_curve(result)
-    backward = forward if reverse is None else _reverse_curve(forward, reverse)
+    whole = directional_curve(result, reverse)
     reference = float(result.angles[0] if reference_angle is None else reference_angle)
-    reference = wrapped(reference) if forward.period else reference
-    rows = forward.angles
+
+    def weights(curve: DirectionalCurve, at: Floats) -> Floats:
+        if harmonics is None:
+            return interpolation_matrix(curve.angles, at, curve.period)
+        return _harmonic_weights(curve, at, harmonics)
+
+    curve, between = without_gaps(whole, weights, reference)
+    reference = wrapped(reference) if curve.period else reference
+    rows = curve.angles
     if spacing is not None:
-        rows = row_angles(rows, forward.period, spacing)
-    at = np.append(rows, reference)
-    if harmonics is None:
-        weights = interpolation_matrix(forward.angles, at, forward.period)
-    else:
-        weights = _harmonic_weights(forward, at, harmonics)
-    up, down = weights @ forward.deviation, weights @ backward.deviation
+        rows = row_angles(rows, curve.period, spacing)
+    at = weights(curve, np.append(rows, reference))
+    up, down = at @ curve.forward, at @ curve.reverse
+    std, std_reverse = _standard_uncertainties(at, curve)
     return CompensationTable(
         axis=axis,
         method=result.method,
         angles=rows,
         correction_forward=up[-1] - up[:-1],
         correction_reverse=up[-1] - down[:-1],
-        std=_standard_uncertainty(weights, forward, backward),
-        period=forward.period,
+        std=std,
+        std_reverse=std_reverse,
+        period=curve.period,
         reference_angle=reference,
         verdict=_worse(result, reverse),
         warnings=(
             *result.warnings,
-            *([] if harmonics is None else [_left_out(forward, harmonics)]),
-            *_notes(forward, backward, weights[-1]),
+            *([] if harmonics is None else [_left_out(curve, harmonics)]),
+            *_notes(curve, at[-1]),
         ),
         verdict_line=_lines(result, reverse),
+        between_std=between,
+        widest_gap=float(np.max(gaps_of(curve.angles, curve.period))),
+        measured_on=_measured_on(result, reverse),
     )
 
 
-def _reverse_curve(forward: MeasuredCurve, reverse: Result) -> MeasuredCurve:
-    backward = measured_curve(reverse)
-    same = len(backward.angles) == len(forward.angles)
-    if not same or np.max(np.abs(backward.angles - forward.angles)) > SAME_ANGLE:
-        raise DataError(
-            f"the reverse run has {len(backward.angles)} angles that are not the "
-            f"{len(forward.angles)} of the forward run: measure both directions at the same angles"
-        )
-    return backward
-
-
-def _harmonic_weights(curve: MeasuredCurve, at: Floats, order: int) -> Floats:
+def _harmonic_weights(curve: DirectionalCurve, at: Floats, order: int) -> Floats:
     if curve.period == 0.0:
         raise ConfigurationError("harmonics need the full circle, the result covers an arc only")
-    estimator = harmonic_estimator(curve.angles, order, curve.covariance)
+    estimator = harmonic_estimator(curve.angles, order, curve.forward_covariance)
     return harmonic_basis(at, order) @ estimator
 
 
-def _standard_uncertainty(
-    weights: Floats, forward: MeasuredCurve, backward: MeasuredCurve
-) -> Floats:
-    """Return the larger uncertainty of both directions; the last row of weights is the zero."""
-    shift = weights[:-1] - weights[-1]
-    variance = np.sum((shift @ forward.covariance) * shift, axis=1)
-    if backward is not forward:
-        # Independent runs: the reverse values also carry the uncertainty of the forward zero.
-        down = np.sum((weights[:-1] @ backward.covariance) * weights[:-1], axis=1)
-        zero = weights[-1] @ forward.covariance @ weights[-1]
-        variance = np.maximum(variance, down + zero)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
+def _standard_uncertainties(
+    weights: Floats, curve: DirectionalCurve
+) -> tuple[Floats, Floats | None]:
+    """Return those of both columns; the last row of weights is the zero of the forward one."""
+    rows, zero = weights[:-1], weights[-1]
+    up = np.maximum(variances(rows - zero, curve.forward_covariance), 0.0)
+    if not curve.both:
+        return np.sqrt(up), None
+    from_zero = np.hstack([np.tile(-zero, (len(rows), 1)), rows])
+    return np.sqrt(up), np.sqrt(np.maximum(variances(from_zero, curve.covariance), 0.0))
+
+
+def _measured_on(result: Result, reverse: Result | None) -> str:
+    """Return the table in force in both measurements; DataError when it was not the same one."""
+    states = [result.measured_on, UNKNOWN if reverse is None else reverse.measured_on]
+    if clash := contradiction(states):
+        raise DataError(f"{clash}: measure both directions with the same table in force")
+    return UNKNOWN if reverse is not None and UNKNOWN in states else agreed(states)
 
 
 def _worse(result: Result, reverse: Result | None) -> Verdict:
@@ -211,10 +266,11 @@ def _lines(result: Result, reverse: Result | None) -> str:
     return "; other direction: ".join(dict.fromkeys(lines))
 
 
-def _left_out(curve: MeasuredCurve, order: int) -> str:
-    left = curve.deviation - _harmonic_weights(curve, curve.angles, order) @ curve.deviation
-    left = left - np.mean(left)  # the constant is nobody's: the table is zero at its reference
-    noise = float(np.sqrt(np.trace(curve.covariance) / len(curve.covariance)))
+def _left_out(curve: DirectionalCurve, order: int) -> str:
+    fit = _harmonic_weights(curve, curve.angles, order)
+    left = np.stack([side - fit @ side for side in (curve.forward, curve.reverse)])
+    left -= np.mean(left)  # the constant is nobody's: the table is zero at its reference
+    noise = float(np.sqrt(np.trace(curve.forward_covariance) / len(curve.angles)))
     return (
         f"harmonics up to order {order} leave out {np.sqrt(np.mean(left**2)) / ARCSEC:.3g} arcsec "
         f"rms, {np.max(np.abs(left)) / ARCSEC:.3g} arcsec at most, of the measured deviations "
@@ -222,16 +278,16 @@ def _left_out(curve: MeasuredCurve, order: int) -> str:
     )
 
 
-def _notes(forward: MeasuredCurve, backward: MeasuredCurve, zero: Floats) -> list[str]:
-    notes = []
-    if forward.period == 0.0:
-        first, last = forward.angles[[0, -1]] / DEGREE
+def _notes(curve: DirectionalCurve, zero: Floats) -> list[str]:
+    notes = list(curve.notes)
+    if curve.period == 0.0:
+        first, last = curve.angles[[0, -1]] / DEGREE
         notes.append(
             f"the angles cover an arc only ({first:.6g} .. {last:.6g} deg): no closure, no wrap, "
             "nothing is known outside"
         )
-    own_zero = max(abs(zero @ forward.deviation), abs(zero @ backward.deviation)) < 1e-15
-    if backward is not forward and own_zero:
+    own_zero = max(abs(zero @ curve.forward), abs(zero @ curve.reverse)) < 1e-15
+    if curve.both and own_zero:
         notes.append(
             "both runs count from their own zero: the reversal at the reference angle is not in "
             "the table, only how it changes around the circle"
@@ -243,7 +299,7 @@ def _check_angles(angles: Floats, period: float) -> None:
     if np.any(np.diff(angles) <= 0.0):
         row = int(np.argmax(np.diff(angles) <= 0.0)) + 1
         raise DataError(f"compensation table: row {row} does not ascend from the row before")
-    if period != 0.0 and abs(period - TURN) > 1e-12:
+    if period != 0.0 and not abs(period - TURN) <= 1e-12:
         raise DataError(f"compensation table: period {period} rad, expected 2 pi or 0 (an arc)")
     if period and angles[-1] - angles[0] > TURN - SAME_ANGLE / 2:
         raise DataError(

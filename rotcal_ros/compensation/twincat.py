@@ -1,7 +1,8 @@
 """Beckhoff TwinCAT CNC and ISG kernel: leadscrew compensation ``kw.ssfk.*`` in achskw*.lis.
 
-Whole numbers of 0.0001 degrees, actual - commanded, one column for each direction, linear,
-modulo. Sources: ``TwinCat.facts``, and the ISG kernel's documentation.
+Whole numbers of 0.0001 degrees, actual - commanded, one column for each direction, linear. In a
+modulo list the first and the last entry are the same: it ends with the row at 360. Sources:
+``TwinCat.facts``, and the ISG kernel's documentation.
 """
 
 from __future__ import annotations
@@ -32,23 +33,24 @@ class TwinCat(Controller):
     facts = Facts(
         title="Beckhoff TwinCAT CNC / ISG",
         sign="value = actual - commanded",
-        wrap="kw.ssfk.modulo 1, N rows from 0 to 360 - interval",
+        wrap="kw.ssfk.modulo 1, rows from 0 to 360, the last equal to the first",
         unit="whole numbers of 0.0001 deg (0.36 arcsec)",
         source="Beckhoff TF5200 axis compensation, P-COMP-00017 .. 00025, 00059",
     )
-    unverified = ("that a modulo table holds N rows 0 .. 360 - interval, without the row at 360",)
 
-    max_points: int = setting(1500, doc="P-COMP-00059 of the machine", minimum=2)
+    max_points: int = setting(
+        1500, doc="P-COMP-00059 of the machine; the list has fewer rows", minimum=4
+    )
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the compensation list; raises ConfigurationError above ``max_points``."""
         spacing = even_interval_deg(table, "TwinCAT CNC", UNIT_DEG)
-        n = len(table.angles)
-        require_at_most(
-            n, self.max_points, "twincat: points", "a wider spacing, or raise P-COMP-00059"
-        )
         _, up, down = columns_deg(table)
-        pos, neg = (np.rint(-column[:-1] / UNIT_DEG).astype(np.int64) for column in (up, down))
+        n = len(up)
+        require_at_most(
+            n, self.max_points - 1, "twincat: points", "a wider spacing, or raise P-COMP-00059"
+        )
+        pos, neg = (np.rint(-column / UNIT_DEG).astype(np.int64) for column in (up, down))
         bilateral = int(table.directional)
         head = {
             "unit": 1,
@@ -71,20 +73,20 @@ class TwinCat(Controller):
         found = matches(name, text, r"kw\.ssfk\.([\w\[\].]+)\s+(\S+)", "kw.ssfk.unit 1")
         values = {match[1]: integer(match[2], where) for where, match in found}
         n = values.get("kw_nr_max", 0)
-        head = (values.get("unit"), values.get("modulo"), values.get("interval", 0) * n)
-        if n < 2 or head != (1, 1, TURN_UNITS):
+        covered = values.get("interval", 0) * max(n - 1, 0)
+        head = (values.get("unit"), values.get("modulo"), covered)
+        if n < 3 or head != (1, 1, TURN_UNITS):
             raise BagError(
-                f"{name}: unit {head[0]}, modulo {head[1]} and {n} intervals that make {head[2]} "
-                f"x 0.0001 deg; expected 1, 1 and at least 2 that make {TURN_UNITS}"
+                f"{name}: unit {head[0]}, modulo {head[1]} and {n} rows that cover {head[2]} "
+                f"x 0.0001 deg; expected 1, 1 and at least 3 that cover {TURN_UNITS}"
             )
         try:
             pos = [values[f"table[{k}].pos"] for k in range(n)]
             neg = [values[f"table[{k}].neg"] for k in range(n)] if values.get("bilateral") else pos
         except KeyError as error:
             raise BagError(f"{name}: {error.args[0]} is missing, of {n} points") from error
-        rows = np.linspace(0.0, 360.0, n + 1)
-        up, down = (np.array([*column, column[0]], dtype=np.int64) for column in (pos, neg))
-        return PeriodicTable(name, rows, up, down, -UNIT_DEG * DEGREE)
+        up, down = (np.array(column, dtype=np.int64) for column in (pos, neg))
+        return PeriodicTable(name, np.linspace(0.0, 360.0, n), up, down, -UNIT_DEG * DEGREE)
 
     def resolution(self, table: CompensationTable) -> float:
         """Return 0.0001 deg, in rad."""

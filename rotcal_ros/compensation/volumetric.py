@@ -1,7 +1,8 @@
 """All deviations that were measured, EXC .. ECC, for volumetric compensation: neutral CSV, JSON.
 
 Deviations, not corrections: actual - commanded, metres and radians, ISO 230-1 names. An absent
-component has no column. Every number is written so that it is read back to the last bit.
+component has no column; one that was measured from both sides has three: the mean, forward and
+reverse. Every number is written so that it is read back to the last bit.
 """
 
 from __future__ import annotations
@@ -11,10 +12,11 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation import parsing
 from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import check_stem
-from rotcal_ros.components import COMPONENTS, TRANSLATIONS, check_axis
+from rotcal_ros.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.results import Result
 
@@ -33,10 +35,11 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
     names = [name for name in COMPONENTS if name in result.deviations]
     if missing := [name for name in names if name not in result.std]:
         raise DataError(f"the {result.method} result has no uncertainty of {', '.join(missing)}")
+    deviations, std = _columns(result, names)
     columns = {"angle_rad": result.angles}
-    for name in names:
-        columns[f"{name}_{_si_unit(name)}"] = result.deviations[name]
-        columns[f"u_{name}_{_si_unit(name)}"] = result.std[name]
+    for name, values in deviations.items():
+        columns[f"{name}_{_si_unit(name)}"] = values
+        columns[f"u_{name}_{_si_unit(name)}"] = std[name]
     numbers = np.column_stack(list(columns.values()))
     lines = [",".join(columns), *(",".join(map(repr, row)) for row in numbers.tolist())]
     data = {
@@ -44,15 +47,15 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "kind": KIND,
         "axis": axis,
         "sign": SIGN,
-        "units": {name: _si_unit(name) for name in names},
+        "units": {name: _si_unit(name) for name in deviations},
         "method": result.method,
         "verdict": result.verdict,
         "verdict_line": result.verdict_line,
         "not_protected": list(result.unprotected),
         "angles_rad": result.angles.tolist(),
-        "deviations": {name: result.deviations[name].tolist() for name in names},
-        "std": {name: result.std[name].tolist() for name in names},
-        "warnings": list(result.warnings),
+        "deviations": {name: values.tolist() for name, values in deviations.items()},
+        "std": {name: values.tolist() for name, values in std.items()},
+        "warnings": [*result.warnings, *_one_sided(result, names)],
     }
     table, facts = "\n".join(lines) + "\n", json.dumps(data, indent=1) + "\n"
     found = parsing.numbers(f"{stem}.csv", table.splitlines()[1:], len(columns), ",")
@@ -65,5 +68,31 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
     return {f"{stem}.csv": table, f"{stem}.json": facts}
 
 
-def _si_unit(component: str) -> str:
-    return "m" if component in TRANSLATIONS else "rad"
+def _columns(result: Result, names: list[str]) -> tuple[dict[str, Floats], dict[str, Floats]]:
+    """Return deviations and standard uncertainties (n,), those of either direction behind them."""
+    deviations = {name: result.deviations[name] for name in names}
+    std = {name: result.std[name] for name in names}
+    for name, both in result.directions.items():
+        if np.array_equal(both.angles, result.angles):
+            deviations |= {f"{name}_forward": both.forward, f"{name}_reverse": both.reverse}
+            own = np.sqrt(np.maximum(np.diag(both.covariance), 0.0))
+            std[f"{name}_forward"], std[f"{name}_reverse"] = np.split(own, 2)
+    return deviations, std
+
+
+def _one_sided(result: Result, names: list[str]) -> list[str]:
+    """Say what the columns leave of a reversal that is known."""
+    found = []
+    for name, both in result.directions.items():
+        if name in names and not np.array_equal(both.angles, result.angles):
+            scale, unit = unit_of(name)
+            found.append(
+                f"{name} is the mean of both directions, since some angles were reached from one "
+                f"side only: up to {np.max(np.abs(both.reversal)) / scale:.3g} {unit} of reversal "
+                "are not in the columns"
+            )
+    return found
+
+
+def _si_unit(column: str) -> str:
+    return "m" if column[:3] in TRANSLATIONS else "rad"

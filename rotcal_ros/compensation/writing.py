@@ -7,9 +7,13 @@ import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Final
 
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.files import sync_folder, write_durably
+
+PROVENANCE: Final = ".provenance.json"
+"""How the name of the file ends that is for people and not for the controller."""
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
@@ -29,7 +33,7 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
         with tempfile.TemporaryDirectory(prefix=".rotcal-", dir=folder) as scratch:
             for name, text in files.items():
                 temporary = Path(scratch) / name
-                write_durably(temporary, text, "ascii")
+                write_durably(temporary, text, "latin-1")
                 temporary.chmod(0o644)
             for name in files:
                 os.link(Path(scratch) / name, folder / name)
@@ -62,3 +66,8 @@ def check_file_name(name: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}", name):
         raise ConfigurationError(f"file name {name!r} leaves the output folder or is no file name")
     return name
+
+
+def of_the_controller(files: Mapping[str, str]) -> dict[str, str]:
+    """Return the files that a controller reads, without the provenance."""
+    return {name: text for name, text in files.items() if not name.endswith(PROVENANCE)}

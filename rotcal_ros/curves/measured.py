@@ -17,6 +17,8 @@ from rotcal_ros.units import DEGREE
 
 CLOSURE_LIMIT: Final = 4.0
 """How many standard uncertainties two measurements of one position may differ."""
+WIDE: Final = 3.0
+"""Times the usual distance of the angles that a gap may have and count as measured around."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,22 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     table position contradict each other (the deviations do not close).
     """
     curve = _complete(result, component)
+    angles, merge = merging(curve, component)
+    return MeasuredCurve(
+        angles=angles,
+        deviation=merge @ curve.deviation,
+        covariance=merge @ curve.covariance @ merge.T,
+        period=curve.period,
+        verdict_line=result.verdict_line,
+    )
+
+
+def merging(curve: MeasuredCurve, component: str) -> tuple[Floats, Floats]:
+    """Return ascending angles (n',) within a turn, and (n', n) that averages those that coincide.
+
+    An arc is sorted and otherwise stays as it is. Raises DataError where two that coincide
+    contradict each other.
+    """
     angles = curve.angles
     position = np.array([wrapped(a) for a in angles]) if curve.period else angles
     order = np.argsort(position, kind="stable")
@@ -50,23 +68,32 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
     merge[group, order] = 1.0
     for row in merge[merge.sum(axis=1) > 1]:
         _check_closure(component, curve, np.flatnonzero(row))
-    merge /= merge.sum(axis=1, keepdims=True)
-    return MeasuredCurve(
-        angles=position[order][new],
-        deviation=merge @ curve.deviation,
-        covariance=merge @ curve.covariance @ merge.T,
-        period=curve.period,
-        verdict_line=result.verdict_line,
-    )
+    return position[order][new], merge / merge.sum(axis=1, keepdims=True)
 
 
 def covers_circle(angles: Floats) -> bool:
-    """Whether ``angles`` (rad) go round: the gap left is no wider than the others allow."""
+    """Whether ``angles`` (rad) go round: the gap left is no wider than the others allow.
+
+    Gaps count up to WIDE times the usual one: a lone angle far from the others, with wide gaps on
+    both of its sides, closes no circle.
+    """
     ascending = np.unique(np.asarray(angles, dtype=np.float64))
     span = float(ascending[-1] - ascending[0])
     if span >= TURN - SAME_ANGLE:
         return True
-    return len(ascending) > 2 and TURN - span <= 1.5 * float(np.max(np.diff(ascending)))
+    gaps = np.diff(ascending)
+    allowed = 1.5 * min(np.max(gaps, initial=0.0), WIDE * float(np.median(gaps)))
+    return len(ascending) > 2 and TURN - span <= allowed
+
+
+def period_of(angles: Floats) -> float:
+    """Return 2 pi for ``angles`` (rad) that go round, 0 for those of an arc."""
+    return TURN if covers_circle(angles) else 0.0
+
+
+def gaps_of(angles: Floats, period: float) -> Floats:
+    """Return the gap (rad) after each of ``angles`` (n,): n of a closed curve, n - 1 of an arc."""
+    return np.diff(angles, append=angles[0] + period) if period else np.diff(angles)
 
 
 def _complete(result: Result, component: str) -> MeasuredCurve:
@@ -91,8 +118,7 @@ def _complete(result: Result, component: str) -> MeasuredCurve:
             f"{where}: the covariance of {component} has shape {np.shape(covariance)} or is not "
             f"finite, expected ({n}, {n}) finite numbers"
         )
-    period = TURN if covers_circle(angles) else 0.0
-    return MeasuredCurve(angles, result.deviations[component], covariance, period)
+    return MeasuredCurve(angles, result.deviations[component], covariance, period_of(angles))
 
 
 def _check_closure(component: str, curve: MeasuredCurve, members: NDArray[np.intp]) -> None:

@@ -13,7 +13,6 @@ from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
-from scipy import stats
 
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.components import COVERAGE_FACTOR
@@ -27,6 +26,7 @@ from rotcal_ros.curves.interpolation import (
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.common_angles import PairedCurves, pair
 from rotcal_ros.evaluation.suspicion import suspicion
+from rotcal_ros.methods.distributions import binomial_quantile, chi2_sf, normal_sf
 from rotcal_ros.results import plain_fields
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -113,7 +113,7 @@ def compare(
     exact = not np.any(covariance)
     offset, difference, std, chi2, dof = _align(angles, raw, covariance, align_order)
     normalised = _normalised(difference, std)
-    p_value = 0.0 if exact and np.any(normalised) else float(stats.chi2.sf(chi2, dof))
+    p_value = 0.0 if exact and np.any(normalised) else chi2_sf(chi2, dof)
     agree = _agree(normalised, p_value)
     why = _why(both.first, both.second, second, angles, agree)
     doubts = [
@@ -176,8 +176,8 @@ def compare_all(
 def _agree(normalised: Floats, p_value: float) -> bool:
     """All |E_n| <= 1, or no more above 1 than chance gives, singly and together."""
     above = int(np.sum(np.abs(normalised) > 1.0))
-    expected = float(2.0 * stats.norm.sf(COVERAGE_FACTOR))
-    usual = above <= int(stats.binom.ppf(1.0 - SURE, len(normalised), expected))
+    expected = 2.0 * normal_sf(COVERAGE_FACTOR)
+    usual = above <= binomial_quantile(1.0 - SURE, len(normalised), expected)
     return above == 0 or (usual and p_value >= SURE)
 
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
-from scipy import stats
 from scipy.linalg import block_diag
 
 from rotcal_ros.arrays import Floats
@@ -20,6 +19,7 @@ from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.joined_angles import Joined, join_angles
 from rotcal_ros.evaluation.pooling import Part, Pooled, common_std, farthest, pool, widened
+from rotcal_ros.methods.distributions import chi2_sf
 
 Curves = Mapping[str, MeasuredCurve]
 """Curves of one input by component."""
@@ -113,7 +113,7 @@ def combine_group(
         pooled = pool(parts, gauge)
     except DataError as error:
         raise DataError(f"{', '.join(components)} of {', '.join(inputs)}: {error}") from error
-    p_value = float(stats.chi2.sf(pooled.chi2, pooled.dof)) if pooled.dof else 1.0
+    p_value = chi2_sf(pooled.chi2, pooled.dof) if pooled.dof else 1.0
     group = Group(
         inputs=tuple(inputs),
         joined=joined,

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from math import hypot
 from typing import Final
 
-from rotcal_ros.protection import EFFECTS, Effect, Protection, Treatment
+from rotcal_ros.protection import ALL_EFFECTS, PARTICULAR, Effect, Protection, Treatment
 
 WEAKEST_FIRST: Final[tuple[Treatment, ...]] = (
     "not protected",
@@ -38,7 +38,21 @@ def join_protections(
     """
     if not any(inputs.values()):
         return ()
-    return tuple(_joined(effect, inputs, shares) for effect in EFFECTS)
+    named = {p.effect for protections in inputs.values() for p in protections}
+    return tuple(
+        _joined(effect, _concerned(effect, inputs), shares)
+        for effect in ALL_EFFECTS
+        if effect in named or effect not in PARTICULAR
+    )
+
+
+def _concerned(
+    effect: Effect, inputs: Mapping[str, Sequence[Protection]]
+) -> Mapping[str, Sequence[Protection]]:
+    """Return the inputs that may have ``effect``: of a particular one, those that speak of it."""
+    if effect not in PARTICULAR:
+        return inputs
+    return {n: ps for n, ps in inputs.items() if any(p.effect == effect for p in ps)}
 
 
 def _joined(

@@ -12,7 +12,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
-from rotcal_ros.curves.measured import MeasuredCurve, covers_circle
+from rotcal_ros.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.errors import DataError
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -46,7 +46,7 @@ def read_reference(text: str, name: str) -> MeasuredCurve:
     if np.any(np.diff(angles) < SAME_ANGLE):
         twice = angles[np.argmax(np.diff(angles) < SAME_ANGLE)] / DEGREE
         raise DataError(f"{name}: the angle {twice:.6g} deg is there twice")
-    period = TURN if covers_circle(angles) else 0.0
+    period = period_of(angles)
     if period and abs(angles[-1] - angles[0] - TURN) < SAME_ANGLE:
         gap, limit = abs(deviation[-1] - deviation[0]), 4.0 * math.hypot(std[0], std[-1])
         if gap > limit + SAME_ANGLE:

@@ -1,4 +1,4 @@
-"""Repeated runs: one curve for each run and direction, and their mean as the result.
+"""Repeated runs: one curve for each run and direction, their mean, and that of each direction.
 
 The stations of a result are then arrivals of the table. What belongs to an angle is the mean of
 its arrivals; how they scatter is the table's own repeatability.
@@ -12,7 +12,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
-from rotcal_ros.results import RepeatedRuns, Result
+from rotcal_ros.results import Directions, RepeatedRuns, Result
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,26 +46,37 @@ class Arrivals:
 
         Both directions weigh the same at a target that has both.
         """
-        rows = self.target == self.measured[:, None]
-        sides = [rows & self.upward, rows & ~self.upward]
-        used = [side.any(axis=1, keepdims=True) for side in sides]
-        shares = [side / np.maximum(side.sum(axis=1, keepdims=True), 1) for side in sides]
+        shares = self.by_direction()
+        used = [side.any(axis=1, keepdims=True) for side in shares]
         return np.asarray(sum(shares) / sum(u.astype(np.float64) for u in used), dtype=np.float64)
+
+    def by_direction(self) -> tuple[Floats, Floats]:
+        """Return (k', m) for the mean of the arrivals from below, and for that from above.
+
+        A row is zero where a target has none of them.
+        """
+        rows = self.target == self.measured[:, None]
+        below, above = (
+            side / np.maximum(side.sum(axis=1, keepdims=True), 1)
+            for side in (rows & self.upward, rows & ~self.upward)
+        )
+        return below, above
 
 
 def mean_of_runs(result: Result, arrivals: Arrivals) -> Result:
     """Return ``result`` of all arrivals as the mean ECC at the targets, with its ``runs``.
 
     To the covariance of the measurement comes the scatter of the arrivals that the measurement
-    does not explain. Deviations count from the first target. Raises DataError when arrivals and
-    result do not fit.
+    does not explain. Deviations count from the first target. Where targets were reached from both
+    sides the result has both ``directions``. Raises DataError when arrivals and result do not fit.
     """
     ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
     if len(arrivals.target) != len(ecc):
         raise DataError(f"{len(ecc)} stations in the result, {len(arrivals.target)} arrivals")
     tied = mean_from_first(arrivals)
     scatter = repeatability_std(ecc, covariance, arrivals)
-    total = tied @ (covariance + scatter**2 * np.eye(len(ecc))) @ tied.T
+    spread = covariance + scatter**2 * np.eye(len(ecc))
+    total = tied @ spread @ tied.T
     mean = tied @ ecc
     adjacent = np.diff(np.eye(len(mean)), axis=0)
     return replace(
@@ -83,7 +94,21 @@ def mean_of_runs(result: Result, arrivals: Arrivals) -> Result:
             reverse=_table(ecc, arrivals, ~arrivals.upward),
             repeatability_std=scatter,
         ),
+        directions=_directions(ecc, spread, arrivals),
     )
+
+
+def _directions(ecc: Floats, spread: Floats, arrivals: Arrivals) -> dict[str, Directions]:
+    """Return ECC from both sides, counted as the mean is, where two or more targets have both."""
+    sides = arrivals.by_direction()
+    both = sides[0].any(axis=1) & sides[1].any(axis=1)
+    if np.count_nonzero(both) < 2:
+        return {}
+    zero = arrivals.averaging()[:1]
+    stacked = np.vstack([side[both] - zero for side in sides])
+    forward, reverse = np.split(stacked @ ecc, 2)
+    angles = arrivals.targets[arrivals.measured][both]
+    return {"ECC": Directions(angles, forward, reverse, stacked @ spread @ stacked.T)}
 
 
 def mean_from_first(arrivals: Arrivals) -> Floats:

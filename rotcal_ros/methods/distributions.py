@@ -8,7 +8,18 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtrc, chdtri, chndtrinc, fdtrc, fdtri, ncfdtrinc, ndtr, ndtri
+from scipy.special import (
+    bdtr,
+    bdtrik,
+    chdtrc,
+    chdtri,
+    chndtrinc,
+    fdtrc,
+    fdtri,
+    ncfdtrinc,
+    ndtr,
+    ndtri,
+)
 
 from rotcal_ros.arrays import Floats
 
@@ -41,6 +52,13 @@ def normal_sf(value: float) -> float:
 def normal_isf(probability: float) -> float:
     """Return what a standard normal number exceeds with ``probability``."""
     return float(-ndtri(probability))
+
+
+def binomial_quantile(probability: float, trials: int, chance: float) -> int:
+    """Return the smallest number of hits that is not exceeded with ``probability``."""
+    above = int(np.ceil(bdtrik(probability, trials, chance)))
+    below = max(above - 1, 0)  # bdtrik may round up across a step of the distribution
+    return below if bdtr(below, trials, chance) >= probability else above
 
 
 def f_noncentrality(limit: float, dof: float, dof_below: float, power: float) -> float:

@@ -2,109 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
-from rotcal_msgs.srv import ApplyTable, GetCorrection
-from std_srvs.srv import Trigger
+from rotcal_msgs.srv import GetCorrection
 
 from rotcal_ros import messages
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.feed import Applied, Feed
+from rotcal_ros.compensation.export import standing
+from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.errors import DataError, RotcalError
+from rotcal_ros.middleware import LOCALHOST
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.controller_access import ControllerAccess
 from rotcal_ros.nodes.qos import LATCHED
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.cell_settings import CellSettings
-from rotcal_ros.units import ARCSEC
-
-ANSWERS_PER_ACTION = 8
-"""Accesses to the controller in one action at most; each has its own time limit."""
 
 
 class BridgeNode(CellNode):
-    """Talks to the controller in a thread of its own, so that the node beats meanwhile."""
+    """Takes tables and looks corrections up; the access to the controller is a part of its own."""
 
     def __init__(self) -> None:
         super().__init__("bridge")
-        self._settings = self.settings("bridge", BridgeSettings)
+        settings = self.settings("bridge", BridgeSettings)
         cell = self.settings("cell", CellSettings)
-        self._feed = Feed(self._settings, cell.axis, self.now_ns)
+        self._feed = Feed(settings, cell.axis, self.now_ns)
         self._correction: Correction | None = None
         self._state = "waiting for a table"
-        self._facts: dict[str, Any] = {"controller": self._settings.controller, "axis": cell.axis}
-        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="feed")
+        self._own: dict[str, Any] = {"controller": settings.controller, "axis": cell.axis}
+        self._facts: dict[str, Any] = {}
         self.listen(CompensationTableMsg, "compensation_table", self._take, LATCHED)
-        self.create_service(ApplyTable, "apply", self._apply)
-        self.create_service(Trigger, "restore", self._restore)
         self.create_service(GetCorrection, "get_correction", self._look_up)
+        self._access = ControllerAccess(self, self._feed, self._note)
 
     def begin_stop(self) -> None:
         """Leave the controller to others; what is being written is finished first."""
-        self._worker.shutdown(wait=True, cancel_futures=True)
-        self._feed.close()
+        self._access.close()
 
     def _take(self, message: CompensationTableMsg) -> None:
         """Hold a table against the configuration and write its files; a bad one is refused."""
         self._correction = None
-        self._facts = {k: self._facts[k] for k in ("controller", "axis")}
-        self._facts |= {"table_hash": message.table_hash, "verdict": message.verdict}
+        self._feed.forget()
+        self._facts = {"table_hash": message.table_hash, "verdict": message.verdict}
         try:
             table = conversions.compensation_table(message)
             files = self._feed.take(table, messages.stamp_ns(message.header.stamp))
-            self._correction = Correction(table)
         except (RotcalError, OSError) as error:
             self._note(f"table refused: {error}")
             return
-        assert self._feed.offer is not None
+        offer = self._feed.offer
+        assert offer is not None
+        self._correction = Correction(offer.table)
         self._facts |= {
+            "confirmation": offer.confirmation,
             "files": ", ".join(map(str, files)),
-            "residual": self._feed.offer.export.residual.in_words(),
+            "in_force": standing(offer.table),
+            "residual": offer.export.residual.in_words(),
         }
         self._note(f"table {table.table_hash[:12]} written, not applied")
-
-    async def _apply(
-        self, request: ApplyTable.Request, response: ApplyTable.Response
-    ) -> ApplyTable.Response:
-        table_hash = request.table_hash
-        what = f"table {table_hash[:12]} applied"
-        done = await self._do(lambda: self._feed.apply(table_hash), response, what, "not applied")
-        if done is not None:
-            response.files = [str(path) for path in done.files]
-            response.backup = str(done.backup)
-            response.largest_change = done.largest_change
-        return response
-
-    async def _restore(
-        self, _request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        await self._do(self._feed.restore, response, "old table restored", "not restored")
-        return response
-
-    async def _do(
-        self, action: Callable[[], Applied], response: Any, good: str, bad: str
-    ) -> Applied | None:
-        """Change the table of the controller and say in the response what came of it."""
-        limit_s = ANSWERS_PER_ACTION * self._settings.answer_timeout_s
-        try:
-            done = await self.answer_of(self._worker.submit(action), limit_s)
-        except (RotcalError, OSError) as error:
-            response.message = str(error)
-            self._note(f"{bad}: {error}")
-            return None
-        self._facts["backup"] = str(done.backup)
-        response.success = True
-        response.message = (
-            f"{good}, read back and equal; largest change {done.largest_change / ARCSEC:.4g} "
-            "arcsec; most controllers use it from their next start on"
-        )
-        self._note(response.message)
-        return done
 
     def _look_up(
         self, request: GetCorrection.Request, response: GetCorrection.Response
@@ -114,7 +73,7 @@ class BridgeNode(CellNode):
                 raise DataError(f"there is no table to look the correction up in: {self._state}")
             approach = Approach(request.approach)
             response.correction = float(self._correction(request.angle, approach))
-            response.std = float(self._correction.std(request.angle))
+            response.std = float(self._correction.std(request.angle, approach))
             response.table_hash = self._correction.table.table_hash
             response.success = True
         except (RotcalError, ValueError) as error:
@@ -126,12 +85,12 @@ class BridgeNode(CellNode):
         self.get_logger().info(state)
 
     def _report(self) -> tuple[str, dict[str, Any]]:
-        return self._state, self._facts
+        return self._state, {**self._own, **self._facts, **self._access.facts}
 
 
 def main() -> None:
-    """Run the bridge."""
-    run(BridgeNode)
+    """Run the bridge, reachable from this machine alone unless the user has settled the range."""
+    run(BridgeNode, LOCALHOST)
 
 
 if __name__ == "__main__":

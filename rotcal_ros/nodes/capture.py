@@ -18,6 +18,7 @@ from rotcal_ros.capture import Capture, Record
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, listen_to_instrument
+from rotcal_ros.nodes.health import LOADING
 from rotcal_ros.nodes.plans import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run
@@ -79,6 +80,8 @@ class CaptureNode(CellNode):
     def _take_plan(self, message: CalibrationPlan) -> None:
         self._capture, self._run = None, ""
         self._orders.clear()
+        self._state = LOADING
+        self.health.beat()
         try:
             calibration = calibration_of(message)
             self._joint = calibration.configuration.cell.joint
@@ -87,6 +90,8 @@ class CaptureNode(CellNode):
             self._state = f"plan refused: {error}"
             raise
         self._run, self._needed = run_name(message), calibration.method.topics
+        # what came while this node was loading waits to be read: the instruments were not silent
+        self._heard_s = dict.fromkeys(self._heard_s, time.monotonic())
         self._verdicts.clear()
         self._state = f"capturing {calibration.method.name}"
 

@@ -14,6 +14,7 @@ from rotcal_msgs.msg import (
     ProbeTarget,
     StepChoice,
     TableAngle,
+    TableInForce,
     TracerLength,
 )
 from rotcal_msgs.msg import Observation as ObservationMsg
@@ -134,19 +135,27 @@ def compensation_message(
     table: CompensationTable, plan_id: str, now_ns: int
 ) -> CompensationTableMsg:
     """Return the message of a compensation table."""
-    return _filled(CompensationTableMsg, table, now_ns, plan_id=plan_id)
+    own: Any = () if table.std_reverse is None else table.std_reverse
+    return _filled(CompensationTableMsg, table, now_ns, plan_id=plan_id, std_reverse=own)
 
 
 def compensation_table(message: CompensationTableMsg) -> CompensationTable:
     """Return the table in a message; DataError when its hash is not that of its numbers."""
     names = (f.name for f in dataclasses.fields(CompensationTable))
-    table = CompensationTable(**{n: getattr(message, n) for n in names if hasattr(message, n)})
+    same = {n: getattr(message, n) for n in names if hasattr(message, n)}
+    own = same["std_reverse"] if len(same["std_reverse"]) else None
+    table = CompensationTable(**{**same, "std_reverse": own})
     if table.table_hash != message.table_hash:
         raise DataError(
             f"the table of axis {message.axis} carries the hash {message.table_hash or 'none'}, "
             f"its numbers have {table.table_hash}: it was changed on its way"
         )
     return table
+
+
+def in_force_message(axis: str, in_force: str, now_ns: int) -> TableInForce:
+    """Return the message that announces what the controller of ``axis`` holds."""
+    return TableInForce(header=header(now_ns), axis=axis, in_force=in_force)
 
 
 def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **others: Any) -> Any:

@@ -28,9 +28,13 @@ LEAVING: Final = "leaving"
 RECORDING_FAILED: Final = "recording failed"
 """How the state of a recorder begins that cannot write any more."""
 LEAVE_TIMEOUT_S: Final = 0.5
+CALIBRATING: Final = "calibrating"
+"""How the state of a planner begins while a goal runs."""
 SOLVING: Final = "solving"
 """State of a node whose numerics may hold up its beat: it is given SOLVING_TIMEOUT_S."""
 SOLVING_TIMEOUT_S: Final = 10.0
+LOADING: Final = "loading what the plan needs"
+"""State of a node that loads a method's code, which may take as long on a busy machine."""
 
 Values = Mapping[str, object]
 
@@ -40,8 +44,8 @@ class RollCall:
     """Who is there: ``seen`` is name -> monotonic time (s) of the last beat.
 
     ``timeout_s`` is the silence after which a node counts as lost, SOLVING_TIMEOUT_S for those
-    that are ``solving``. A pause of the caller itself (a stalled machine) is not blamed on the
-    others: it is granted to all.
+    that are ``solving`` or loading. A pause of the caller itself (a stalled machine) is not blamed
+    on the others: it is granted to all.
     """
 
     timeout_s: float
@@ -52,7 +56,7 @@ class RollCall:
     def hear(self, name: str, state: str, now: float) -> None:
         """Take a beat of node ``name``."""
         self.seen[name] = now
-        (self.solving.add if state == SOLVING else self.solving.discard)(name)
+        (self.solving.add if state in (SOLVING, LOADING) else self.solving.discard)(name)
 
     def silent(self, now: float) -> dict[str, float]:
         """Return the lost names with their silence in seconds; call it regularly."""
@@ -70,7 +74,8 @@ class RollCall:
 class Health:
     """The health of one node.
 
-    ``lost`` holds the names of the others that fell silent, as of the last beat.
+    ``lost`` holds the names of the others that fell silent, as of the last beat, ``concerns``
+    what a person should look at.
     ``report`` returns (state in words, values) at any time for every beat; without it the node
     only listens, and nobody will miss it.
     ``on_lost`` is called once for every other node that falls silent, with its name.
@@ -91,6 +96,7 @@ class Health:
         self._roll = RollCall(timeout_s)
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
+        self.concerns: dict[str, str] = {}
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
@@ -176,10 +182,12 @@ class Health:
         trouble: dict[str, object] = dict(self.errors)
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
+        rest = DiagnosticStatus.WARN if self.concerns else DiagnosticStatus.OK
+        further = {**self.concerns, **trouble}
         return DiagnosticStatus(
-            level=DiagnosticStatus.ERROR if trouble else DiagnosticStatus.OK,
+            level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),
             hardware_id=self._node.get_namespace(),
             message=state,
-            values=[KeyValue(key=k, value=str(v)) for k, v in {**values, **trouble}.items()],
+            values=[KeyValue(key=k, value=str(v)) for k, v in {**values, **further}.items()],
         )

@@ -1,4 +1,6 @@
-"""A rotary axis of LinuxCNC as the table of the cell: takes orders, tells ``joint_states``.
+"""A rotary axis of LinuxCNC as the table: takes orders, tells ``joint_states``.
+
+The machine may have other axes besides; which joint the axis is, its ini file says.
 
 LinuxCNC itself is spoken to by a process of its own, :mod:`rotcal_ros.nodes.linuxcnc_agent`, on
 the system's Python. Where a HAL pin knows the actual angle, it goes out on
@@ -10,7 +12,6 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Mapping
-from pathlib import Path
 from threading import Thread
 from typing import Any, Final
 
@@ -18,7 +19,7 @@ from rotcal_msgs.msg import TableAngle
 from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.compensation.linuxcnc_machine import agent_command
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT, STREAM
@@ -27,7 +28,6 @@ from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.units import DEGREE, NANOSECOND
 
-AGENT: Final = Path(__file__).with_name("linuxcnc_agent.py")
 END_TIMEOUT_S: Final = 15.0
 SIDES: Final = {Approach.POSITIVE: 1, Approach.NEGATIVE: -1}
 
@@ -38,12 +38,13 @@ class LinuxCncDriver(CellNode):
     def __init__(self) -> None:
         super().__init__("linuxcnc_driver")
         ini = self.declare_parameter("ini_file", "").value
-        usual = ["/usr/bin/python3", str(AGENT), "-ini", ini]
-        command = list(self.declare_parameter("agent_command", usual).value)
+        number = self.declare_parameter("linuxcnc_joint", 0).value
+        command = list(self.declare_parameter("agent_command", [""]).value)
         self._overshoot_deg = self.declare_parameter("overshoot_deg", 2.0).value
-        self._joint = self.settings("cell", CellSettings).joint or "table"
-        if not ini and command == usual:
-            raise ConfigurationError("linuxcnc_driver: parameter ini_file is missing")
+        cell = self.settings("cell", CellSettings)
+        self._joint = cell.joint or "table"
+        if command == [""]:
+            command = agent_command(ini, cell.axis, number)
         self._state = "starting LinuxCNC's agent"
         self._complaints = 0
         self._last: TableSample | None = None

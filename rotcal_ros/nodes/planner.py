@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -18,9 +19,10 @@ from std_srvs.srv import Trigger
 from rotcal_ros.catalogue import prepare_to_measure
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.goal_run import GoalRun
 from rotcal_ros.nodes.goal_watch import Codes, GoalWatch, Progress
+from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.plans import PlannerParameters, read_continuation
 from rotcal_ros.nodes.running import run
 
@@ -34,8 +36,7 @@ class Planner(CellNode, LifecycleNode):
     def __init__(self) -> None:
         super().__init__("planner")
         self._run: GoalRun | None = None
-        self._active = False
-        self._stopping = False
+        self._active = self._stopping = self._preparing = False
         self._shown_s = -math.inf
         self._configured = PlannerParameters(self)
         self._continuation = read_continuation(self)
@@ -80,7 +81,8 @@ class Planner(CellNode, LifecycleNode):
 
     def _judge_goal(self, _goal: Calibrate.Goal) -> GoalResponse:
         """Refuse a goal while another runs; the heartbeat tells the reason to the client."""
-        if self._active and not self._stopping and self._run is None:
+        free = self._run is None and not self._preparing
+        if self._active and not self._stopping and free:
             return GoalResponse.ACCEPT
         self.get_logger().warning(f"goal refused: the planner is {self._report()[0]}")
         return GoalResponse.REJECT
@@ -96,7 +98,7 @@ class Planner(CellNode, LifecycleNode):
 
     async def _execute(self, handle: ServerGoalHandle) -> Codes:
         try:
-            goal = self._prepare(handle)
+            goal = await self._prepared(handle)
         except RotcalError as error:
             handle.abort()
             return Codes(error_code=Codes.BAD_CONFIGURATION, error_msg=str(error))
@@ -110,6 +112,17 @@ class Planner(CellNode, LifecycleNode):
             self._run = None
         self._end(handle, outcome, goal.verdict_line)
         return outcome
+
+    async def _prepared(self, handle: ServerGoalHandle) -> GoalRun:
+        """Return :meth:`_prepare`, which may plan for seconds; the node goes on meanwhile."""
+        self._preparing = True
+        with ThreadPoolExecutor(max_workers=1) as aside:
+            try:
+                found = aside.submit(self._prepare, handle)
+                await until(found.done, math.inf)
+                return found.result()
+            finally:
+                self._preparing = False
 
     def _prepare(self, handle: ServerGoalHandle) -> GoalRun:
         """Return the run of a goal; ConfigurationError or PlanError when it is impossible."""
@@ -169,10 +182,11 @@ class Planner(CellNode, LifecycleNode):
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         if self._run is None:
-            return "ready" if self._active else "inactive", {}
+            waiting = "preparing" if self._preparing else "ready"
+            return waiting if self._active else "inactive", {}
         progress = self._run.watch.progress
         return (
-            f"calibrating: step {progress.step} of {progress.total}, {progress.activity}",
+            f"{CALIBRATING}: step {progress.step} of {progress.total}, {progress.activity}",
             {"accepted": len(progress.accepted), "rejected": progress.rejected},
         )
 

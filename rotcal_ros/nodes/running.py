@@ -25,14 +25,17 @@ STOP_TIMEOUT_S: Final = 20.0
 _TURN_S: Final = 0.2
 
 
-def run(make: Callable[[], CellNode]) -> NoReturn:
-    """Make a node and spin it until it has to end; leave with the exit code of the process."""
-    leave_with(lambda: _spin(make))
+def run(make: Callable[[], CellNode], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
+    """Make a node and spin it until it has to end; leave with the exit code of the process.
+
+    ``default_range`` is how far it is heard where the user has not settled that.
+    """
+    leave_with(lambda: _spin(make), default_range)
 
 
-def leave_with(work: Callable[[], None]) -> NoReturn:
+def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE) -> NoReturn:
     """Do the work of a process and leave; an error of rotcal is one line and its exit code."""
-    use_middleware()
+    use_middleware(default_range)
     try:
         work()
     except RotcalError as error:
@@ -41,10 +44,10 @@ def leave_with(work: Callable[[], None]) -> NoReturn:
     sys.exit(0)
 
 
-def use_middleware() -> None:
+def use_middleware(default_range: str = ROS_DEFAULT_RANGE) -> None:
     """Let this process use the transport of the nodes; what the user has set stays."""
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
-    os.environ |= middleware(os.environ, ROS_DEFAULT_RANGE)
+    os.environ |= middleware(os.environ, default_range)
 
 
 class EndRequest:

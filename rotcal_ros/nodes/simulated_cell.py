@@ -5,14 +5,16 @@ from __future__ import annotations
 import time
 from typing import Any, Final
 
-from rotcal_msgs.msg import ProbePoint, TracerLength
+from rotcal_msgs.msg import ProbePoint, TableInForce, TracerLength
 from sensor_msgs.msg import JointState, Temperature
 
 from rotcal_ros import messages
+from rotcal_ros.bags import names
 from rotcal_ros.catalogue.method import DEFAULT, find_method
+from rotcal_ros.in_force import NONE, UNKNOWN
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.qos import EVENT, STREAM
+from rotcal_ros.nodes.qos import EVENT, LATCHED, STREAM
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Command
 from rotcal_ros.planning.cell_settings import CellSettings
@@ -22,6 +24,7 @@ PERIOD_S: Final = 0.005
 LONGEST_TURN_S: Final = 0.02
 """Wall time made up for in one turn at most, so that a stall never becomes a burst."""
 UNASKED_PERIOD_S: Final = 0.5
+ANNOUNCING_PERIOD_S: Final = 0.5
 
 
 class SimulatedCellNode(CellNode):
@@ -31,7 +34,9 @@ class SimulatedCellNode(CellNode):
         super().__init__("simulated_cell")
         method = find_method(self.declare_parameter("method", DEFAULT).value)
         settings = self.settings("simulation", method.simulation_settings)
-        self._joint = self.settings("cell", CellSettings).joint or "table"
+        cell = self.settings("cell", CellSettings)
+        self._settings, self._axis = settings, cell.axis
+        self._joint = cell.joint or "table"
         self._scale = settings.time_scale
         self._cell = SimulatedCell(settings, self.now_ns())
         self._turned_s = time.monotonic()
@@ -44,6 +49,12 @@ class SimulatedCellNode(CellNode):
         else:
             self._table = self.create_publisher(JointState, "joint_states", STREAM)
             self.every(PERIOD_S, self._turn)
+        controlled = self.given.get("bridge", {}).get("controller_folder")
+        if not settings.table.external and not controlled:
+            self._table_in_force = self.create_publisher(
+                TableInForce, names.TABLE_IN_FORCE, LATCHED
+            )
+            self.every(ANNOUNCING_PERIOD_S, self._announce)
         self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
         self._temperature = self.create_publisher(Temperature, "temperature", EVENT)
         self.take_orders(self._obey)
@@ -78,6 +89,13 @@ class SimulatedCellNode(CellNode):
             self._temperature.publish(conversions.temperature_message(temperature))
         for tracer in output.tracer:
             self._tracer.publish(conversions.tracer_message(tracer))
+
+    def _announce(self) -> None:
+        """Say whether our control holds a table; which one it is only the configuration knows."""
+        empty = not self._settings.table.compensation.angles_deg
+        self._table_in_force.publish(
+            conversions.in_force_message(self._axis, NONE if empty else UNKNOWN, self.now_ns())
+        )
 
     def _tell_position(self) -> None:
         """Tell the probe's position unasked, so that a preflight hears the machine."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from rotcal_msgs.msg import CalibrationPlan, DeviationArray
+from rotcal_msgs.msg import CalibrationPlan, DeviationArray, TableInForce
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
@@ -18,7 +18,7 @@ from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
-from rotcal_ros.nodes.health import SOLVING
+from rotcal_ros.nodes.health import LOADING, SOLVING
 from rotcal_ros.nodes.plans import calibration_of, read_continuation, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run
@@ -40,6 +40,7 @@ class SolverNode(CellNode):
         self._run = ""
         self._state = "waiting for a plan"
         self._observations: dict[RunStep, Observation] = {}
+        self._in_force: list[str] = []
         self._run_number = 0
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
         self._solving: Future[Result] | None = None
@@ -47,6 +48,7 @@ class SolverNode(CellNode):
         self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
         self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
+        self.listen(TableInForce, names.TABLE_IN_FORCE, self._note_in_force, LATCHED)
         self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
         self.create_service(FinishCalibration, "finish_calibration", self._finish)
         self.every(period, self._preliminary)
@@ -59,6 +61,8 @@ class SolverNode(CellNode):
         """Start afresh; a run that continues the same plan keeps the steps before its start."""
         old = self._calibration
         self._calibration, self._run = None, ""
+        self._state = LOADING
+        self.health.beat()
         try:
             self._calibration = calibration_of(message)
         except RotcalError as error:
@@ -72,9 +76,15 @@ class SolverNode(CellNode):
             kept = {(o.run, o.step): o for o in known.observations}
             self._run_number = known.run
         self._observations = kept
+        if not kept:
+            self._in_force = self._in_force[-1:]  # what was in force before is of no concern
         self._solved_count = 0
         self._run = run_name(message)
         self._state = f"collecting for {message.method}"
+
+    def _note_in_force(self, message: TableInForce) -> None:
+        if self._in_force[-1:] != [message.in_force]:
+            self._in_force.append(message.in_force)
 
     def _take(self, message: ObservationMsg) -> None:
         if self._calibration is not None and message.accepted:
@@ -94,7 +104,8 @@ class SolverNode(CellNode):
             )
 
     def _begin(self, calibration: Calibration) -> Future[Result]:
-        return self._worker.submit(calibration.solve, tuple(self._observations.values()))
+        observations, in_force = tuple(self._observations.values()), tuple(self._in_force)
+        return self._worker.submit(calibration.solve, observations, in_force)
 
     def _show_preliminary(self, future: Future[Result], run: str) -> None:
         self._solving = None

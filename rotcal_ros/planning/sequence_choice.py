@@ -22,13 +22,24 @@ from rotcal_ros.planning.sequence_forecast import Forecast
 from rotcal_ros.planning.sequence_time import duration
 from rotcal_ros.protection import TOLERABLE
 
+Blocks = Callable[[Ints], Ints]
+
+CLOSED: Final = "closed"
 MOST_SWEEPS: Final = 4
 DRAWS: Final = 8
 """Ways of sharing the lengths among the sweeps of which the best protected one is kept."""
 KICKS: Final = 20
 """Of the quickest order; sweeps leave the heuristic little to choose."""
+AGAIN: Final = 1e4
+"""Time (s), longer than any way, of measuring a pair again without having left it."""
 MOST_KICKED: Final = 200
-"""Lengths beyond which the quickest order is improved once only."""
+"""Lengths beyond which the quickest order is improved once only, and shares are left as drawn."""
+TRADES: Final = 150
+"""Times that two lengths of a position trade sweeps, to show more of a drift or knock."""
+HOPELESS: Final = 2.5
+"""Times the limit from which trading would be in vain."""
+SAFE: Final = 0.95
+"""Share of the limit at which trading ends: the ways within a sweep are shortened afterwards."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,26 +63,42 @@ def measuring_orders(
     costs: Floats,
     forecast: Callable[[Ints], Forecast] | None = None,
     *,
+    limit: float = TOLERABLE,
     seed: int = 0,
-    most_sweeps: int = MOST_SWEEPS,
 ) -> tuple[MeasuringOrder, ...]:
     """Return the orders that compete, the quickest first.
 
     ``position`` (k,), ``target`` (k,): what each length measures; ``costs`` (k, k) see
-    :meth:`~.sequence_time.TimeModel.costs`. Without ``forecast`` nothing is said of drift.
+    :meth:`~.sequence_time.TimeModel.costs`. Without ``forecast`` nothing is said of drift; with it
+    sweeps share the lengths so that neither drift nor knock exceeds ``limit`` (std). A pair that
+    is measured several times is left and approached anew each time.
+
+    Raises PlanError when nothing else could be measured between.
     """
-    if len({*zip(position.tolist(), target.tolist(), strict=True)}) < len(position):
-        raise PlanError("a pair of table position and target is listed twice")
+    same = (position == position[:, None]) & (target == target[:, None])
+    np.fill_diagonal(same, val=False)
+    costs = costs + AGAIN * same
     rng, bound = np.random.default_rng(seed), shortest_possible(costs)
     kicks = KICKS if len(position) <= MOST_KICKED else 0
     quickest = improved(costs, nearest_next(costs), kicks, seed)
     found = [_judged("quickest", quickest, costs, bound, forecast)]
-    for name, draws in _shares(position, most_sweeps, rng):
-        drawn = [_judged(name, _listed(block), costs, bound, forecast) for block in draws]
-        best = min(range(len(drawn)), key=lambda number: _badness(drawn[number]))
-        bound_costs = in_sweeps(costs, draws[best])
-        order = improved(bound_costs, _start(bound_costs, draws[best]))
+    for name, sweeps, blocks in _kinds(position):
+        draws = [blocks(share) for share in _drawn(position, sweeps, rng)]
+        judged = [_judged(name, _listed(block), costs, bound, forecast) for block in draws]
+        block = draws[min(range(DRAWS), key=lambda number: _badness(judged[number]))]
+        trade = None if name == CLOSED or len(position) > MOST_KICKED else forecast
+        sweeps_at = np.sort(block)
+        block[_traded(_listed(block), position, sweeps_at, trade, SAFE * limit, rng)] = sweeps_at
+        swept = in_sweeps(costs, block)
+        order = improved(swept, _start(swept, block))
+        order = _traded(order, position, sweeps_at, trade, limit, rng)
         found.append(_judged(name, order, costs, bound, forecast))
+    found = [way for way in found if not same[way.order[:-1], way.order[1:]].any()]
+    if not found:
+        raise PlanError(
+            "a pair is measured again with no other length to come between: nothing would "
+            "approach it anew; list further pairs"
+        )
     return tuple(sorted(found, key=lambda way: way.seconds))
 
 
@@ -80,10 +107,9 @@ def best_order(ways: tuple[MeasuringOrder, ...], limit: float = TOLERABLE) -> Me
 
     Raises PlanError, with the best that there is, when none does.
     """
-    for way in sorted(ways, key=lambda way: way.seconds):
-        if _worst(way) <= limit:
-            return way
-    best = min(ways, key=_worst)
+    best = least_hidden(ways, limit)
+    if _worst(best) <= limit:
+        return best
     raise PlanError(
         f"no order of these lengths shows every drift and knock before it causes {limit:g} "
         f"standard uncertainties; the best ({best.name}) leaves {_worst(best):.2g}: measure more "
@@ -91,19 +117,56 @@ def best_order(ways: tuple[MeasuringOrder, ...], limit: float = TOLERABLE) -> Me
     )
 
 
-def _shares(
-    position: Ints, most_sweeps: int, rng: np.random.Generator
-) -> Iterator[tuple[str, list[Ints]]]:
-    """Yield names and draws: the block (k,) of each length, in the order of the blocks."""
+def least_hidden(ways: tuple[MeasuringOrder, ...], limit: float = TOLERABLE) -> MeasuringOrder:
+    """Return the quickest order that stays within ``limit``, else the one that hides least."""
+    return min(ways, key=lambda way: (max(_worst(way), limit), way.seconds))
+
+
+def _kinds(position: Ints) -> Iterator[tuple[str, int, Blocks]]:
+    """Yield name, number of shares, and how the shares (k,) become blocks (k,) in their order."""
     m = int(position.max()) + 1
     first = np.where(position == position.min(), 0, position)
-    yield "closed", [np.where(late & (first == 0), m, first) for late in _drawn(position, 2, rng)]
-    for sweeps in range(2, most_sweeps + 1):
-        draws = []
-        for share in _drawn(position, sweeps, rng):
-            back = share % 2 == 1
-            draws.append(share * m + np.where(back, m - 1 - position, position))
-        yield f"{sweeps} sweeps", [_dense(block) for block in draws]
+
+    def closed(share: Ints) -> Ints:
+        return np.where((share == 1) & (first == 0), m, first)
+
+    def swept(share: Ints) -> Ints:
+        back = share % 2 == 1
+        return _dense(share * m + np.where(back, m - 1 - position, position))
+
+    yield CLOSED, 2, closed
+    for sweeps in range(2, MOST_SWEEPS + 1):
+        yield f"{sweeps} sweeps", sweeps, swept
+
+
+def _traded(
+    order: Ints,
+    position: Ints,
+    block: Ints,
+    forecast: Callable[[Ints], Forecast] | None,
+    limit: float,
+    rng: np.random.Generator,
+) -> Ints:
+    """Return a better ``order`` (k,): lengths of one position trade places while that helps.
+
+    ``block`` (k,) of each place in the order: only places in different ones are traded.
+    """
+    if forecast is None:
+        return order
+    least = forecast(order).worst
+    for _ in range(TRADES):
+        if not limit < least < HOPELESS * limit:
+            break
+        place, at = int(rng.integers(len(order))), position[order]
+        others = np.flatnonzero((at == at[place]) & (block != block[place]))
+        if not len(others):
+            continue
+        other = int(rng.choice(others))
+        changed = order.copy()
+        changed[[place, other]] = order[[other, place]]
+        if (found := forecast(changed).worst) < least:
+            order, least = changed, found
+    return order
 
 
 def _drawn(position: Ints, shares: int, rng: np.random.Generator) -> Iterator[Ints]:
@@ -146,7 +209,7 @@ def _judged(
 
 
 def _worst(way: MeasuringOrder) -> float:
-    return 0.0 if way.forecast is None else max(way.forecast.drift, way.forecast.knock)
+    return 0.0 if way.forecast is None else way.forecast.worst
 
 
 def _badness(way: MeasuringOrder) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Ints
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.protections import protections
+from rotcal_ros.methods.tracer.protections import of_the_order
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 from rotcal_ros.protection import TOLERABLE
 
@@ -27,9 +27,14 @@ class Forecast:
     knock: float
 
     @property
+    def worst(self) -> float:
+        """The larger one of both."""
+        return max(self.drift, self.knock)
+
+    @property
     def protected(self) -> bool:
         """Whether both are small enough not to be named in a verdict."""
-        return max(self.drift, self.knock) <= TOLERABLE
+        return self.worst <= TOLERABLE
 
     def to_dict(self) -> dict[str, float | None]:
         """Return the forecast as plain data, None where nothing bounds an error."""
@@ -50,14 +55,19 @@ class OrderForecast:
 
     def __call__(self, order: Ints) -> Forecast:
         """Return the forecast for ``order`` (k,): rows of the problem as they are measured."""
-        rank = np.empty(len(order), dtype=np.int64)
-        rank[order] = np.arange(len(order))
-        solution = replace(self._solution, problem=replace(self._solution.problem, order=rank))
-        error = {
-            effect.effect: _unseen(effect.treatment, effect.error)
-            for effect in protections(solution)
-        }
-        return Forecast(drift=error["drift"], knock=error["knock"])
+        problem = replace(self._solution.problem, order=ranks(order))
+        solution = replace(self._solution, problem=problem)
+        drift, knock = (
+            _unseen(effect.treatment, effect.error) for effect in of_the_order(solution)
+        )
+        return Forecast(drift=drift, knock=knock)
+
+
+def ranks(order: Ints) -> Ints:
+    """Return when each row (k,) is measured in an ``order`` (k,) of rows."""
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return rank
 
 
 def _unseen(treatment: str, error: float | None) -> float:

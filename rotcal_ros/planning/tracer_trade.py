@@ -9,62 +9,25 @@ Beside it stands what no plan can beat, whatever it measures from where.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.arrays import Bools, Ints
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.planning.sequence_time import TimeModel
+from rotcal_ros.planning.tracer_design.candidates import candidates, scene_of
+from rotcal_ros.planning.tracer_design.checks import Checks, checks_of
+from rotcal_ros.planning.tracer_design.design import ARCSEC, demands_of, segments_of
 from rotcal_ros.planning.tracer_design.information import Information
-from rotcal_ros.planning.tracer_design.scene import Lengths, Scene, on_table
-from rotcal_ros.units import DEGREE
+from rotcal_ros.planning.tracer_design.optimum import ideal_plan
+from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
+from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 
-LEAST_REDUNDANCY: Final = 0.25
 MOST_TARGETS: Final = 64
 TRIED: Final = 8
 """Targets that are tried exactly before the best is taken."""
-DETECTABLE: Final = 4.3 + 0.84
-"""Standard deviations: limit of the test of 704 lengths, and what 80 % probability adds."""
-ROUNDS: Final = 40
-"""Of the multiplicative algorithm (Silvey, Titterington and Torsney 1978) for the bound."""
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """Where the tracer turns and the reflector may go: m and rad, in the frame of the table.
-
-    ``height`` of the tracer's centre, ``low`` and ``high`` corners of the volume, ``spacing`` of
-    the grid of possible targets: closer ones would share the machine's error. A beam is at least
-    ``elevation`` above the horizontal and ``nearest`` long.
-    """
-
-    table_angles: tuple[float, ...]
-    height: float = 0.1225
-    low: tuple[float, float, float] = (-0.6, -0.5, 0.17)
-    high: tuple[float, float, float] = (0.6, 0.5, 1.02)
-    spacing: float = 0.17
-    elevation: float = 10.0 * DEGREE
-    nearest: float = 0.25
-
-    def targets(self) -> Floats:
-        """Return the possible places of the reflector (n, 3)."""
-        axes = [
-            np.linspace(low, high, int(np.floor((high - low) / self.spacing + 1e-9)) + 1)
-            for low, high in zip(self.low, self.high, strict=True)
-        ]
-        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-
-    def candidates(self, scene: Scene, zero_per_station: bool) -> Lengths:
-        """Return all pairs of a position and a target that it can measure."""
-        m, n = len(scene.stations), len(scene.targets)
-        position, target = np.divmod(np.arange(m * n), n)
-        apart = scene.targets[target] - scene.stations[position]
-        distance = np.linalg.norm(apart, axis=1)
-        seen = (distance >= self.nearest) & (apart[:, 2] >= np.sin(self.elevation) * distance)
-        position, target = position[seen], target[seen]
-        return Lengths.of(position, target, position if zero_per_station else 0)
 
 
 @dataclass(frozen=True)
@@ -87,113 +50,81 @@ class Trade:
 
 
 def trade(
-    surroundings: Surroundings,
-    limit: float,
+    settings: TracerDesignSettings,
     radii: Sequence[float],
     sigmas: Sequence[float],
     *,
-    target_std: float,
-    error_motion_std: float = 0.0,
-    zero_per_station: bool = False,
     time: TimeModel,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Trade, ...]:
-    """Return what U(ECC) <= ``limit`` (rad) takes for each radius and noise (m, k = 1).
+    """Return what the goal of ``settings`` takes for each radius (m) and noise (m, k = 1).
 
-    ``target_std`` (m) of each coordinate of the machine, ``error_motion_std`` (m) of the table;
-    ``progress(done, total)`` is called after each.
+    They stand for those of ``settings``; ``progress(done, total)`` is called after each.
     """
-    rows = []
+    rows: list[Trade] = []
     for radius in radii:
         for sigma in sigmas:
-            angles = np.array(surroundings.table_angles)
-            scene = Scene(
-                stations=on_table((radius, 0.0, surroundings.height), angles),
-                table_angles=angles,
-                targets=surroundings.targets(),
-                target_std=np.array(target_std),
-                length_std=sigma,
-                error_motion_std=error_motion_std,
-            )
-            candidates = surroundings.candidates(scene, zero_per_station)
-            segments = len(angles) if zero_per_station else 1
-            rows.append(_traded(scene, candidates, segments, limit, radius, time))
+            mount = (radius, 0.0, settings.mount_m[2])
+            rows.append(_traded(replace(settings, mount_m=mount, length_std_m=sigma), time))
             if progress is not None:
                 progress(len(rows), len(radii) * len(sigmas))
     return tuple(rows)
 
 
-def _traded(
-    scene: Scene, candidates: Lengths, segments: int, limit: float, radius: float, time: TimeModel
-) -> Trade:
-    every = Information(scene, candidates, segments)
-    motion = float(every.variances().mean()) - every.mean_variance
-    goal = (limit / COVERAGE_FACTOR) ** 2 - motion
-    if every.mean_variance > goal:
-        return Trade(radius, scene.length_std, _expanded(every))
-    plan = _enough(scene, candidates, segments, goal, limit)
+def _traded(settings: TracerDesignSettings, time: TimeModel) -> Trade:
+    scene = scene_of(settings)
+    pairs, segments = candidates(scene, settings), segments_of(scene, settings)
+    wanted = demands_of(scene, settings)
+    every = Information(scene, pairs, segments)
+    # what the error motion adds is left to no length
+    goal = wanted.mean - (float(every.variances().mean()) - every.mean_variance)
+    radius = settings.mount_m[0]
+    plan = None
+    if every.mean_variance <= goal:
+        plan = _enough(scene, pairs, segments, goal, settings)
     if plan is None:
         return Trade(radius, scene.length_std, _expanded(every))
-    position = plan.lengths.position
-    turns = time.turns(scene.table_angles)
-    order = np.unique(position)
-    # closed: all positions once round, and the first again
-    turning = float(turns[order[:-1], order[1:]].sum() + turns[order[-1], order[0]])
     return Trade(
         radius=radius,
         sigma=scene.length_std,
         expanded=_expanded(plan),
         lengths=len(plan.lengths),
         targets=len(np.unique(plan.lengths.target)),
-        bound=lengths_bound(plan, candidates, goal),
-        redundancy=float(_redundancy(plan).min()),
-        seconds=turning + len(plan.lengths) * (time.dwell + time.report),
+        bound=ideal_plan(scene, pairs, segments, goal).bound,
+        redundancy=float(_checks(plan, settings).redundancy.min()),
+        seconds=_seconds(scene, plan.lengths.position, time),
     )
 
 
-def lengths_bound(plan: Information, candidates: Lengths, goal: float) -> float:
-    """Return the number of lengths below which no plan has a mean variance of ``goal`` (rad^2).
-
-    phi is convex in the weights w of the candidates: with d = -dphi/dw at any w0, phi(w) >=
-    phi(w0) + sum w0 d - sum w d >= phi(w0) + sum w0 d - N max d. The best w0 on the way of the
-    multiplicative algorithm from ``plan`` is taken.
-    """
-    total, best = float(len(plan.lengths)), 0.0
-    weight = np.full(len(candidates), total / len(candidates))
-    for _ in range(ROUNDS):
-        design = Information(plan.scene, candidates.weighing(weight), plan.segments)
-        slopes = design.slopes(candidates)
-        gained = float(weight @ slopes)
-        best = max(best, (design.mean_variance + gained - goal) / float(slopes.max()))
-        weight = weight * np.sqrt(slopes)
-        # an inverse variance grows with the lengths: scaled to just reach the goal
-        total = max(total * design.mean_variance / goal, 1.0)
-        weight *= total / weight.sum()
-    return best
+def _seconds(scene: Scene, position: Ints, time: TimeModel) -> float:
+    """Return how long it takes (s), closed: all positions once round, and the first again."""
+    turns, order = time.turns(scene.table_angles), np.unique(position)
+    turning = float(turns[order[:-1], order[1:]].sum() + turns[order[-1], order[0]])
+    return turning + len(position) * (time.dwell + time.report)
 
 
 def _enough(
-    scene: Scene, candidates: Lengths, segments: int, goal: float, limit: float
+    scene: Scene, pairs: Lengths, segments: int, goal: float, settings: TracerDesignSettings
 ) -> Information | None:
     """Return the fewest targets, each from all positions, that reach the ``goal`` and are checked.
 
     None where MOST_TARGETS are not enough. The target with the largest gain comes next; then each
     is exchanged for a better one.
     """
-    everywhere = np.bincount(candidates.target) == len(scene.stations)
+    everywhere = np.bincount(pairs.target) == len(scene.stations)
     chosen: list[int] = []
-    plan = Information(scene, candidates[[]], segments)
+    plan = Information(scene, pairs[[]], segments)
     while len(chosen) < min(MOST_TARGETS, int(everywhere.sum())):
-        chosen.append(_next_target(plan, candidates, everywhere, chosen))
-        plan = Information(scene, candidates[np.isin(candidates.target, chosen)], segments)
+        chosen.append(_next_target(plan, pairs, everywhere, chosen))
+        plan = Information(scene, pairs[np.isin(pairs.target, chosen)], segments)
         for number in range(len(chosen)):
             rest = plan.without(plan.lengths.target == chosen[number])
             others = chosen[:number] + chosen[number + 1 :]
-            better = _next_target(rest, candidates, everywhere, others)
-            trial = rest.with_lengths(candidates[candidates.target == better])
+            better = _next_target(rest, pairs, everywhere, others)
+            trial = rest.with_lengths(pairs[pairs.target == better])
             if trial.mean_variance < plan.mean_variance:
                 chosen[number], plan = better, trial
-        if plan.mean_variance <= goal and _checked(plan, limit):
+        if plan.mean_variance <= goal and _checked(plan, settings):
             return plan
     return None
 
@@ -213,27 +144,16 @@ def _next_target(
     return int(tried[np.argmin(left)])
 
 
-def _checked(plan: Information, limit: float) -> bool:
-    """Whether each length is checked, and none hides an error that moves an angle by ``limit``."""
-    if _redundancy(plan).min() < LEAST_REDUNDANCY:
-        return False
-    return largest_hidden_effect(plan) <= limit
+def _checks(plan: Information, settings: TracerDesignSettings) -> Checks:
+    return checks_of(plan, settings.rejection_significance, settings.power)
 
 
-def largest_hidden_effect(plan: Information) -> float:
-    """Return by how much an error of one length that just stays unseen moves an angle, rad.
-
-    It stays unseen up to DETECTABLE / sqrt(redundancy) standard deviations (Baarda 1968).
-    """
-    beams = plan.beams(plan.lengths)
-    shift = DETECTABLE * np.sqrt(beams.variance / _redundancy(plan))
-    return float((np.abs(beams.angles) * (shift / beams.variance)[:, None]).max())
-
-
-def _redundancy(plan: Information) -> Floats:
-    """Return the redundancy (k,) of the plan's lengths: the share of an error that shows."""
-    beams = plan.beams(plan.lengths)
-    return np.asarray(1.0 - beams.spread / beams.variance, dtype=np.float64)
+def _checked(plan: Information, settings: TracerDesignSettings) -> bool:
+    """Whether each length is checked, and none hides an error as large as the wanted U."""
+    found = _checks(plan, settings)
+    hidden = settings.max_undetected * settings.need_arcsec * ARCSEC
+    enough = found.redundancy.min() >= settings.min_redundancy
+    return bool(enough and np.abs(found.effect).max() <= hidden)
 
 
 def _expanded(plan: Information) -> float:

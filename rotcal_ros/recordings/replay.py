@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +21,9 @@ from rotcal_ros.catalogue.configuration import (
     Configuration,
     parse_configuration,
 )
+from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
 from rotcal_ros.errors import BagError, RotcalError
+from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
@@ -41,7 +43,8 @@ class Recording:
     ``observations`` are those of the chosen source, ``recorded`` those that the live capture
     had published; ``counts`` is what the capture counted per stream (empty when the
     observations were taken from the bag), ``broken`` the messages per topic that could not be
-    decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured.
+    decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
+    ``announced`` which tables the cell announced to be in force.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -59,10 +62,31 @@ class Recording:
     sha256: Mapping[str, str]
     attachments: Mapping[str, bytes]
     choices: tuple[RecordedChoice, ...] = ()
+    announced: frozenset[str] = frozenset()
 
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit."""
-        return self.calibration.solve(self.observations)
+        return self.calibration.solve(self.observations, self.announced)
+
+    def goal_standing(self, result: Result) -> GoalStanding | None:
+        """Return how ``result`` stands to the goal of the policy; None where there is none.
+
+        Raises ConfigurationError or PlanError when the bag's configuration cannot be used.
+        """
+        calibration = self._as_chosen()
+        if calibration is None:
+            return None
+        choices = [recorded.choice for recorded in self.choices]
+        return goal_standing(calibration, result, choices, self.observations)
+
+    def _as_chosen(self) -> catalogue.Calibration | None:
+        """Return the calibration whose policy chose the steps; None where it only listed them."""
+        if not self.choices or names.CONFIGURATION not in self.attachments:
+            return None
+        text = self.attachments[names.CONFIGURATION].decode(errors="replace")
+        if UNTIL_GOAL not in text:
+            return None
+        return catalogue.prepare(parse_configuration(text, "the bag's configuration"))
 
     @property
     def same_as_recorded(self) -> bool:
@@ -88,13 +112,10 @@ class Recording:
 
         It is that of the configuration in the bag, with which the steps were chosen.
         """
-        if not self.choices or names.CONFIGURATION not in self.attachments:
-            return ()
-        text = self.attachments[names.CONFIGURATION].decode(errors="replace")
-        if UNTIL_GOAL not in text:
-            return ()
         try:
-            calibration = catalogue.prepare(parse_configuration(text, "the bag's configuration"))
+            calibration = self._as_chosen()
+            if calibration is None:
+                return ()
             return differences(calibration, self.choices, self.observations)
         except RotcalError as error:
             return (f"the policy cannot be asked again: {error}",)
@@ -107,6 +128,8 @@ class Recording:
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
         texts += self.choices_that_differ()
+        if clash := contradiction(self.calibration.in_force(self.announced)):
+            texts.append(clash)
         return tuple(texts)
 
 
@@ -137,41 +160,62 @@ def read_recording(
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
     )
-    recorded: list[Observation] = []
-    choices: list[RecordedChoice] = []
-    scans: list[Scan] = []
-    decoders: Decoders = {}
-    run = "0"
-    for scan, block in read_blocks(files, progress):
-        if block is None:
-            scans.append(scan)
-            continue
-        before, run = run, scan.metadata.get(names.RUN, {}).get("number", run)
-        if run != before:
-            feeder.begin_run(int(run))
-        parts = topics.split(block, scan.channels, decoders)
-        for part in parts:
-            if part.role == names.OBSERVATION:
-                recorded += (records.observation(m) for _, m in part.messages(block))
-            elif part.role == names.STEP_CHOICE:
-                choices += (RecordedChoice.of(m) for _, m in part.messages(block))
-        if source == "streams":
-            feeder.feed(block, parts)
-    verdicts = tuple(scan.verdict() for scan in scans)
+    found = _read(files, topics, feeder if source == "streams" else None, progress)
+    verdicts = tuple(scan.verdict() for scan in found.scans)
     if not any(verdict.messages for verdict in verdicts):
         raise BagError(f"the bag {path} holds no messages")
     return Recording(
         calibration=calibration,
         source=source,
-        observations=tuple(feeder.observations if source == "streams" else recorded),
-        recorded=tuple(recorded),
+        observations=tuple(feeder.observations if source == "streams" else found.recorded),
+        recorded=tuple(found.recorded),
         verdicts=verdicts,
         counts=feeder.counts if source == "streams" else {},
-        broken={c.topic: d.broken for c, d in decoders.items() if d.broken},
+        broken={c.topic: d.broken for c, d in found.decoders.items() if d.broken},
         sha256={file.name: sha256_of(file) for file in files},
-        attachments={n: a.data for scan in scans for n, a in scan.attachments.items()},
-        choices=tuple(choices),
+        attachments={n: a.data for scan in found.scans for n, a in scan.attachments.items()},
+        choices=tuple(found.choices),
+        announced=frozenset(found.announced),
     )
+
+
+@dataclass
+class _Found:
+    """What the files of a bag hold beside the streams."""
+
+    recorded: list[Observation] = field(default_factory=list)
+    choices: list[RecordedChoice] = field(default_factory=list)
+    announced: set[str] = field(default_factory=set)
+    scans: list[Scan] = field(default_factory=list)
+    decoders: Decoders = field(default_factory=dict)
+
+
+def _read(
+    files: tuple[Path, ...],
+    topics: Topics,
+    feeder: StreamFeeder | None,
+    progress: Progress | None,
+) -> _Found:
+    """Read all files once; the streams go to ``feeder``."""
+    found, run = _Found(), "0"
+    for scan, block in read_blocks(files, progress):
+        if block is None:
+            found.scans.append(scan)
+            continue
+        before, run = run, scan.metadata.get(names.RUN, {}).get("number", run)
+        if feeder is not None and run != before:
+            feeder.begin_run(int(run))
+        parts = topics.split(block, scan.channels, found.decoders)
+        for part in parts:
+            if part.role == names.OBSERVATION:
+                found.recorded += (records.observation(m) for _, m in part.messages(block))
+            elif part.role == names.STEP_CHOICE:
+                found.choices += (RecordedChoice.of(m) for _, m in part.messages(block))
+            elif part.role == names.TABLE_IN_FORCE:
+                found.announced |= {m.in_force for _, m in part.messages(block)}
+        if feeder is not None:
+            feeder.feed(block, parts)
+    return found
 
 
 def find_configuration(files: tuple[Path, ...], topics: Topics) -> Configuration:

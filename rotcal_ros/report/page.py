@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rotcal_ros.catalogue import find_method, method_names
+from rotcal_ros.catalogue.goal import GoalStanding
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
+from rotcal_ros.in_force import in_words
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import harmonics, reliability, trust
+from rotcal_ros.report import goal, harmonics, reliability, trust
 from rotcal_ros.report.iso230 import section as iso230_section
 from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
@@ -24,7 +26,8 @@ class ReportInput:
 
     ``inputs`` pairs the name of every input with its SHA-256, ``versions`` names the software,
     ``truth`` is the injected deviation of a simulation in the form of truth.json, ``extra``
-    holds further sections as (title, HTML) pairs.
+    holds further sections as (title, HTML) pairs, ``goal`` how the goal was reached, where there
+    was one.
     """
 
     result: Result
@@ -37,6 +40,7 @@ class ReportInput:
     truth: Mapping[str, Any] | None = None
     notes: Sequence[str] = ()
     extra: Sequence[tuple[str, str]] = ()
+    goal: GoalStanding | None = None
 
 
 def render_report(report: ReportInput) -> str:
@@ -58,6 +62,7 @@ def render_report(report: ReportInput) -> str:
         rows=_deviation_rows(result),
         summary=_summary(result),
         standing=trust.standing(result),
+        goal=goal.section(report.goal),
         extra=[*(section for section in evaluated if section[1]), *report.extra],
         sections=[(name.replace("_", " "), text) for name, text in details if text],
         attempts=[o for o in report.observations if not o.accepted],
@@ -114,6 +119,7 @@ def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
 def _summary(result: Result) -> list[tuple[str, str]]:
     summary = [
         ("Verdict", result.verdict_line),
+        ("Table in force", in_words(result.measured_on)),
         ("Observations", f"{result.n_observations}, of these {len(result.rejected)} rejected"),
         ("Degrees of freedom", str(result.dof)),
         ("σ₀ (1 = the stated noise fits)", f"{result.sigma0:.3f}"),

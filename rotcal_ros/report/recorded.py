@@ -31,8 +31,9 @@ def write_recorded(
     as (title, HTML).
     """
     configuration = recording.calibration.configuration
+    result = recording.solve()
     report = ReportInput(
-        result=recording.solve(),
+        result=result,
         title="Calibration of a rotary table",
         method_title=recording.calibration.method.title,
         observations=recording.observations,
@@ -42,9 +43,10 @@ def write_recorded(
         truth=truth,
         notes=recording.warnings(),
         extra=extra,
+        goal=recording.goal_standing(result),
     )
     write_atomically(page, render_report(report))
-    return report.result
+    return result
 
 
 def write_result(source: Source, page: Path, truth: Mapping[str, Any] | None = None) -> Result:

@@ -45,6 +45,11 @@ def verification_section(verification: Verification) -> tuple[str, str]:
         f"{verification.expected / ARCSEC:.3f} arcsec were expected to be left: the uncertainty "
         f"of both measurements and {verification.stated / ARCSEC:.3f} arcsec of the table itself."
     )
+    if verification.again is not None:
+        text += (
+            f" What was left was added to the table: measured again, the range is "
+            f"{verification.again.systematic / ARCSEC:.3f} arcsec."
+        )
     head = "<tr><th>arcsec</th><th>before</th><th>after</th></tr>"
     reserves = "".join(f"<p>{escape(line)}</p>" for line in verification.reserves)
     drawing = before_and_after(before, after)

@@ -174,13 +174,20 @@ def describe(feedback: Event) -> str:
     activity = str(feedback["activity"])
     words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
     if feedback.get("goal_rad") is not None:
-        now, goal = feedback["uncertainty_rad"], feedback["goal_rad"] / ARCSEC
-        words.append(f"U {'?' if now is None else f'{now / ARCSEC:.2f}'} of {goal:.2f} arcsec")
+        words.append(_standing(feedback["uncertainty_rad"], feedback["goal_rad"]))
     elif feedback["current_std_rad"] is not None:
         words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
     if feedback["time_left_s"] is not None:
         words.append(f"{feedback['time_left_s']:.0f} s left")
     return ", ".join(words)
+
+
+def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
+    """Return how far a policy is from its goal; at first some station has too few lengths."""
+    goal = f"{goal_rad / ARCSEC:.2f} arcsec"
+    if uncertainty_rad is None:
+        return f"goal U {goal}, known once all stations are placed"
+    return f"U {uncertainty_rad / ARCSEC:.2f} of {goal}"
 
 
 def _fail(session: Session, outcome: Event) -> NoReturn:

@@ -10,11 +10,13 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.compensation.adding import combined
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.errors import BagError, RotcalError
 from rotcal_ros.files import write_atomically
+from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.sources import Source, read_source
 from rotcal_ros.report.terminal.console import say
@@ -52,6 +54,15 @@ def write_products(
         except RotcalError as error:
             say(f"no compensation files: {error}")
     return {name: str(path) for name, path in paths.items()}
+
+
+def goal_line(folder: SessionFolder) -> str:
+    """Return in one line how a session stands to its goal; empty where it had none."""
+    if UNTIL_GOAL not in folder.configuration.read_text(encoding="utf-8"):
+        return ""
+    recording = read_recording(folder.bag, "observations")
+    standing = recording.goal_standing(read_source(folder.result).result)
+    return "" if standing is None else standing.in_words()
 
 
 def write_truth(session: Session) -> None:
@@ -120,4 +131,5 @@ def _write_compensation(session: Session) -> None:
     """Write controller files where the result allows it."""
     source = read_source(session.folder.result)
     table = table_from_result(source.result, axis=session.configuration.cell.axis)
+    table = combined(table, lambda: None)
     write_exports(export_files(source, table, FORMATS), session.folder.compensation)

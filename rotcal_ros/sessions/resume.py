@@ -14,6 +14,7 @@ from rotcal_ros.catalogue.continuation import Continuation, continued
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.files import FolderLock, write_atomically
 from rotcal_ros.observations import Observation
+from rotcal_ros.planning.policy.names import AS_LISTED
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.session_folder import SessionFolder
@@ -105,7 +106,12 @@ def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
 
 
 def _say_what_is_left(calibration: Calibration, continuation: Continuation) -> None:
+    """Say how far the plan is; with a goal only the policy knows how many steps it will take."""
     total, missing = len(calibration.plan.steps), len(continuation.steps)
     missing -= len(continuation.again)
     again = f"; {len(continuation.again)} done steps are measured again" * bool(continuation.again)
-    say(f"run {continuation.run}: {missing} of {total} steps are left{again}")
+    left = f"{missing} of {total} steps are left"
+    if calibration.configuration.planner.policy != AS_LISTED:
+        done = len({o.step for o in continuation.observations})
+        left = f"{done} steps are done, and the policy chooses on among the {total} offered"
+    say(f"run {continuation.run}: {left}{again}")

@@ -13,12 +13,15 @@ import numpy as np
 
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.compensation import plain_csv
+from rotcal_ros.compensation.adding import combined
 from rotcal_ros.compensation.export import ExportFiles
+from rotcal_ros.compensation.held import held_table, in_force_of
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
 from rotcal_ros.evaluation.verification import Verification, positioning
 from rotcal_ros.files import write_atomically
+from rotcal_ros.in_force import NONE
 from rotcal_ros.recordings.sources import Source, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.results import Result
@@ -56,13 +59,16 @@ def verify(
     files: Path | None = None,
     accept_unverified: bool = False,
     report_of: Path | None = None,
+    again: bool = False,
 ) -> tuple[Verification, tuple[str, ...]] | None:
     """Return the outcome and the controllers that got files; None when the user ended it.
 
     ``folder`` gets ``before``, ``after`` and verification.json. ``changes`` hold for both
     measurements, ``check`` for the second one. Files with rows every ``spacing`` rad are written
     for CONTROLLERS and ``controllers`` into ``files`` (``folder``/compensation), as they would be
-    with ``accept_unverified``. ``report_of`` is an earlier run whose report will tell the outcome.
+    with ``accept_unverified``. ``again`` adds what the second measurement leaves to the table in
+    force and measures a third time, into ``again``. ``report_of`` is an earlier run whose report
+    will tell the outcome.
     Raises ConfigurationError before anything is measured, DataError for a result that is not ok.
     """
     wanted = _Wanted(spacing, controllers, files or folder / "compensation", accept_unverified)
@@ -75,14 +81,22 @@ def verify(
         return None
     exports = wanted.files(before.source, before.session.configuration.cell.axis)
     write_exports(exports, wanted.folder)
-    applied = _applied(exports[APPLIED])
-    after = _measure(configuration, folder / "after", (*changes, *check, *applied))
+    first = exports[APPLIED]
+    after = _measure(configuration, folder / "after", (*changes, *check, *_applied(first)))
     if after is None:
         return None
+    third = None
+    if again:
+        further = wanted.added(after.source, after.session.configuration.cell.axis, first)
+        write_exports({APPLIED: further}, folder / "compensation_added")
+        third = _measure(configuration, folder / "again", (*changes, *check, *_applied(further)))
+        if third is None:
+            return None
     verification = Verification(
         before=positioning(before.source.result),
         after=positioning(after.source.result),
-        stated=exports[APPLIED].residual.stated,
+        again=None if third is None else positioning(third.source.result),
+        stated=first.residual.stated,
         iso={"before": _true_figures(before), "after": _true_figures(after)},
         verdict_lines={
             "before": before.source.result.verdict_line,
@@ -105,7 +119,7 @@ class _Wanted:
 
     def files(self, source: Source, axis: str) -> dict[str, ExportFiles]:
         """Return the files of all controllers for ``source``, by controller."""
-        table = table_from_result(source.result, axis=axis)
+        table = combined(table_from_result(source.result, axis=axis), lambda: None)
         # An arc is nothing for a control that repeats its table every turn.
         names = (*(n for n in CONTROLLERS if table.closed or n != "sinumerik"), *self.controllers)
         return export_files(
@@ -115,6 +129,12 @@ class _Wanted:
             self.spacing,
             accept_unverified=self.accept_unverified,
         )
+
+    def added(self, source: Source, axis: str, first: ExportFiles) -> ExportFiles:
+        """Return the file of the control, with what ``source`` found added to ``first``."""
+        held = held_table(plain_csv.PlainCsv(), first.files)
+        table = combined(table_from_result(source.result, axis=axis), lambda: held)
+        return export_files(source, table, [APPLIED], self.spacing)[APPLIED]
 
 
 def _check(
@@ -152,7 +172,9 @@ def _rehearse(wanted: _Wanted, calibration: Calibration, folder: Path) -> None:
     angles = np.unique(calibration.plan.table_angles)
     nothing = {"ECC": np.zeros(len(angles))}
     covariance = {"ECC": np.zeros((len(angles), len(angles)))}
-    perfect = Result(calibration.plan.method, angles, nothing, nothing, covariance, 1.0, 0, 0)
+    perfect = Result(
+        calibration.plan.method, angles, nothing, nothing, covariance, 1.0, 0, 0, measured_on=NONE
+    )
     exports = wanted.files(Source(perfect, {}), calibration.configuration.cell.axis)
     target = wanted.folder.absolute()
     if folder / "after" in (target, *target.parents):
@@ -191,7 +213,8 @@ def _applied(export: ExportFiles) -> list[str]:
         "forward_arcsec": rows.forward_arcsec,
         "reverse_arcsec": rows.reverse_arcsec,
     }
-    return [
+    in_force = f"cell.table_in_force={in_force_of(export.files)}"
+    return [in_force] + [
         f"simulation.table.compensation.{name}=[{', '.join(f'{x:.9f}' for x in column)}]"
         for name, column in columns.items()
     ]

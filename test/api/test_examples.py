@@ -23,6 +23,11 @@ KEY_FIGURES = {
     "08_plan_a_ball_plate": (r"solver / prediction: (\S+)", 0.999999, 1.000001),
     "09_table_for_my_controller": (r"left: (\S+) arcsec", 0.0, 0.3),
     "10_own_solver_on_raw_streams": (r"against the truth: (\S+) arcsec", 0.0, 0.25),
+    "12_six_deviations_from_lengths": (
+        r"rms error / stated standard uncertainty: (\S+)",
+        0.5,
+        1.5,
+    ),
 }
 """Example -> its key figure, with the bounds that truth and uncertainty set."""
 WITH_ROS = {"11_calibrate_from_a_script"}

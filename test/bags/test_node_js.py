@@ -1,42 +1,26 @@
 """Our bags as Foxglove reads them: @mcap/core and @foxglove/rosmsg2-serialization."""
 
-import hashlib
 import json
-import os
-import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 from bag_samples import simulate, write_run
+from node_packages import installed
 
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
 
 HERE = Path(__file__).parent / "node"
-REQUIRED = bool(os.environ.get("ROTCAL_REQUIRE_NODE"))
 
 
 @pytest.fixture(scope="module")
 def reader():
-    """Return a function that reads a bag on Node.js; its packages get a folder of their own."""
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        if REQUIRED:
-            pytest.fail("Node.js is required here (ROTCAL_REQUIRE_NODE): install nodejs and npm")
-        pytest.skip("Node.js is not installed: apt install nodejs npm")
-    package = (HERE / "package.json").read_bytes()
-    name = f"rotcal_node_{hashlib.sha256(package).hexdigest()[:12]}"
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / name
-    if not (cache / "installed").exists():
-        cache.mkdir(parents=True, exist_ok=True)
-        shutil.copy(HERE / "package.json", cache)
-        command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts"]
-        subprocess.run(command, cwd=cache, check=True, timeout=300, capture_output=True)
-        (cache / "installed").touch()
-    shutil.copy(HERE / "read_bag.mjs", cache)
+    """Return a function that reads a bag on Node.js."""
+    program = installed(HERE / "read_bag.mjs")
 
     def read(path):
-        command = ["node", str(cache / "read_bag.mjs"), str(path)]
+        command = ["node", str(program), str(path)]
         lines = subprocess.run(command, check=True, timeout=120, capture_output=True, text=True)
         found = {}
         for line in lines.stdout.splitlines():

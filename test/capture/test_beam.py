@@ -8,14 +8,14 @@ from rotcal_ros.capture.beam import Beam
 MS = 1_000_000
 
 
-def follow(cuts, sequence=None, length=None, broken=(), unusable=(), stamps=None):
+def follow(cuts, sequence=None, length=None, broken=(), unusable=(), stamps=None, fastest=10.0):
     """100 readings of 1 kHz, taken in pieces that end at ``cuts``."""
     stamps = MS * np.arange(100) if stamps is None else stamps
     sequence = np.arange(100.0) if sequence is None else sequence
     length = np.full(100, 0.5) if length is None else length
     dark = np.isin(np.arange(100), broken)
     usable = ~dark & ~np.isin(np.arange(100), unusable)
-    beam = Beam(silence_s=0.02, fastest=10.0)
+    beam = Beam(silence_s=0.02, fastest=fastest)
     for part in np.split(np.arange(100), cuts):
         beam.follow(stamps[part], sequence[part], length[part], usable[part], dark[part])
     return [beam.segment(-1, stamp, stamp) // 2 for stamp in stamps.tolist()]
@@ -54,3 +54,13 @@ def test_a_window_that_lost_the_beam_has_a_number_of_its_own():
     numbers = [beam.segment(-1, MS * begin, MS * end) for begin, end in windows]
     assert len(set(numbers)) == 3
     assert beam.segment(55 * MS, 60 * MS, 90 * MS) == 0  # counted from a later begin
+
+
+def test_a_slipped_fringe_is_a_leap_while_the_length_changes_slower_than_a_fringe_per_reading():
+    after = np.arange(100) >= 40
+    slow = 0.5 + 0.1e-3 * 1e-3 * np.arange(100)  # 0.1 mm/s
+    assert follow([], length=slow + 0.3164e-6 * after, fastest=0.3e-3) == [0] * 40 + [1] * 60
+    # as the reflector is carried every reading would be one: the limit has to be above its speed
+    fast = 0.5 + 0.1 * 1e-3 * np.arange(100)
+    assert follow([], length=fast, fastest=0.3e-3) == list(range(100))
+    assert follow([], length=fast + 0.3164e-6 * after, fastest=0.11) == [0] * 100

@@ -29,7 +29,7 @@ def test_the_cell_takes_the_predicted_time(drives):
     calm += ["capture.min_used_share=0.5", "capture.step_timeout_s=60"]
     flat = np.array(pairs).ravel().tolist()
     configuration = changed(
-        read_configuration(CONFIG / "tracer_demo.yaml"), [*drives, *calm, f"plan.pairs={flat}"]
+        read_configuration(CONFIG / "tracer_paper.yaml"), [*drives, *calm, f"plan.pairs={flat}"]
     )
     calibration = prepare(configuration)
     predicted = plan_seconds(cell_time(configuration), calibration.plan.steps)

@@ -14,7 +14,7 @@ from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.problem import problem_from_observations
-from rotcal_ros.observations import PointKind
+from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.units import ARCSEC
 
@@ -225,6 +225,49 @@ def test_reflectors_on_the_table_are_solved_directly():
     assert result.verdict == "ok", result.warnings
     assert "ways" not in result.details
     assert consistent(result, truth)
+
+
+@pytest.mark.parametrize("way", ["joint", "stitching"])
+def test_both_directions_show_the_play_of_the_table(way):
+    """Every station goes up and down its positions; a table with 6 arcsec of play."""
+    calibration, observations, _ = measured(
+        configured(
+            *SHORT,
+            "plan.bidirectional=true",
+            "simulation.table.backlash_arcsec=6.0",
+            f"solver.way={way}",
+        )
+    )
+    plan = calibration.plan
+    assert len(plan.table_angles) == 18
+    assert plan.table_angles[9:] == plan.table_angles[8::-1]
+    for step in plan.steps:
+        down = step.table_position >= 9
+        assert step.approach is (Approach.NEGATIVE if down else Approach.POSITIVE)
+    result = calibration.solve(observations)
+    assert result.verdict == "ok", result.warnings
+    assert len(result.angles) == 9
+    both = result.directions["ECC"]
+    errors = (both.reversal + 6.0 * ARCSEC) / both.reversal_std
+    assert np.all(np.abs(errors) < 4.0)
+    assert np.all(both.reversal_std < 2.0 * ARCSEC)
+    cell = SimulatedCell(calibration.configuration.simulation)
+    truth = cell.truth(result.angles)["ECC"]
+    forward = both.forward - both.forward[0] - truth + truth[0]
+    assert np.all(np.abs(forward) < 4.0 * ARCSEC)
+    values = calibration.trials(observations)(np.random.default_rng(1), 400)
+    assert values.shape == (400, 9)
+    np.testing.assert_allclose(values.std(axis=0)[1:], result.std["ECC"][1:], rtol=0.2)
+
+
+def test_one_arrival_that_is_missing_leaves_the_others():
+    calibration, observations, _ = measured(configured(*SHORT, "plan.bidirectional=true"))
+    rest = [
+        o for o in observations if o.table_position != 12 or o.kind is PointKind.NEST
+    ]  # the fifth angle (60 deg: 17 - 12 = 5) on the way down
+    result = calibration.solve(rest)
+    assert len(result.angles) == 9
+    np.testing.assert_allclose(result.directions["ECC"].angles, np.delete(result.angles, 5))
 
 
 @pytest.mark.parametrize(

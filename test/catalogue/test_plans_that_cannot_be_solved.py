@@ -21,17 +21,17 @@ def made(name, *changes):
 @pytest.mark.parametrize(
     ("name", "changes", "words"),
     [
-        ("tracer_demo", ["plan.table_positions=2"], "2 stations"),
-        ("tracer_demo", ["plan.table_positions=3"], "3 stations"),
-        ("tracer_demo", ["plan.box_points=[2, 2, 1]"], "0 stations with at least 5 usable"),
+        ("tracer_paper", ["plan.table_positions=2"], "2 stations"),
+        ("tracer_paper", ["plan.table_positions=3"], "3 stations"),
+        ("tracer_paper", ["plan.box_points=[3, 1, 1]"], "0 stations with at least 4 usable"),
         # 55 lengths, 44 + 15 unknowns
-        ("tracer_demo", [FREE, "plan.box_points=[5, 1, 1]"], "55 usable lengths from 11"),
+        ("tracer_paper", [FREE, "plan.box_points=[5, 1, 1]"], "55 usable lengths from 11"),
         # 4 stations: 4 x 15 = 60 lengths, 16 + 45 = 61 unknowns
-        ("tracer_demo", [FREE, "plan.table_positions=4", "plan.box_points=[5, 3, 1]"],
+        ("tracer_paper", [FREE, "plan.table_positions=4", "plan.box_points=[5, 3, 1]"],
          "= 61 unknowns"),
-        ("tracer_demo", ["plan.box_size_m=[0, 0, 0]"], "64 targets at 1 places"),
-        ("tracer_demo", ["plan.box_size_m=[0.4, 0, 0.4]"], "64 targets at 16 places"),
-        ("tracer_demo", [*ONE_STOP, "plan.runs=3", "plan.table_positions=2"], "2 table angles"),
+        ("tracer_paper", ["plan.box_size_m=[0, 0, 0]"], "64 targets at 1 places"),
+        ("tracer_paper", ["plan.box_size_m=[0.4, 0, 0.4]"], "64 targets at 16 places"),
+        ("tracer_paper", [*ONE_STOP, "plan.runs=3", "plan.table_positions=2"], "2 table angles"),
         ("plane_mirror_demo", ["solver.range_std_m=0", "solver.range_std_relative=0"],
          "solver: .*range_std_m and range_std_relative"),
         ("plane_mirror_demo", ["solver.transverse_std_m=0", "solver.transverse_std_relative=0"],
@@ -50,11 +50,11 @@ def test_it_is_refused_with_its_place(name, changes, words):
     ("name", "changes"),
     [
         # 4 x 16 = 64 lengths, 16 + 48 unknowns
-        ("tracer_demo", [FREE, "plan.table_positions=4", "plan.box_points=[4, 4, 1]"]),
+        ("tracer_paper", [FREE, "plan.table_positions=4", "plan.box_points=[4, 4, 1]"]),
         # the machine tells the targets: 4 lengths of a station for its place and zero, one more
-        ("tracer_demo", ["plan.table_positions=4", "plan.box_points=[5, 1, 1]"]),
-        ("tracer_demo", ["plan.box_size_m=[0.4, 0, 0.4]", "plan.box_points=[4, 1, 4]"]),
-        ("tracer_demo", [*ONE_STOP, "plan.runs=2", "plan.table_positions=3"]),
+        ("tracer_paper", ["plan.table_positions=4", "plan.box_points=[5, 1, 1]"]),
+        ("tracer_paper", ["plan.box_size_m=[0.4, 0, 0.4]", "plan.box_points=[4, 1, 4]"]),
+        ("tracer_paper", [*ONE_STOP, "plan.runs=2", "plan.table_positions=3"]),
         ("plane_mirror_demo", ["solver.range_std_m=0", "solver.transverse_std_relative=0"]),
         ("ball_plate_demo", [*PLATE, "plan.cmm_positions=[0, 1, 2, 3, 4, 5, 6, 7]"]),
     ],

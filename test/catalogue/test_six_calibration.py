@@ -61,8 +61,8 @@ def test_each_length_has_its_place_position_target_and_arrival():
         np.testing.assert_array_equal(np.argsort(made.order), np.argsort(step))
         distance = np.linalg.norm(np.array(calibration.plan.targets), axis=1)[made.target]
         np.testing.assert_allclose(made.length_std, np.hypot(9.5e-8, 1e-6 * distance))
-        assert made.zero == "per_run"
-        assert made.segment is None
+        assert made.zero == "per_segment"
+        np.testing.assert_array_equal(made.segment, made.place)
     np.testing.assert_allclose(np.hypot(*made.places[:, :2].T), 0.15)
 
 
@@ -73,11 +73,41 @@ def test_a_place_that_was_interrupted_counts_from_another_zero_afterwards(zero, 
         replace(o, run=int(o.step >= PER_PLACE + 12)) for o in calibration.nominal_observations()
     ]
     made = posed(calibration, observations)
-    assert made.zero == "segments"
+    assert made.zero == "per_segment"
     assert len(np.unique(made.segment)) == segments  # place 1 has two, its second angle has two
     at = [made.segment[row] for row in (PER_PLACE + 11, PER_PLACE + 12)]
     assert at[0] != at[1]
     assert made.arrival[PER_PLACE + 11] != made.arrival[PER_PLACE + 12]
+
+
+@pytest.mark.parametrize(
+    ("zero", "told", "expected"),
+    [
+        ("auto", True, "per_segment"), ("per_segment", True, "per_segment"),
+        ("auto", False, "per_run"), ("per_run", True, "per_run"),
+        ("per_station", True, "per_station"),
+    ],
+)  # fmt: skip
+def test_a_broken_beam_begins_a_zero_where_the_measurement_tells_it(zero, told, expected):
+    """The beam breaks once at place 1, after its second angle; a new place has a new zero."""
+    calibration = small(f"solver.zero={zero}")
+    observations = [
+        replace(o, segment=int(o.step >= PER_PLACE + 16) if told else -1)
+        for o in calibration.nominal_observations()
+    ]
+    made = posed(calibration, observations)
+    assert made.zero == expected
+    assert (made.segment is None) == (expected != "per_segment")
+    if made.segment is not None:
+        at = np.split(made.segment, [PER_PLACE, PER_PLACE + 16, 2 * PER_PLACE])
+        assert [np.unique(part).tolist() for part in at] == [[0], [1], [2], [3]]
+
+
+def test_observations_that_do_not_tell_segments_are_refused_where_they_are_asked_for():
+    calibration = small("solver.zero=per_segment")
+    old = [replace(o, segment=-1) for o in calibration.nominal_observations()]
+    with pytest.raises(DataError, match=r"segment of the beam.*leave solver\.zero out"):
+        posed(calibration, old)
 
 
 def test_where_every_length_has_an_arrival_of_its_own_the_scatter_joins_it():

@@ -27,7 +27,7 @@ def test_the_demonstration_is_the_issue_s_measurement():
     plan = made().plan
     assert len(plan.steps) == 24 * 12 * 3
     assert len(prepare_to_measure(read_configuration(CONFIG / "tracer_six.yaml")).plan.steps) == (
-        24 * 13 * 3
+        12 * 24 * 3
     )
 
 

@@ -90,3 +90,20 @@ def test_a_short_setup_lists_settings_and_points(tmp_path):
         ConfigurationError, match=r"setup\.yaml: .*'target_std'; did you mean 'target_"
     ):
         read_setup(file)
+
+
+def test_the_column_segment_numbers_unbroken_beams(configuration, tmp_path):
+    observations = [
+        replace(o, segment=int(o.table_position > 1))
+        for o in prepare(configuration).nominal_observations()
+    ]
+    path = tmp_path / "lengths.csv"
+    rows = [
+        f"{o.station},{o.table_position},{o.target},{o.mean[0]!r},{o.segment}"
+        for o in observations
+    ]
+    path.write_text("\n".join(["place,position,target,length_m,segment", *rows]))
+    found = read_measurements(path, configuration)
+    assert found.observations == tuple(observations)
+    assert found.solve().details["zero"] == "per_segment"
+    assert len(found.solve().details["segments"]) == 6

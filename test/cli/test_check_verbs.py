@@ -146,3 +146,31 @@ def test_people_are_shown_what_is_not_covered():
     assert "nothing will be known of 1 of 2 angles" in ran.stdout
     assert "warning: little checks some lengths" in ran.stdout
     assert "30 lengths to 5 targets" in ran.stdout
+
+
+def test_a_volume_and_what_stands_in_it_are_those_of_a_tracer_plan():
+    box = (-0.6, -0.6, 0.0, -0.3, 0.6, 2.0)
+    ran = run(
+        *PLAN, "--within", "6", "--every", "2", "--volume", ROOT / "config" / "tracer_goal.yaml",
+        "--volume-set", f"keep_out_m={list(box)}", "--volume-set", "spacing_m=0.3", "--json",
+    )  # fmt: skip
+    assert ran.exit_code == 0, ran.output
+    data = json.loads(ran.stdout)
+    targets = np.array(data["targets_m"])
+    assert (targets[:, 0] >= -0.3).all()
+    assert targets[:, 2].min() >= 0.17
+    mount = read_configuration(PLAN[4]).simulation.tracer.mount_m
+    stations = on_table(mount, data["angles_rad"])
+    beam = targets - stations[:, None]  # from every angle
+    distance = np.linalg.norm(beam, axis=2)
+    assert distance.min() >= 0.25
+    assert np.degrees(np.arcsin(beam[:, :, 2] / distance)).min() >= 10.0
+    for share in np.linspace(0.0, 1.0, 201):
+        place = stations[:, None] + share * beam
+        assert not ((place > box[:3]) & (place < box[3:])).all(axis=2).any()
+
+
+def test_a_volume_that_no_angle_sees_is_refused():
+    ran = run(*PLAN, "--within", "6", "--volume-set", "blocked_azimuth_deg=[0, 359.9]")
+    assert ran.exit_code == 2
+    assert "free beam" in ran.stderr

@@ -41,7 +41,9 @@ def export(tmp_path):
     def run(*arguments, source=None):
         source = source or write_result(tmp_path / "result.json")
         out = ["--out", str(tmp_path / "files")]
-        return CliRunner().invoke(rotcal, ["export", str(source), *out, *map(str, arguments)])
+        word = [] if "--add-to" in arguments or "measured" in arguments else ["--replace"]
+        words = [*out, *word, *(str(a) for a in arguments if a != "measured")]
+        return CliRunner().invoke(rotcal, ["export", str(source), *words])
 
     return run
 
@@ -74,6 +76,36 @@ def test_the_provenance_says_what_the_result_is_not_protected_against(export, tm
     protected = write_result(tmp_path / "other.json", protections=protections[1:])
     bare = export("--to", "csv", "--name", "other", source=protected)
     assert "the result is" not in bare.stderr
+
+
+MACHINE = """[KINS]
+KINEMATICS = trivkins coordinates=XC
+[TRAJ]
+ANGULAR_UNITS = degree
+[JOINT_1]
+TYPE = ANGULAR
+MIN_LIMIT = 0
+MAX_LIMIT = 360
+MAX_ACCELERATION = 500
+[JOINT_0]
+TYPE = LINEAR
+"""
+
+
+def test_the_lines_of_a_linuxcnc_table_go_where_they_belong(export, tmp_path):
+    machine = tmp_path / "mill.ini"
+    machine.write_text(MACHINE)
+    run = export("--to", "linuxcnc", "--spacing", 15, "--machine-ini", machine, "--json")
+    assert run.exit_code == 0, run.stderr
+    copy = (tmp_path / "files" / "mill.ini").read_text()
+    lines = "COMP_FILE = c_linuxcnc.comp\nCOMP_FILE_TYPE = 1\n"
+    assert copy == MACHINE.replace("[JOINT_0]", lines + "[JOINT_0]")
+    assert machine.read_text() == MACHINE
+    settings = json.loads(run.stdout)["provenance"]["settings"]
+    assert (settings["joint"], settings["max_acceleration_deg_s2"]) == (1, 500.0)
+    run = export("--to", "csv", "--machine-ini", machine)
+    assert run.exit_code == 2
+    assert "unknown setting 'machine_ini'" in run.stderr
 
 
 def test_a_linuxcnc_table_over_three_revolutions_subtracts_the_deviation(export, tmp_path):

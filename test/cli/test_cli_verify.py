@@ -33,6 +33,14 @@ def test_no_more_may_be_left_than_the_uncertainties_and_the_table_explain(after,
     assert "iso230_2_arcsec" not in data
 
 
+@pytest.mark.parametrize(("again", "verdict"), [(0.3, "ok"), (0.8, "suspect"), (60.0, "failed")])
+def test_the_round_that_was_added_is_held_to_the_same_bound(again, verdict):
+    verification = Verification(run(30.0), run(0.3), stated=0.1 * ARCSEC, again=run(again))
+    assert verification.verdict == verdict
+    assert verification.to_dict()["again"]["systematic_E_arcsec"] == pytest.approx(2 * again)
+    assert f"the range is {2 * again:.3f} arcsec" in verification_section(verification)[1]
+
+
 def test_the_section_shows_both_and_the_iso_figures():
     runs = np.array([[1.0, 1.2], [3.0, 3.1]]) * ARCSEC
     figures = iso230(BidirectionalRuns(np.array([0.0, 1.0]), runs, runs))

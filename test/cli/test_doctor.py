@@ -45,6 +45,35 @@ def test_json_holds_every_check(no_ros, tmp_path):
     }
 
 
+MACHINE = """[TRAJ]
+ANGULAR_UNITS = degree
+[KINS]
+KINEMATICS = trivkins coordinates=A
+[JOINT_0]
+TYPE = ANGULAR
+MIN_LIMIT = 0
+MAX_LIMIT = 360
+"""
+
+
+def test_the_tables_of_a_linuxcnc(tmp_path):
+    path = tmp_path / "machine.ini"
+    path.write_text(MACHINE)
+    (check,) = doctor.tables(path)
+    assert (check.ok, check.found) == (False, f"{path} names none")
+    path.write_text(MACHINE + "COMP_FILE = a.comp\nCOMP_FILE_TYPE = 1\n")
+    (tmp_path / "a.comp").write_text("0 0 0\n180 0.01 0.01\n360 0 0\n")
+    (check,) = doctor.tables(path)
+    assert (check.ok, check.found) == (True, "[JOINT_0] a.comp, type 1")
+    path.write_text(path.read_text().replace("TYPE = 1", "TYPE = 0"))
+    (check,) = doctor.tables(path)
+    assert not check.ok
+    assert "read as type 0 the largest trim is 360 deg" in check.found
+    assert "rotcal export --machine-ini" in check.advice
+    (check,) = doctor.tables(tmp_path / "none.ini")
+    assert "cannot read the machine's ini file" in check.found
+
+
 def test_a_missing_compiler(monkeypatch):
     monkeypatch.setenv("CXX", "no-such-compiler")
     check = doctor.compiler()

@@ -263,7 +263,7 @@ def test_uncertainty_of_a_plain_table(table, setup):
     assert run("uncertainty", given, "--setup", given).exit_code == 2
 
 
-@pytest.mark.parametrize("name", ["plane_mirror_demo", "ball_plate_demo", "tracer_demo"])
+@pytest.mark.parametrize("name", ["plane_mirror_demo", "ball_plate_demo", "tracer_paper"])
 def test_uncertainty_of_every_method_before_anything_is_measured(name, tmp_path):
     path = Path(__file__).parents[2] / "config" / f"{name}.yaml"
     text = path.read_text()

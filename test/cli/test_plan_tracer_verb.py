@@ -53,6 +53,7 @@ def test_the_plain_minimum_warns():
         (("--set", "sigma=3"), "unknown setting 'sigma'"),
         (("--set", "error_motion_std_m=1.0e-6", *SMALL), "no number of lengths helps"),
         (("missing.yaml",), "missing.yaml"),
+        (("--set", "target_std_m=[1.0e-6, 1.0e-6, 2.0e-6]", "-o", "nowhere"), "three equal ones"),
     ],
 )
 def test_refusals(arguments, text):

@@ -50,7 +50,7 @@ def refused(tmp_path, monkeypatch):
 
 def misspelt(path, change):
     """Write the demo with a change that no --set would accept."""
-    document = yaml.safe_load((CONFIG / "tracer_demo.yaml").read_text())
+    document = yaml.safe_load((CONFIG / "tracer_paper.yaml").read_text())
     name, value = change.split("=")
     *groups, last = name.split(".")
     place = document["/**"]["ros__parameters"]
@@ -66,7 +66,7 @@ def misspelt(path, change):
                                    "verify --check"])  # fmt: skip
 def test_a_change_on_the_command_line(refused, words, change, nearest):
     verb, *options = words.split()
-    text = refused(verb, CONFIG / "tracer_demo.yaml", *options, change)
+    text = refused(verb, CONFIG / "tracer_paper.yaml", *options, change)
     assert f"did you mean '{nearest}'" in text
     assert "with --set" in text
 

@@ -70,7 +70,7 @@ def test_the_order_of_a_plan_is_found_and_written(tmp_path):
     order = ["plan.order=targets_per_station", "plan.box_points=[2, 2, 2]"]
     changes = [part for change in order for part in ("--set", change)]
     written = tmp_path / "pairs.csv"
-    demo = CONFIG / "tracer_demo.yaml"
+    demo = CONFIG / "tracer_paper.yaml"
     found = data_of("sequence", demo, *changes, "--limit", "1e9", "-o", written)
     assert found["lengths"] == 88
     assert found["listed_s"] == pytest.approx(87 * 5.0 + 10 * 10.0, abs=0.01)

@@ -111,7 +111,8 @@ def test_reverse_uncertainty_holds_the_forward_zero_too():
     angles, s = even(18), 0.3 * ARCSEC
     run = result_of(angles, np.zeros(18), s)
     table = table_from_result(run, reverse=run, reference_angle=angles[4])
-    np.testing.assert_allclose(table.std[[2, 9]], 2.0 * s, rtol=1e-12)
+    np.testing.assert_allclose(table.std_reverse[[2, 9]], 2.0 * s, rtol=1e-12)
+    np.testing.assert_allclose(table.std[[2, 9]], np.sqrt(2.0) * s, rtol=1e-12)
     alone = table_from_result(run, reference_angle=angles[4])
     np.testing.assert_allclose(alone.std[[2, 4, 9]], [np.sqrt(2.0) * s, 0.0, np.sqrt(2.0) * s])
 

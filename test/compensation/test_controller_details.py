@@ -48,8 +48,8 @@ def arc(n):
         ("heidenhain", {}, 255, "heidenhain: rows: 257, and the controller holds 256: choose a"),
         ("fagor", {}, 999, "fagor: points: 1001, and the controller holds 1000: choose a wider"),
         ("fagor", {"max_points": 7}, 6, "fagor: points: 8, and the controller holds 7: choose a"),
-        ("twincat", {"max_points": 9}, 9, r"twincat: points: 10, and the controller holds 9: a wi"
-         "der spacing, or raise P-COMP-00059"),
+        ("twincat", {"max_points": 10}, 8, r"twincat: points: 10, and the controller holds 9: a w"
+         "ider spacing, or raise P-COMP-00059"),
         ("sinumerik", {"max_points": 9}, 8, "sinumerik: points at 40 deg: 10, and the controller "
          "holds 9: a wider spacing, or set max_points to MD38000 of the machine"),
         ("sinumerik", {"max_points": 9, "tables": "cec"}, 8, "set max_points to MD18342 of the m"),
@@ -83,8 +83,9 @@ def test_too_many_rows_for_a_single_turn_leave_no_turns_to_advise():
 
 @pytest.mark.parametrize(
     ("name", "title"),
-    [("fanuc", "Fanuc"), ("pmac", "PMAC"), ("sinumerik", "SINUMERIK"), ("twincat", "TwinCAT CNC")],
-)
+    [("fanuc", "Fanuc"), ("pmac", "PMAC"), ("sinumerik", "SINUMERIK"), ("twincat", "TwinCAT CNC"),
+     ("twincat_nc", "TwinCAT NC"), ("kflop", "KFLOP")],
+)  # fmt: skip
 def test_uneven_rows_are_refused_by_name(name, title):
     angles = even(12)
     angles[5] += 0.01
@@ -95,15 +96,20 @@ def test_uneven_rows_are_refused_by_name(name, title):
 @pytest.mark.parametrize(
     ("name", "title"),
     [("fanuc", "Fanuc"), ("pmac", "PMAC"), ("sinumerik", "SINUMERIK"), ("twincat", "TwinCAT CNC"),
-     ("heidenhain", "Heidenhain"), ("fagor", "Fagor 8055")],
+     ("heidenhain", "Heidenhain"), ("fagor", "Fagor 8055"), ("twincat_nc", "TwinCAT NC"),
+     ("kflop", "KFLOP"), ("smoothieware", "Smoothieware")],
 )  # fmt: skip
 def test_an_arc_is_refused_by_name(name, title):
-    words = rf"^{title} repeats its table every turn and this one covers only 0 \.\. 19\.5 deg: "
+    words = (
+        rf"^{title} takes the table of a whole turn and this one covers only 0 \.\. 19\.5 deg: "
+    )
     with pytest.raises(ConfigurationError, match=words):
         make_controller(name).write(arc(40), "t")
 
 
-@pytest.mark.parametrize(("name", "title"), [("fanuc", "Fanuc"), ("pmac", "PMAC")])
+@pytest.mark.parametrize(
+    ("name", "title"), [("fanuc", "Fanuc"), ("pmac", "PMAC"), ("smoothieware", "Smoothieware")]
+)
 def test_a_machine_zero_that_is_not_zero_is_refused_by_name(name, title):
     with pytest.raises(ConfigurationError, match=f"^{title} counts its corrections from the mach"):
         make_controller(name).write(turn(np.full(12, 0.01)), "t")
@@ -113,14 +119,17 @@ def test_a_machine_zero_that_is_not_zero_is_refused_by_name(name, title):
 def test_titles_and_travel(name):
     """docs/compensation.md: controls that wrap by themselves are proven from -360 to 720 deg."""
     controller = make_controller(name)
-    travel = (0.0, TAU) if name == "linuxcnc" else (-TAU, 2.0 * TAU)
+    turns = name in ("linuxcnc", "kflop", "smoothieware")
+    travel = (0.0, TAU) if turns else (-TAU, 2.0 * TAU)
     assert controller.travel == pytest.approx(travel)
     assert controller.staircase is (name == "fanuc")
-    assert controller.one_direction is (name in ("fanuc", "sinumerik"))
+    one_column = ("fanuc", "sinumerik", "twincat_nc", "kflop", "smoothieware")
+    assert controller.one_direction is (name in one_column)
 
 
-def test_the_travel_of_linuxcnc_is_that_of_its_turns():
-    controller = make_controller("linuxcnc", {"first_turn": -2, "turns": 5})
+@pytest.mark.parametrize("name", ["linuxcnc", "kflop", "smoothieware"])
+def test_the_travel_is_that_of_the_turns(name):
+    controller = make_controller(name, {"first_turn": -2, "turns": 5})
     assert controller.travel == pytest.approx((-2.0 * TAU, 3.0 * TAU))
 
 
@@ -132,6 +141,8 @@ def test_the_travel_of_linuxcnc_is_that_of_its_turns():
         ("fagor", {}, 1e-4, 1e-4),
         ("sinumerik", {}, 1e-7, 1e-7),
         ("twincat", {}, 1e-4, 0.0),
+        ("twincat_nc", {}, 1e-9, 1e-6),
+        ("kflop", {}, 1e-9, 1e-6),
         ("pmac", {"counts_per_turn": 3600}, 2.0 * 0.1 / 16.0, 0.0),
         ("fanuc", {"magnification": 3, "detection_unit_deg": 0.01}, 0.03, 0.0),
         ("fanuc", {}, 0.002, 0.0),

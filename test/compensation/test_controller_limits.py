@@ -25,7 +25,7 @@ def export(table, name, spacing=None, **more):
 # Limits, before anything is written.
 
 
-@pytest.mark.parametrize("name", ["heidenhain", "fagor", "twincat", "fanuc", "pmac"])
+@pytest.mark.parametrize("name", ["heidenhain", "fagor", "twincat", "fanuc", "pmac", "kflop"])
 def test_an_arc_is_refused_where_tables_repeat_every_turn(name):
     angles = np.deg2rad(np.arange(10.0, 160.0, 10.0))
     table = table_from_result(result_of(angles, wavy(angles)))
@@ -41,7 +41,7 @@ def test_an_arc_is_refused_where_tables_repeat_every_turn(name):
         ("sinumerik", {}, 360, r"361, and the controller holds 200.*MD38000"),
         ("sinumerik", {"tables": "cec"}, 360, r"holds 200.*MD18342"),
         ("fanuc", {"reference_slot": 100}, 36, r"136, and the controller holds 127"),
-        ("twincat", {"max_points": 30}, 36, r"36, and the controller holds 30.*P-COMP-00059"),
+        ("twincat", {"max_points": 37}, 36, r"37, and the controller holds 36.*P-COMP-00059"),
         ("heidenhain", {}, 360, r"361, and the controller holds 256"),
         ("fagor", {"max_points": 30}, 36, r"37, and the controller holds 30"),
         ("pmac", {"counts_per_turn": 1000}, 36, r"whole steps of 0.36 deg"),
@@ -55,7 +55,7 @@ def test_limits_are_errors_with_the_number(name, values, rows, text):
         export(table, name, TAU / rows, settings=values)
 
 
-@pytest.mark.parametrize("name", ["fanuc", "pmac"])
+@pytest.mark.parametrize("name", ["fanuc", "pmac", "smoothieware"])
 def test_tables_counted_from_the_machine_zero_must_be_zero_there(name):
     angles = even(36)
     table = table_from_result(result_of(angles, wavy(angles)), reference_angle=2.0)
@@ -91,6 +91,11 @@ def test_settings_of_the_wrong_name_type_or_range_are_refused():
         ("heidenhain", {"backlash": "both"}),
         ("fagor", {"max_points": 1001}),
         ("pmac", {"motor": 0}),
+        ("pmac", {"take_up_rate": 0}),
+        ("pmac", {"reversal": "none"}),
+        ("twincat_nc", {"directions": "both"}),
+        ("kflop", {"turns": 0}),
+        ("smoothieware", {"letter": "A"}),
     ]:
         with pytest.raises(ConfigurationError, match=name):
             make_controller(name, values)

@@ -19,14 +19,15 @@ from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import ConfigurationError, ControllerError, DataError
 from rotcal_ros.units import ARCSEC
 
-CONFIGURATION = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
+CONFIGURATION = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SECOND = 1_000_000_000
 COMP = "c_linuxcnc.comp"
 
 
-def table_of(scale=1.0, verdict="ok", axis="C"):
+def table_of(scale=1.0, verdict="ok", axis="C", measured_on="none"):
     deviation = scale * (wavy(even(24)) - wavy(0.0))
-    return table_from_result(result_of(even(24), deviation, verdict=verdict), axis=axis)
+    result = result_of(even(24), deviation, verdict=verdict)
+    return table_from_result(replace(result, measured_on=measured_on), axis=axis)
 
 
 class Clock:
@@ -68,7 +69,12 @@ def cell(tmp_path):
 
 def applied(feed, table):
     feed.take(table, feed._now_ns())
-    return feed.apply(table.table_hash)
+    return feed.apply(feed.offer.confirmation)
+
+
+def undone(feed, **limit):
+    """Undo the last change."""
+    return feed.restore(feed.next_restore(), **limit)
 
 
 def trims(cell):
@@ -99,12 +105,12 @@ def test_applying_replaces_the_table_keeps_the_old_and_tells_the_change(cell):
         trims(cell)[:-1], -1.5 * np.rad2deg(wavy(even(24)) - wavy(0.0)), atol=2e-9
     )
     assert second.backup.is_dir()
-    feed.restore()
+    undone(feed)
     assert cell.files() == old
-    feed.restore()
+    undone(feed)
     assert cell.files() == {}
     with pytest.raises(DataError, match="no table was applied"):
-        feed.restore()
+        undone(feed)
 
 
 @pytest.mark.parametrize("confirmation", ["", "0" * 64])
@@ -124,12 +130,12 @@ def test_without_a_table_nothing_is_applied(cell):
 @pytest.mark.parametrize("verdict", ["suspect", "failed"])
 def test_a_bad_verdict_is_refused_and_the_table_before_it_forgotten(cell, verdict):
     feed = cell.feed()
-    good = table_of()
-    feed.take(good, 1)
+    feed.take(table_of(), 1)
+    confirmation = feed.offer.confirmation
     with pytest.raises(DataError, match=verdict):
         feed.take(table_of(verdict=verdict), 2)
     with pytest.raises(DataError, match="no table has arrived"):
-        feed.apply(good.table_hash)
+        feed.apply(confirmation)
 
 
 def test_a_table_of_another_axis_is_refused(cell):
@@ -172,16 +178,16 @@ def test_a_table_from_before_the_last_restore_is_stale(cell):
     table = table_of()
     stamp = feed._now_ns()
     feed.take(table, stamp)
-    feed.apply(table.table_hash)
-    feed.restore()
+    feed.apply(feed.offer.confirmation)
+    undone(feed)
     with pytest.raises(DataError, match="stale"):
-        feed.apply(table.table_hash)
+        feed.apply(feed.offer.confirmation)
     assert cell.files() == {}
     feed.close()
     again = cell.feed()  # also for a bridge that was started later
     again.take(table, stamp)
     with pytest.raises(DataError, match="stale"):
-        again.apply(table.table_hash)
+        again.apply(again.offer.confirmation)
     assert applied(again, table).files
 
 
@@ -277,7 +283,7 @@ def test_what_is_read_back_differently_is_put_back(cell):
     with pytest.raises(ControllerError, match=r"differ from what was written; the old table"):
         applied(feed, table_of(1.5))
     assert cell.files() == held
-    feed.restore()  # takes back the application before, not the one that failed
+    undone(feed)  # takes back the application before, not the one that failed
     assert cell.files() == {}
 
 
@@ -289,7 +295,7 @@ def test_when_putting_back_fails_too_the_old_table_is_named(cell):
     feed = cell.feed(Broken(cell.folder, 20.0, damage=2))
     with pytest.raises(ControllerError, match=r"not known what .* holds\. The old table is in"):
         applied(feed, table_of(1.5))
-    feed.restore()
+    undone(feed)
     assert cell.files() == held
 
 
@@ -306,7 +312,7 @@ def test_a_crash_while_writing_can_be_undone(cell, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         applied(feed, table_of(1.5))
     feed.close()
-    cell.feed().restore()
+    undone(cell.feed())
     assert cell.files() == held
 
 
@@ -324,7 +330,7 @@ def test_a_journal_cut_off_by_a_crash_is_continued(cell):
     with journal.open("a") as stream:
         stream.write('{"action": "appl')
     applied(feed, table_of(1.2))
-    feed.restore()
+    undone(feed)
     np.testing.assert_allclose(
         trims(cell)[:-1], -np.rad2deg(wavy(even(24)) - wavy(0.0)), atol=2e-9
     )
@@ -335,4 +341,27 @@ def test_a_damaged_journal_is_told(cell):
     applied(feed, table_of())
     (cell.folder / STATE_FOLDER / "journal.jsonl").write_text("nonsense\n")
     with pytest.raises(ControllerError, match="is damaged"):
-        feed.restore()
+        undone(feed)
+
+
+MACHINE = """[KINS]
+KINEMATICS = trivkins coordinates=C
+[TRAJ]
+ANGULAR_UNITS = degree
+[JOINT_0]
+TYPE = ANGULAR
+MIN_LIMIT = 0
+MAX_LIMIT = 360
+"""
+
+
+def test_a_table_that_the_machine_would_not_use_is_not_applied(cell):
+    machine = cell.folder / "machine.ini"
+    machine.write_text(MACHINE)
+    feed = cell.feed(options=(f"machine_ini={machine}",), busy_command=("true",))
+    with pytest.raises(DataError, match=r"would not use the table: .* names no table"):
+        applied(feed, table_of())
+    assert COMP not in cell.files()
+    machine.write_text(MACHINE + f"COMP_FILE = {COMP}\nCOMP_FILE_TYPE = 1\n")
+    applied(feed, table_of())
+    assert COMP in cell.files()

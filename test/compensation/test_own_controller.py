@@ -48,7 +48,7 @@ def export(environment, tmp_path):
     result.write_text(result_of(even(72), wavy(even(72))).to_json())
 
     def run(*words):
-        words = ("export", result, "--spacing", 5, "--out", tmp_path / "out", *words)
+        words = ("export", result, "--replace", "--spacing", 5, "--out", tmp_path / "out", *words)
         return python(environment, "-m", "rotcal_ros.cli.main", *words)
 
     return run
@@ -66,7 +66,7 @@ def test_its_files_are_written_and_take_the_deviation_away(export, tmp_path):
     moved = command - np.interp(np.rad2deg(command), *rows[:, :2].T) * 0.1 * ARCSEC
     left = moved + wavy(moved) - wavy(0.0) - command
     stated = json.loads(run.stdout)["provenance"]["residual_arcsec"]["stated"]
-    assert stated < 0.2
+    assert stated < 0.25
     assert np.max(np.abs(left)) < stated * ARCSEC
     assert np.max(np.abs(wavy(command) - wavy(0.0))) > 10.0 * ARCSEC
 

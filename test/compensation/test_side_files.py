@@ -1,5 +1,6 @@
 """What goes beside a controller's file: where it comes from, what it leaves, all components."""
 
+import hashlib
 import json
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -11,6 +12,7 @@ from compensation_examples import TAU, d4_table, even, result_of, wavy
 from rotcal_ros.compensation import export as export_module
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
+from rotcal_ros.compensation.linuxcnc import UNKNOWN_LIMITS
 from rotcal_ros.compensation.quality import ResidualBudget
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
@@ -33,14 +35,21 @@ def test_the_side_file_holds_what_the_page_promises(name):
     done = prepare_export(table, name, now=NOW, accept_unverified=True)
     side = side_of(done)
     facts = make_controller(name).facts
+    confirmation = side.pop("confirmation_sha256")
+    decided = json.dumps({k: v for k, v in side.items() if k != "written"}, sort_keys=True)
+    assert confirmation == done.confirmation == hashlib.sha256(decided.encode()).hexdigest()
     residual = side.pop("residual_arcsec")
-    assert set(residual) == {"before", "interpolation", "rounding", "direction", "second_order",
-                             "simulated", "std", "stated"}  # fmt: skip
+    assert set(residual) == {"before", "interpolation", "sampling", "rounding", "direction",
+                             "second_order", "following", "simulated", "std",
+                             "stated"}  # fmt: skip
     for part, value in residual.items():
         assert value == pytest.approx(getattr(done.residual, part) / ARCSEC, rel=1e-12)
     assert set(side.pop("files_sha256")) == set(done.files) - {f"c_{name}.provenance.json"}
     settings = side.pop("settings")
     assert make_controller(name, settings) == make_controller(name)
+    own = {n: t for n, t in done.files.items() if not n.endswith(".provenance.json")}
+    text = json.dumps(own, sort_keys=True).encode()
+    assert side.pop("contents_sha256") == hashlib.sha256(text).hexdigest()
     unverified = [f"not verified: {text}" for text in make_controller(name).unverified]
     assert tuple(side["warnings"]) == done.warnings
     assert side == {
@@ -52,6 +61,10 @@ def test_the_side_file_holds_what_the_page_promises(name):
         "verdict_line": "ok",
         "table_sha256": table.table_hash,
         "sources_sha256": {},
+        "measured_on": "unknown",
+        "adds_to": "",
+        "in_force": "replaces the table in force; not known which table was in force: the whole "
+        "deviation, or what a table leaves",
         "sign_of_the_table": ("correction = -(actual - commanded); add it to the commanded angle"),
         "controller": name,
         "controller_title": facts.title,
@@ -60,11 +73,16 @@ def test_the_side_file_holds_what_the_page_promises(name):
         "unit": facts.unit,
         "source": facts.source,
         "rows": 72,
+        "row_angles_deg": pytest.approx(list(range(0, 360, 5))),
+        "closed": True,
+        "first_angle_deg": 0.0,
+        "last_angle_deg": pytest.approx(355.0),
         "widest_spacing_deg": pytest.approx(5.0),
         "reference_angle_deg": 0.0,
         "residual": done.residual.in_words(),
-        "blind_to": "what repeats more than 36 times over the 72 angles measured",
-        "warnings": ["a remark", *unverified],
+        "blind_to": "what repeats more than 36 times in a turn: the measured angles are up to "
+        "5 deg apart; a reversal: both directions are equal",
+        "warnings": ["a remark", *unverified, *([UNKNOWN_LIMITS] if name == "linuxcnc" else [])],
     }
 
 
@@ -81,14 +99,14 @@ def test_rows_and_reference_of_the_file_are_those_written():
     np.testing.assert_allclose(np.rad2deg(done.table.angles), [0.0, 40.0, 80.0, 90.0])
     assert side["widest_spacing_deg"] == pytest.approx(40.0)
     assert side["reference_angle_deg"] == pytest.approx(30.0)
-    assert side["blind_to"].startswith("what repeats more than 3 times over the 7 angles")
+    assert side["blind_to"].startswith("what repeats more than 9 times in a turn")
     expected = -1e-5 * (done.table.angles - np.deg2rad(30.0))
     np.testing.assert_allclose(done.table.correction_forward, expected, atol=1e-15)
 
 
 def budget(simulated, **changes):
-    parts = {"before": 4.0, "interpolation": 1.0, "rounding": 0.5, "direction": 0.25,
-             "second_order": 0.25, "std": 0.0}  # fmt: skip
+    parts = {"before": 4.0, "interpolation": 1.0, "sampling": 0.0, "rounding": 0.5,
+             "direction": 0.25, "second_order": 0.25, "std": 0.0}  # fmt: skip
     return ResidualBudget(simulated=simulated, **{**parts, **changes})
 
 

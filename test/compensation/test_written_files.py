@@ -42,7 +42,22 @@ def enc_comp(system, axis, values):
         f"$AA_ENC_COMP_STEP[{system},{axis}]=90.0000000\n$AA_ENC_COMP_MIN[{system},{axis}]=0.0\n"
         f"$AA_ENC_COMP_MAX[{system},{axis}]=360.0\n$AA_ENC_COMP_IS_MODULO[{system},{axis}]=1\n"
     )
-    return f"%_N_{axis}_EEC_INI\nCHANDATA(1)\n{''.join(lines)}{end}M17\n"
+    return f"%_N_AX_EEC_INI\nCHANDATA(1)\n{''.join(lines)}{end}M17\n"
+
+
+def nc_table(way, values):
+    rows = [
+        f"        (Position := {90 * k}.000000, Compensation := {value}00)"
+        for k, value in enumerate(values.split())
+    ]
+    return (
+        f"    C1_{way}_parameter : ST_PositionCompensationTableParameter := (\n"
+        "        MinPosition := 0.0, MaxPosition := 360.0, NoOfTableElements := 5,\n"
+        f"        Direction := WorkDirection{way}, Modulo := TRUE);\n"
+        f"    C1_{way}_table : ARRAY [0..4] OF ST_PositionCompensationTableElement := [\n"
+        + ",\n".join(rows)
+        + "\n    ];\n"
+    )
 
 
 UP = "0.0000000 -0.0050000 0.0030000 -0.0010000 0.0000000"
@@ -83,9 +98,16 @@ FILES = {
         "P003 C1 180.0000 EC1 -0.0030 EC1 -0.0050\nP004 C1 270.0000 EC1 0.0010 EC1 -0.0010\n"
         "P005 C1 360.0000 EC1 0.0000 EC1 -0.0020\n",
     }),
-    "pmac": ({"motor": 4, "counts_per_turn": 36_000}, {  # a unit of 0.000625 deg
-        "x.pmc": "#4 DEFINE COMP 4,36000\n-8 5 -2 0\n#4 DEFINE BLCOMP 4,36000\n0 0 -1 0\n"
-        "I486=-3\nI51=1\n",
+    "pmac": ({"motor": 4, "counts_per_turn": 36_000, "reversal": "mean"}, {
+        "x.pmc": "#4 DEFINE COMP 4,36000\n-8 5 -2 0\nI51=1\n",  # a unit of 0.000625 deg
+    }),
+    "kflop": ({}, {
+        "x.txt": "5\n90.000000\n0.000000\n0,0.000000000\n1,89.995000000\n2,180.003000000\n"
+        "3,269.999000000\n4,360.000000000\n",
+    }),
+    "twincat_nc each": ({"directions": "each"}, {
+        "x.st": "VAR_GLOBAL\n" + nc_table("Positive", UP) + nc_table("Negative", DOWN)
+        + "END_VAR\n",
     }),
     "sinumerik": ({"measuring_system": 1, "axis_name": "B2"}, {
         "x.ini": enc_comp(1, "B2", "0.0000000 0.0050000 -0.0030000 0.0010000 0.0000000"),
@@ -125,7 +147,7 @@ def test_files_letter_by_letter(variant):
         np.testing.assert_allclose(found, np.append(column, column[0]), atol=step)
 
 
-@pytest.mark.parametrize(("directional", "lines"), [(False, 6 + 4), (True, 6 + 8)])
+@pytest.mark.parametrize(("directional", "lines"), [(False, 6 + 5), (True, 6 + 10)])
 def test_twincat_writes_two_columns_only_for_two_directions(directional, lines):
     table = d4_table()
     table = table if directional else replace(table, correction_reverse=table.correction_forward)
@@ -141,6 +163,8 @@ def test_pmac_writes_a_backlash_table_only_for_two_directions():
 
 
 # Damage: the reader names it.
+
+PLAY = "#4 DEFINE BLCOMP 4,36000\n0 0 1 0\nI485=16\nI486=3\nI51"
 
 DAMAGE = [
     ("csv", "std_arcsec", "std", "the first line is .*, expected angle_deg,correction_forward"),
@@ -161,8 +185,27 @@ DAMAGE = [
     ("pmac", "COMP 4,36000\n-8", "COMP 5,36000\n-8", r"are \(4, 36000, 0\), expected \(5, 36000"),
     ("pmac", "COMP 4,36000\n-8", "COMP 4,36001\n-8", r"are \(4, 36001, 0\), expected \(4, 36000"),
     ("pmac", "#4 DEFINE COMP", "#3 DEFINE COMP", r"x\.pmc: no DEFINE COMP for motor 4"),
-    ("pmac", "BLCOMP 4,36000\n0 0 -1 0", "BLCOMP 2,36000\n-1 0", "4 entries in COMP, 2 in BLCO"),
+    ("pmac", "I51", PLAY.replace("4,3", "2,3").replace("0 0 1", "1"), "4 entries in COMP, 2 in"),
+    ("pmac", "I51", PLAY.replace("I486=3", "I486=-3"), "I486 is -3, expected 0 .. 8388607"),
+    ("pmac", "I51", PLAY.replace("I485=16", "I485=0"), "BLCOMP, I486 and an I485 above 0 go toge"),
+    ("pmac", "I51", PLAY.replace("I485=16\n", ""), "BLCOMP, I486 and an I485 above 0 go together"),
+    ("pmac", "I51", PLAY.replace("I486=3\n", ""), "BLCOMP, I486 and an I485 above 0 go together"),
+    ("pmac", "I51", "I485=16\nI486=3\nI51", "BLCOMP, I486 and an I485 above 0 go together"),
     ("pmac", "5 -2", "x -2", r"x\.pmc, COMP: found 'x', expected a whole number"),
+    ("kflop", "5\n90", "6\n90", r"x\.txt: 5 points, expected 6: 0, 1, \.\. 5"),
+    ("kflop", "3,269", "4,269", r"x\.txt: 5 points, expected 5: 0, 1, \.\. 4"),
+    ("kflop", "5\n90", "5\n80", r"5 points every 80 deg from 0, expected 0 \.\. 360 deg"),
+    ("kflop", "90.000000\n0.0", "90\n9.0", r"every 90 deg from 9, expected 0 \.\. 360 deg"),
+    ("kflop", "2,180.0", "2;180.0", r"x\.txt, row 3: 1 columns, expected 2"),
+    ("kflop", "1,89.995000000\n2,180.003000000\n3,269.999000000\n", "", "and at least 3"),
+    ("twincat_nc each", "END_VAR", "", "expected VAR_GLOBAL, parameters and a table, END_VAR, an"),
+    ("twincat_nc each", ")\n    ];", "),\n    ];", "and found more or less than that"),
+    ("twincat_nc each", "WorkDirectionNegative", "WorkDirectionBoth", "Positive, Both, expect"),
+    ("twincat_nc each", "WorkDirectionNegative", "WorkDirectionPositive", "Positive, Positive, e"),
+    ("twincat_nc each", "Elements := 5", "Elements := 4", r"C1_Positive: 5 rows, and the param"),
+    ("twincat_nc each", "TRUE", "FALSE", r"x\.st, C1_Positive: 5 rows, .* and Modulo FALSE; exp"),
+    ("twincat_nc each", "180.0", "170.0", "the positions are not evenly spaced from 0 to 360 deg"),
+    ("twincat_nc each", "0.000000000)\n", "0.000000001)\n", "does not close: it holds 0.0 at 0"),
     ("sinumerik", "M17", "M30", r"x\.ini, line 12: 'M30' is not an assignment such as \$AA_ENC_"),
     ("sinumerik", "CHANDATA(1)", "CHANDATA(2)", r"x\.ini, line 2: 'CHANDATA\(2\)' is not an as"),
     ("sinumerik", "COMP[1,3,B2]=", "COMP[1,4,B2]=", r"\$AA_ENC_COMP: 4 points from 0 to 360 deg "
@@ -205,11 +248,13 @@ def test_damage_is_named(variant, before, after, words):
         make_controller(variant.split()[0], settings).read(files)
 
 
-def twincat(n=4, **changes):
-    head = {"unit": 1, "interval": 3_600_000 // n, "kw_startpos": 0, "kw_nr_max": n,
+def twincat(n=4, last=0, **changes):
+    head = {"unit": 1, "interval": 3_600_000 // n, "kw_startpos": 0, "kw_nr_max": n + 1,
             "bilateral": 1, "modulo": 1, **changes}  # fmt: skip
+    values = [*range(0, 10 * n, 10), last]
     lines = [f"kw.ssfk.{key} {value}" for key, value in head.items() if value is not None]
-    lines += [f"kw.ssfk.table[{k}].{way} {10 * k}" for k in range(n) for way in ("pos", "neg")]
+    lines += [f"kw.ssfk.table[{k}].{way} {v}" for k, v in enumerate(values)
+              for way in ("pos", "neg")]  # fmt: skip
     return {"x.lis": "\n".join(lines) + "\n"}
 
 
@@ -221,14 +266,15 @@ def twincat(n=4, **changes):
         (
             1,
             {},
-            "unit 1, modulo 1 and 1 intervals that make 3600000 x 0.0001 deg; expected 1, 1 a",
+            "unit 1, modulo 1 and 2 rows that cover 3600000 x 0.0001 deg; expected 1, 1 a",
         ),
-        (4, {"unit": 2}, "unit 2, modulo 1 and 4 intervals that make 3600000 x"),
-        (4, {"modulo": 0}, "unit 1, modulo 0 and 4 intervals that make 3600000 x"),
-        (4, {"interval": 899_999}, "4 intervals that make 3599996 x 0.0001 deg"),
-        (4, {"interval": None}, "4 intervals that make 0 x 0.0001 deg"),
-        (4, {"kw_nr_max": None}, "and 0 intervals that make 0 x 0.0001 deg"),
-        (4, {"kw_nr_max": 5, "interval": 720_000}, r"table\[4\]\.pos is missing, of 5 points"),
+        (4, {"unit": 2}, "unit 2, modulo 1 and 5 rows that cover 3600000 x"),
+        (4, {"modulo": 0}, "unit 1, modulo 0 and 5 rows that cover 3600000 x"),
+        (4, {"interval": 899_999}, "5 rows that cover 3599996 x 0.0001 deg"),
+        (4, {"interval": None}, "5 rows that cover 0 x 0.0001 deg"),
+        (4, {"kw_nr_max": None}, "and 0 rows that cover 0 x 0.0001 deg"),
+        (4, {"kw_nr_max": 6, "interval": 720_000}, r"table\[5\]\.pos is missing, of 6 points"),
+        (4, {"last": 1}, r"does not close: it holds 0 at 0 and 1 at 360 deg, expected the same"),
         (4, {"unit": "1.5"}, r"x\.lis, line 1: found '1.5', expected a whole number"),
     ],
 )

@@ -136,6 +136,18 @@ def test_an_effect_is_protected_only_where_every_input_is():
     assert combined(silent).protections == ()
 
 
+def test_a_particular_effect_concerns_only_inputs_that_speak_of_it():
+    rng = np.random.default_rng(16)
+    grid = np.arange(12) * TAU / 12
+    first, second = (with_protection(campaign(grid, 0.2 * ARCSEC, rng)[2]) for _ in range(2))
+    assert "slip" not in {p.effect for p in combined(first, second).protections}
+    slip = Protection("slip", "bounded", "one fringe", 1.0)
+    first = replace(first, protections=(*first.protections, slip))
+    joined = combined(first, second).protections[-1]
+    assert (joined.effect, joined.treatment, joined.why) == ("slip", "bounded", "r0: one fringe")
+    assert 0.3 < joined.error < 1.0  # its share of the combination
+
+
 def test_unseen_errors_of_equal_inputs_add_as_their_kind_does():
     """Four equal inputs: each has half of the standard uncertainty's share."""
     grid = np.arange(12) * TAU / 12

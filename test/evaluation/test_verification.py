@@ -12,7 +12,7 @@ import pytest
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
 from rotcal_ros.evaluation.verification import Positioning, Verification, positioning
-from rotcal_ros.results import Result
+from rotcal_ros.results import Directions, Result
 from rotcal_ros.units import ARCSEC
 
 ANGLES = np.arange(4) * np.pi / 2
@@ -29,6 +29,23 @@ def test_range_and_scatter_by_hand():
     measured = run(BEFORE)
     assert measured.systematic == 10.0
     assert measured.rms == pytest.approx(np.sqrt(56.0 / 4.0), rel=1e-15)
+
+
+def test_both_directions_are_one_range_and_go_up_and_down():
+    """Up 10, 0, 4, 2 and down 13, 1, 4, -1: from -1 to 13."""
+    up, down = BEFORE, np.array([13.0, 1.0, 4.0, -1.0])
+    both = Directions(ANGLES, up, down, np.diag(np.arange(8.0) ** 2))
+    mean = (up + down) / 2
+    zero = {"ECC": np.zeros(4)}
+    result = Result(
+        "m", ANGLES, {"ECC": mean}, zero, {"ECC": np.zeros((4, 4))}, 1.0, 1, 1,
+        directions={"ECC": both},
+    )  # fmt: skip
+    found = positioning(result)
+    assert found.systematic == 14.0
+    np.testing.assert_array_equal(found.angles, [*ANGLES, *ANGLES[::-1]])
+    np.testing.assert_array_equal(found.deviation, [10, 0, 4, 2, -1, 4, 1, 13])
+    np.testing.assert_array_equal(found.std, [0, 1, 2, 3, 7, 6, 5, 4])
 
 
 def test_expected_are_four_standard_uncertainties_of_both_and_what_the_table_leaves():

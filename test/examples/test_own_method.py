@@ -142,7 +142,9 @@ def test_it_agrees_with_a_ball_plate_on_the_same_table(session, rotcal, tmp_path
 def test_controllers_take_the_result(session, rotcal, tmp_path, controller):
     for source in ("bag", "result.json"):
         out = tmp_path / source
-        done = rotcal("export", session / source, "--to", controller, "-o", out, "--json")
+        done = rotcal(
+            "export", session / source, "--to", controller, "--replace", "-o", out, "--json"
+        )
         residual = json.loads(done.stdout)["provenance"]
         assert "polygon" in json.dumps(residual)
         assert len(list(out.iterdir())) >= 2

@@ -17,6 +17,7 @@ import pytest
 
 GOLDEN = Path(__file__).parent
 METHODS = ("tracer", "ball_plate", "plane_mirror")
+TABLES = (*METHODS, "tracer_six")
 SOURCES = ("streams", "observations")
 ARITHMETIC = {
     "OMP_NUM_THREADS": "1",
@@ -35,7 +36,7 @@ SOLVED = {
         *("solve", f"{method}/table/table.csv", "--setup", f"{method}/table/setup.yaml"),
         "--json",
     ]
-    for method in METHODS
+    for method in TABLES
 }
 CHECKED = {
     f"{method}/bag checked": ["bag", "check", f"{method}/bag", "--json"] for method in METHODS

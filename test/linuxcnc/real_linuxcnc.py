@@ -1,4 +1,4 @@
-"""A real LinuxCNC with one rotary axis, and optionally a plant with a known error in HAL."""
+"""A real LinuxCNC with the axes XYZA, and optionally a plant with a known error in HAL."""
 
 import json
 import shutil
@@ -11,10 +11,10 @@ from threading import Thread
 import numpy as np
 import pytest
 
-import rotcal_ros
+from rotcal_ros.compensation.linuxcnc_ini import Ini
+from rotcal_ros.compensation.linuxcnc_machine import agent_command
 
 HERE = Path(__file__).parent
-AGENT = Path(rotcal_ros.__file__).parent / "nodes" / "linuxcnc_agent.py"
 DEADLINE_S = 60.0
 
 INI = """[EMC]
@@ -40,36 +40,45 @@ TOOL_TABLE = tool.tbl
 [HAL]
 HALFILE = axis.hal
 [KINS]
-JOINTS = 1
-KINEMATICS = trivkins coordinates=A
+JOINTS = 4
+KINEMATICS = trivkins coordinates=XYZA
 [TRAJ]
-COORDINATES = A
+COORDINATES = XYZA
 LINEAR_UNITS = mm
 ANGULAR_UNITS = degree
 DEFAULT_ANGULAR_VELOCITY = 2000
 MAX_ANGULAR_VELOCITY = 2000
-[AXIS_A]
-MIN_LIMIT = -1e6
-MAX_LIMIT = 1e6
-MAX_VELOCITY = 2000
-MAX_ACCELERATION = 20000
-[JOINT_0]
-TYPE = ANGULAR
+"""
+JOINT = """[AXIS_{letter}]
+MIN_LIMIT = {limits[0]}
+MAX_LIMIT = {limits[1]}
+MAX_VELOCITY = {velocity}
+MAX_ACCELERATION = {acceleration}
+[JOINT_{number}]
+TYPE = {kind}
 HOME = 0.0
 HOME_SEQUENCE = 0
-MIN_LIMIT = -1e6
-MAX_LIMIT = 1e6
-MAX_VELOCITY = 2000
-MAX_ACCELERATION = 20000
+MIN_LIMIT = {limits[0]}
+MAX_LIMIT = {limits[1]}
+MAX_VELOCITY = {velocity}
+MAX_ACCELERATION = {acceleration}
 FERROR = 5.0
 MIN_FERROR = 5.0
-"""
 
-HAL = """loadrt trivkins coordinates=A
-loadrt motmod servo_period_nsec=1000000 num_joints=1
+"""
+LINEAR = {"kind": "LINEAR", "limits": (-100, 100), "velocity": 100, "acceleration": 1000}
+TABLE = {"kind": "ANGULAR", "limits": (-1e6, 1e6), "velocity": 2000, "acceleration": 20000}
+OFFSET = "5224\t10.0\n"
+"""The work offset of A: positions of the table are machine coordinates all the same."""
+
+HAL = """loadrt trivkins coordinates=XYZA
+loadrt motmod servo_period_nsec=1000000 num_joints=4
 {load}addf motion-command-handler servo-thread
 addf motion-controller servo-thread
-{plant}net motor joint.0.motor-pos-cmd => joint.0.motor-pos-fb
+{plant}net motor joint.3.motor-pos-cmd => joint.3.motor-pos-fb
+net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb
+net y joint.1.motor-pos-cmd => joint.1.motor-pos-fb
+net z joint.2.motor-pos-cmd => joint.2.motor-pos-fb
 net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
 net prepare iocontrol.0.tool-prepare => iocontrol.0.tool-prepared
 net change iocontrol.0.tool-change => iocontrol.0.tool-changed
@@ -81,7 +90,7 @@ PLANT_PIN = "plant.actual"
 def command(ini, *arguments):
     """Return the command that runs LinuxCNC with the agent, private on this machine."""
     inside = ["/usr/bin/python3", str(HERE / "by_hand.py"), str(ini)]
-    agent = ["/usr/bin/python3", str(AGENT), "-ini", str(ini), *arguments]
+    agent = [*agent_command(str(ini), "A", 0), *arguments]
     return ["unshare", "--ipc", *inside, *agent]
 
 
@@ -95,9 +104,10 @@ def why_not():
     return ""
 
 
-def plant_hal(first_deg, last_deg, step_deg, error_deg):
-    """Return (load, plant): actual = motor + error(motor), linear between points in HAL.
+def plant_hal(first_deg, last_deg, step_deg, error_deg, play_deg=0.0):
+    """Return (load, plant): actual = table + error(table), linear between points in HAL.
 
+    The table follows the motor with a play: the motor moves it only at an end of the play.
     A HAL curve has 16 points at most and holds its ends, so a chain of curves that all begin at
     zero adds up to a long one.
     """
@@ -105,16 +115,24 @@ def plant_hal(first_deg, last_deg, step_deg, error_deg):
     nodes = first_deg + step_deg * np.arange(15 * count + 1)
     values = error_deg(nodes)
     load = [f"loadrt lincurve count={count} personality={','.join(['16'] * count)}"]
-    names = [*(f"sum{k}" for k in range(count)), "plant"]
-    load.append(f"loadrt sum2 names={','.join(names)}")
-    plant = []
+    names = [*(f"sum{k}" for k in range(count)), "plant", "low", "high"]
+    load += [f"loadrt sum2 names={','.join(names)}", "loadrt limit1 names=play"]
+    plant = [
+        f"setp low.in1 {-play_deg / 2:.15g}",
+        f"setp high.in1 {play_deg / 2:.15g}",
+        "net motor => low.in0 high.in0",
+        "net low low.out => play.min",
+        "net high high.out => play.max",
+        "net table play.out => play.in",
+        *(f"addf {name} servo-thread" for name in ("low", "high", "play")),
+    ]
     for k in range(count):
         part = slice(15 * k, 15 * k + 16)
         for i, (x, y) in enumerate(zip(nodes[part], values[part], strict=True)):
             y = y - values[15 * k]
             plant.append(f"setp lincurve.{k}.x-val-{i:02d} {x:.12g}")
             plant.append(f"setp lincurve.{k}.y-val-{i:02d} {y:.15g}")
-        plant.append(f"net motor => lincurve.{k}.in")
+        plant.append(f"net table => lincurve.{k}.in")
         plant.append(f"net error{k} lincurve.{k}.out => sum{k}.in0")
         plant.append(f"addf lincurve.{k} servo-thread")
         if k:
@@ -123,34 +141,40 @@ def plant_hal(first_deg, last_deg, step_deg, error_deg):
     # The first value enters as a constant.
     plant.append(f"setp sum0.in1 {values[0]:.15g}")
     plant.append(f"net total{count - 1} sum{count - 1}.out => plant.in1")
-    plant.append("net motor => plant.in0")
+    plant.append("net table => plant.in0")
     plant.append("addf plant servo-thread")
     return "\n".join([*load, ""]), "\n".join([*plant, ""])
 
 
 class Axis:
-    """The files of a LinuxCNC with one rotary axis in ``folder``."""
+    """The files of a LinuxCNC whose table is A, joint 3, in ``folder``; ``table`` of its ini."""
 
-    def __init__(self, folder, plant=("", "")):
+    def __init__(self, folder, plant=("", ""), **table):
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
-        for name in ("tool.tbl", "axis.var"):
-            (folder / name).write_text("")
+        (folder / "tool.tbl").write_text("")
+        (folder / "axis.var").write_text(OFFSET)
         load, chain = plant
         self.actual = "plant.out" if chain else ""
         (folder / "axis.hal").write_text(HAL.format(load=load, plant=chain))
         self.ini = folder / "axis.ini"
-        self.ini.write_text(INI)
+        kinds = [LINEAR] * 3 + [TABLE | table]
+        joints = (
+            JOINT.format(letter=a, number=n, **k)
+            for n, a, k in zip(range(4), "XYZA", kinds, strict=True)
+        )
+        self.ini.write_text(INI + "".join(joints))
 
-    def load(self, files):
-        """Take the exported files: the table beside the ini file, its lines into it."""
-        (ini,) = (text for name, text in files.items() if name.endswith(".ini"))
-        assert ini.startswith("[JOINT_0]\n")
-        for name, text in files.items():
-            if name.endswith(".comp"):
-                (self.folder / name).write_text(text)
-        # The section is the last one of the file, so that the lines join it.
-        self.ini.write_text(INI + ini.removeprefix("[JOINT_0]\n"))
+    def load(self, text, file_type):
+        """Take a table as it is."""
+        (self.folder / "own.comp").write_text(text)
+        lines = {"COMP_FILE": "own.comp", "COMP_FILE_TYPE": file_type}
+        self.ini.write_text(Ini.read(self.ini).merged("JOINT_3", lines))
+
+    def take(self, made):
+        """Take what an export for this machine wrote, the copy of the ini file included."""
+        for name, text in made.with_machine_files().items():
+            (self.folder / name).write_text(text)
 
     def command(self, start=True):
         arguments = ["--actual", self.actual] if self.actual else []

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from real_linuxcnc import HERE, Axis, Running, plant_hal
+from plants import REFERENCE_DEG, SMALLER, Plant, machine_with, true_deviations
+from real_linuxcnc import HERE
 
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
 from rotcal_ros.results import Result
 from rotcal_ros.sessions import commands
 from rotcal_ros.sessions.following import calibrate
@@ -27,7 +27,8 @@ pytestmark = [pytest.mark.linuxcnc, pytest.mark.ros]
 
 CONFIGURATION = HERE.parents[1] / "config" / "verify_demo.yaml"
 CHANGES = (
-    "plan.box_points=[2, 3, 2]",
+    "plan.box_points=[2, 2, 2]",
+    "plan.bidirectional=true",
     "plan.table_step_deg=20.0",
     "plan.table_positions=18",
     "plan.order=targets_per_station",
@@ -44,21 +45,20 @@ CHANGES = (
     "solver.length_std_m=8.0e-8",
     "simulation.probe.speed_m_s=20.0",
     "simulation.probe.acceleration_m_s2=1000.0",
+    "cell.axis=A",
     "simulation.faults.spike_probability=0.0",
 )
-TARGETS_DEG = np.array([7.5, 52.5, 93.0, 142.5, 187.5, 232.0, 277.5, 322.5, 352.5])
-RUNS = 2
-
-
-def error_deg(motor_deg):
-    """The error of the plant, known to nobody but it."""
-    m = np.deg2rad(motor_deg)
-    return (35 * np.sin(m + 0.4) + 12 * np.sin(2 * m + 1.0) + 4 * np.cos(3 * m)) / 3600
+SEED = 20261122
 
 
 @pytest.fixture
-def axis(tmp_path):
-    return Axis(tmp_path / "axis", plant_hal(-30.0, 420.0, 5.0, error_deg))
+def plant():
+    return Plant(SEED)
+
+
+@pytest.fixture
+def axis(tmp_path, plant):
+    return machine_with(plant, tmp_path / "axis")
 
 
 @pytest.fixture
@@ -84,57 +84,53 @@ def measured(folder: Path) -> Result:
     return Result.from_dict(json.loads((folder / "result.json").read_text()))
 
 
-def true_figures(axis):
-    """ISO 230-2 from the plant's own angle, mostly between the measured angles, both ways."""
-    up, down = [], []
-    with Running(axis) as running:
-        running.go(-10.0, -1)
-        for _ in range(RUNS):
-            for angles, side, runs in ((TARGETS_DEG, 1, up), (TARGETS_DEG[::-1], -1, down)):
-                if side == -1:
-                    running.go(370.0, 1)
-                found = [running.go(a, side)["actual_deg"] - a for a in angles]
-                runs.append(found[::side])
-            running.go(-10.0, -1)
-        assert running.errors == []
-    forward, reverse = (np.array(runs).T * DEGREE for runs in (up, down))
-    return iso230(BidirectionalRuns(TARGETS_DEG * DEGREE, forward, reverse))
+def from_the_forward_zero(directions):
+    """Both curves, one after the other, and their standard uncertainties; rad."""
+    both = np.concatenate([directions.forward, directions.reverse])
+    shift = np.eye(len(both))
+    shift[:, 0] -= 1.0
+    return shift @ both, np.sqrt(np.diag(shift @ directions.covariance @ shift.T))
 
 
 @pytest.mark.usefixtures("with_driver")
-def test_the_error_of_a_real_axis_is_measured_and_removed(axis, tmp_path, record_property):
+def test_the_error_and_the_play_of_a_real_axis_are_measured_and_removed(
+    axis, plant, tmp_path, record_property
+):
     before = measured(tmp_path / "before")
-    truth = error_deg(np.rad2deg(before.angles)) * DEGREE
-    missed = before.deviations["ECC"] - (truth - truth[0])
-    assert np.all(np.abs(missed) < 5 * before.std["ECC"] + 1e-9)
-    true_before = true_figures(axis)
+    zero = plant.deviation(0.0, 1)
+    truth = [plant.deviation(before.directions["ECC"].angles, side) - zero for side in (1, -1)]
+    missed, std = from_the_forward_zero(before.directions["ECC"])
+    assert np.all(np.abs(missed - np.concatenate(truth)) < 5 * std + 1e-9)
 
-    table = table_from_result(before, axis="A")
     made = prepare_export(
-        table,
+        table_from_result(before, axis="A", reference_angle=REFERENCE_DEG * DEGREE),
         "linuxcnc",
         now=datetime.now(timezone.utc),
         spacing=5 * DEGREE,
-        settings={"first_turn": -1, "turns": 3},
+        settings={"first_turn": -1, "turns": 3, "machine_ini": str(axis.ini)},
     )
-    axis.load(made.files)
+    axis.take(made)
     after = measured(tmp_path / "after")
-    true_after = true_figures(axis)
+    left = true_deviations(axis)
 
-    ranges = [np.ptp(result.deviations["ECC"]) / ARCSEC for result in (before, after)]
+    there_was = plant.deviations()
+    ranges = [
+        np.ptp(from_the_forward_zero(r.directions["ECC"])[0]) / ARCSEC for r in (before, after)
+    ]
     figures = {
-        "measured E before / arcsec": ranges[0],
-        "measured E after / arcsec": ranges[1],
-        "std after / arcsec": float(np.max(after.std["ECC"])) / ARCSEC,
-        "true A before / arcsec": true_before.accuracy / ARCSEC,
-        "true A after / arcsec": true_after.accuracy / ARCSEC,
-        "true E before / arcsec": true_before.systematic / ARCSEC,
-        "true E after / arcsec": true_after.systematic / ARCSEC,
+        "play / arcsec": plant.play_deg * 3600,
+        "measured range before / arcsec": ranges[0],
+        "measured range after / arcsec": ranges[1],
+        "true range before / arcsec": np.ptp(there_was) / ARCSEC,
+        "true range after / arcsec": np.ptp(left) / ARCSEC,
+        "true largest left / arcsec": np.max(np.abs(left)) / ARCSEC,
+        "stated / arcsec": made.residual.stated / ARCSEC,
+        "std of the table / arcsec": made.residual.std / ARCSEC,
     }
     for name, value in figures.items():
         record_property(name, value)
     (tmp_path / "figures.json").write_text(json.dumps(figures, indent=1))
-    assert ranges[0] > 50.0
-    assert ranges[1] < ranges[0] / 50
-    assert true_after.systematic < true_before.systematic / 50
-    assert true_after.accuracy < true_before.accuracy / 50
+    assert np.max(np.abs(left)) < made.residual.stated + 4 * made.residual.std
+    assert np.ptp(left) < np.ptp(there_was) / SMALLER
+    assert ranges[1] < ranges[0] / SMALLER
+    assert made.residual.following == 0.0  # the play is above the dead band of this machine

@@ -1,11 +1,12 @@
 """Tables of ours in the real LinuxCNC: it takes them all, and moves as our model says."""
 
 import subprocess
+from dataclasses import replace
 from datetime import datetime, timezone
 
 import numpy as np
 import pytest
-from real_linuxcnc import Running
+from real_linuxcnc import Axis, Running
 
 from rotcal_ros.compensation import linuxcnc
 from rotcal_ros.compensation.export import prepare_export
@@ -53,18 +54,23 @@ def exported(**settings):
     return {n: t for n, t in made.files.items() if not n.endswith(".json")}
 
 
-@pytest.mark.parametrize("file_type", [0, 1])
-def test_the_real_motion_follows_our_model(axis, file_type):
+def take(axis, files, file_type=1):
+    (text,) = (text for name, text in files.items() if name.endswith(".comp"))
+    axis.load(text, file_type)
+
+
+@pytest.mark.parametrize(("file_type", "every"), [(1, 1), (0, 5)])
+def test_the_real_motion_follows_our_model(axis, file_type, every):
     settings = {"first_turn": -1, "turns": 3, "file_type": file_type}
     files = exported(**settings)
-    axis.load(files)
+    take(axis, files, file_type)
     rule = linuxcnc.LinuxCnc(**settings).read(files)
     worst = 0.0
     with Running(axis) as running:
         running.go(-350.0, 1)
         both = ((FROM_BELOW, 1, Approach.POSITIVE), (FROM_ABOVE, -1, Approach.NEGATIVE))
         for angles, side, approach in both:
-            for angle in angles:
+            for angle in angles[::every]:
                 state = running.go(angle, side)
                 moved = state["motor_deg"] - angle
                 at = np.array([angle * DEGREE])
@@ -84,7 +90,7 @@ def test_a_full_table_of_256_rows_is_taken_without_a_message(axis):
         spacing=360 / 85 * DEGREE,
         settings={"turns": 3},
     )
-    axis.load(made.files)
+    take(axis, made.files)
     (rows,) = (t for n, t in made.files.items() if n.endswith(".comp"))
     assert rows.count("\n") == 256
     with Running(axis) as running:
@@ -113,7 +119,7 @@ def test_our_reader_refuses_what_the_real_one_swallows(axis, damage, complaint):
     with pytest.raises(linuxcnc.BagError):
         linuxcnc.LinuxCnc().read(files)
     loaded = linuxcnc.load(text, 1)
-    axis.load(files)
+    take(axis, files)
     with Running(axis) as running:
         for angle in (33.0, 145.0):
             state = running.go(angle, 1)
@@ -138,3 +144,38 @@ def test_a_machine_that_is_off_is_not_switched_on_by_the_driver(axis):
     )
     assert run.returncode == 1
     assert "switch it on and home it first" in run.stderr
+
+
+ZONES_ARCSEC = {(20, 70): 10.0, (120, 200): 25.0, (250, 340): 50.0}
+"""Reversals below, within and above the dead band of 18 to 36 arcsec of this machine."""
+
+
+def test_a_reversal_in_the_dead_band_of_the_real_trim_stays_as_stated(tmp_path):
+    axis = Axis(tmp_path / "axis", limits=(0, 360))
+    angles = np.arange(36) * 10 * DEGREE
+    reverse = np.zeros(36)
+    for (first, last), arcsec in ZONES_ARCSEC.items():
+        reverse[first // 10 : last // 10 + 1] = arcsec * ARCSEC
+    constant = replace(
+        table(), angles=angles, correction_forward=np.zeros(36), correction_reverse=reverse,
+        std=np.full(36, 0.1 * ARCSEC),
+    )  # fmt: skip
+    made = prepare_export(
+        constant,
+        "linuxcnc",
+        now=datetime(2024, 1, 1, tzinfo=timezone.utc),
+        settings={"machine_ini": str(axis.ini)},
+    )
+    axis.take(made)
+    left = []
+    with Running(axis) as running:
+        for (first, last), arcsec in ZONES_ARCSEC.items():
+            middle = (first + last) / 2
+            running.go(middle, 1)
+            trim = (running.go(middle, -1)["motor_deg"] - middle) * 3600
+            left.append(arcsec - trim)
+        assert running.errors == []
+    assert left == pytest.approx([0.0, 25.0, 0.0], abs=0.004)
+    assert 25.0 < made.residual.simulated / ARCSEC < made.residual.stated / ARCSEC < 60.0
+    assert made.residual.following == pytest.approx(36.0 * ARCSEC, rel=0.011)
+    assert any("stands still for those of 18 to 36" in warning for warning in made.warnings)

@@ -114,6 +114,30 @@ def test_the_mean_of_runs_pays_for_noise_and_scatter():
     np.testing.assert_array_equal(found.runs.reverse, reverse)
 
 
+def test_both_directions_count_from_the_zero_of_the_mean():
+    """Targets 0 and 3 were reached from both sides; written out arrival by arrival."""
+    root = 2e-7 * np.random.default_rng(5).normal(size=(8, 8))
+    covariance = root @ root.T
+    found = mean_of_runs(result(covariance), arrivals())
+    both = found.directions["ECC"]
+    np.testing.assert_allclose(both.angles, TARGETS[[0, 3]])
+    zero = means()[0]
+    np.testing.assert_allclose(
+        both.forward, [(ECC[0] + ECC[5]) / 2 - zero, (ECC[2] + ECC[7]) / 2 - zero], atol=1e-20
+    )
+    np.testing.assert_allclose(both.reverse, [ECC[4] - zero, ECC[3] - zero], atol=1e-20)
+    np.testing.assert_allclose(
+        (both.forward + both.reverse) / 2, found.deviations["ECC"][[0, 2]], atol=1e-20
+    )
+    weights = np.zeros((2, 8))
+    weights[0, [0, 5, 4]] = 0.5, 0.5, -1.0
+    weights[1, [2, 7, 3]] = 0.5, 0.5, -1.0
+    size = found.runs.repeatability_std
+    spread = weights @ (covariance + size**2 * np.eye(8)) @ weights.T
+    np.testing.assert_allclose(both.reversal, weights @ ECC, atol=1e-20)
+    np.testing.assert_allclose(both.reversal_std, np.sqrt(np.diag(spread)), rtol=1e-9)
+
+
 def test_from_one_side_only_there_is_one_table():
     up = np.flatnonzero(arrivals().upward)
     one_sided = arrivals().take(up)
@@ -127,6 +151,7 @@ def test_from_one_side_only_there_is_one_table():
     )
     found = mean_of_runs(part, one_sided)
     assert found.runs.reverse is None
+    assert not found.directions
     assert found.runs.forward.shape == (4, 2)
     with pytest.raises(DataError, match="8 stations in the result, 6 arrivals"):
         mean_of_runs(result(), one_sided)

@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from rotcal_ros.methods.distributions import (
+    binomial_quantile,
     chi2_isf,
     chi2_sf,
     f_isf,
@@ -35,6 +36,13 @@ def test_normal_and_f(p):
 def test_tails_of_normal_and_f(value):
     assert normal_sf(value) == stats.norm.sf(value)
     assert f_sf(value, 24.5, 79.0) == stats.f.sf(value, 24.5, 79.0)
+
+
+@pytest.mark.parametrize("p", PROBABILITIES)
+@pytest.mark.parametrize("chance", [0.01, 0.0455, 0.5, 0.9])
+def test_quantiles_of_hits(p, chance):
+    for trials in (1, 2, 12, 360, 5000):
+        assert binomial_quantile(p, trials, chance) == stats.binom.ppf(p, trials, chance)
 
 
 def test_arrays_keep_their_shape():

@@ -1,19 +1,22 @@
 """Repeated runs in both directions by the laser tracer: truth, repeatability and ISO 230-2."""
 
 from dataclasses import replace
+from datetime import datetime, timezone
 
 import numpy as np
 import pytest
 
 from rotcal_ros import catalogue
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
+from rotcal_ros.compensation.export import prepare_export
+from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, PlanError
 from rotcal_ros.evaluation.bidirectional import runs_of
 from rotcal_ros.evaluation.iso230 import iso230
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.visits import visits
 from rotcal_ros.results import Result
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.units import ARCSEC, DEGREE
 
 TARGETS, RUNS = 8, 5
 BACKLASH, REPEATABILITY, LENGTH_STD = 3.0 * ARCSEC, 0.5 * ARCSEC, 5e-8
@@ -139,3 +142,24 @@ def test_trials_of_repeated_runs_scatter_as_stated():
     values = task.trials(seen)(np.random.default_rng(1), 2000)
     result = task.solve(seen)
     np.testing.assert_allclose(values.std(axis=0)[1:], result.std["ECC"][1:], rtol=0.08)
+
+
+def test_play_that_was_measured_gets_to_the_controller():
+    """Twice up and down with 6 arcsec of play; the file is read here, and moves the axis."""
+    task = calibration(runs=2, table_positions=24, table_step_deg=15.0, box_points=[3, 3, 2])
+    play = 6.0 * ARCSEC
+    result = Result.from_dict(task.solve(measured(task, 6, play)).to_dict())
+    both = result.directions["ECC"]
+    assert np.all(np.abs(both.reversal + play) < 4.0 * both.reversal_std)
+    made = prepare_export(
+        table_from_result(result), "linuxcnc", now=datetime.now(timezone.utc), spacing=5 * DEGREE
+    )
+    angle, up, down = np.loadtxt(made.files["c_linuxcnc.comp"].splitlines()).T * DEGREE
+    commands = np.linspace(0.0, 2.0 * np.pi, 721)
+    worst = []
+    for column, extra in ((up, 0.0), (down, play)):
+        moved = commands + np.interp(commands, angle, column)
+        worst.append(np.abs(moved + truth(moved) + extra - commands - truth(0.0)).max())
+    assert max(worst) <= made.residual.stated + 4.0 * made.residual.std
+    assert max(worst) < 2.0 * ARCSEC
+    assert made.residual.direction == 0.0

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from plate_data import simulated
+from six_scene import scene
 
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, measure_direct, paper_cell
-from rotcal_ros.methods import ball_plate, plane_mirror
+from rotcal_ros.methods import ball_plate, plane_mirror, tracer_six
 
 PAGE = Path(__file__).parents[2] / "docs" / "conventions.md"
 WAYS = ("direct", "stitching", "registration", "joint")
@@ -102,3 +103,10 @@ def test_details_of_the_plane_mirror(way):
     assert details["way"] == way
     if way != "stitching":
         assert [entry["station"] for entry in details["stations"]] == list("012345")
+
+
+def test_details_of_the_tracer_at_several_places():
+    rows = scene(np.random.default_rng(1), m=5, arrivals=2, zero="per_segment", breaks=1).rows
+    details = tracer_six.solve(tracer_six.SixProblem(**rows)).details
+    assert_documented(details, documented("tracer_six"), {"m": 5, "p": 3, "s": 6, "n": 24})
+    assert [move["kind"] for move in details["moves"]] == ["between runs", "within runs", "slip"]

@@ -14,7 +14,7 @@ from rotcal_ros.node_names import NODES
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
 
-DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
+DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 SUITE = NODES
 SHORT = (
     "plan.table_positions=5",

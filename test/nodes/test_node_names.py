@@ -73,7 +73,7 @@ def test_the_names_are_known_without_numpy():
 @pytest.mark.parametrize("bridge", [True, False])
 @pytest.mark.parametrize("simulated", [True, False])
 def test_the_launch_file_starts_what_is_listed(monkeypatch, tmp_path, bridge, simulated):
-    text = (ROOT / "config" / "tracer_demo.yaml").read_text()
+    text = (ROOT / "config" / "tracer_paper.yaml").read_text()
     file = tmp_path / "cell.yaml"
     file.write_text(text + ("    bridge: {controller: csv}\n" if bridge else ""))
     values = {"configuration": str(file), "simulated": str(simulated).lower()}

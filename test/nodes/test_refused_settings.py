@@ -56,7 +56,7 @@ def test_the_configuration_is_refused_with_place_and_nearest_name(name, value, f
 
 @pytest.mark.parametrize("method", method_names())
 def test_every_setting_of_every_method_is_known_by_its_exact_name_only(method):
-    given = read_configuration(DEMO.with_name({"tracer_multistation": "tracer_demo.yaml"}.get(
+    given = read_configuration(DEMO.with_name({"tracer_multistation": "tracer_paper.yaml"}.get(
         method, f"{method}_demo.yaml"
     )))  # fmt: skip
     groups = yaml.safe_load(given.text)["/**"]["ros__parameters"]

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rotcal_ros.nodes.health import SOLVING, RollCall
+from rotcal_ros.nodes.health import LOADING, SOLVING, RollCall
 
 
 def watched(until, silent_from):
@@ -57,3 +57,12 @@ def test_who_is_solving_is_given_more_time_and_no_more_than_that():
     assert lost.keys() == turns.keys()
     for name, between in turns.items():
         assert lost[name] in between, name
+
+
+def test_who_loads_the_code_of_a_method_is_given_as_much():
+    roll = RollCall(timeout_s=1.4)
+    for name, state in (("capture", LOADING), ("cell", "idle")):
+        roll.hear(name, state, 0.0)
+    seen = {turn: set(roll.silent(0.2 * turn)) for turn in range(60)}
+    assert seen[20] == {"cell"}
+    assert seen[59] == {"capture", "cell"}

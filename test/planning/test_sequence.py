@@ -17,7 +17,7 @@ from rotcal_ros.planning.sequence_choice import MeasuringOrder, best_order, meas
 from rotcal_ros.planning.sequence_forecast import Forecast, OrderForecast
 from rotcal_ros.planning.sequence_time import PAPER, Drive, TimeModel, duration
 
-DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
+DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 M, N = 11, 24
 ANGLES = np.radians(-145.0 + 30.0 * np.arange(M))
 MODEL = TimeModel(
@@ -171,8 +171,14 @@ def test_the_same_seed_gives_the_same_orders(competing):
     assert best_order(again).name == "quickest"  # nothing is asked of drift
 
 
-def test_a_pair_is_measured_once():
-    with pytest.raises(PlanError, match="listed twice"):
+def test_a_pair_that_comes_again_is_approached_anew():
+    position, target = np.repeat(np.arange(4), 3), np.tile([0, 0, 1], 4)
+    apart = np.abs(position - position[:, None]) + np.abs(target - target[:, None])
+    ways = measuring_orders(position, target, 1.0 + apart)
+    for way in ways:
+        pairs = np.column_stack([position, target])[way.order]
+        assert (np.diff(pairs, axis=0) != 0).any(axis=1).all()
+    with pytest.raises(PlanError, match="nothing would approach it anew"):
         measuring_orders(np.zeros(9, dtype=int), np.zeros(9, dtype=int), np.ones((9, 9)))
 
 

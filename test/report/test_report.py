@@ -4,6 +4,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
+from rotcal_ros.catalogue.goal import GoalStanding
+from rotcal_ros.planning.plan_figures import Compared, PlanFigures
 from rotcal_ros.protection import Protection
 from rotcal_ros.report.page import ReportInput, render_report
 from rotcal_ros.results import Rejection, Residuals, Result
@@ -51,6 +53,23 @@ REPORT = ReportInput(
     versions={"numpy": "2.0"},
     truth={"angles_rad": [0.0, 1.0], "deviations": {"ECC": [0.0, 1e-5]}},
 )
+
+
+def test_a_goal_is_shown_beside_the_papers_plan():
+    own = PlanFigures(66, 0.71 * ARCSEC, 435.2, None)
+    papers = PlanFigures(704, 0.79 * ARCSEC, 10545.0, 225.4)
+    reason = "goal reached: U 0.7 <= 0.8"
+    standing = GoalStanding(
+        0.8 * ARCSEC, 0.7 * ARCSEC, 67, 2149, reason, Compared(own, papers, 1.03e-7)
+    )
+    page = render_report(replace(REPORT, goal=standing))
+    shown = re.sub(r"<[^>]*>", " ", page)
+    for text in ("0.800 arcsec", "0.700 arcsec", "67 measured of 2149", "0.103 µm per length"):
+        assert text in shown
+    assert "goal reached: U 0.7 &lt;= 0.8" in shown
+    row = next(line for line in page.splitlines() if "planner.step_s" in line)
+    assert re.findall(r"\d+ s", row) == ["435 s", "10545 s"]
+    assert "planner.step_s" not in render_report(REPORT)
 
 
 class References(HTMLParser):

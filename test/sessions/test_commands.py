@@ -10,7 +10,7 @@ from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.sessions.commands import client_command, node_command, node_names
 from rotcal_ros.sessions.session import prepare_session
 
-DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
+DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 
 
 @pytest.fixture

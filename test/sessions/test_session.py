@@ -10,7 +10,7 @@ from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.following import describe
 from rotcal_ros.sessions.session import free_name, prepare_session
 
-DEMO = Path(__file__).parents[2] / "config" / "tracer_demo.yaml"
+DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
 
 
 def test_without_changes_the_configuration_is_kept_byte_for_byte(tmp_path):
@@ -84,3 +84,8 @@ def test_feedback_in_words():
     assert describe(feedback) == "solving"
     feedback = {"activity": "target 3", "current_std_rad": 4.8481368e-6, "time_left_s": 12.3}
     assert describe(feedback) == "target 3, std 1.00 arcsec, 12 s left"
+    feedback |= {"goal_rad": 9.6962736e-6, "uncertainty_rad": None}
+    words = "target 3, goal U 2.00 arcsec, known once all stations are placed, 12 s left"
+    assert describe(feedback) == words
+    feedback["uncertainty_rad"] = 1.45444104e-5
+    assert describe(feedback) == "target 3, U 3.00 of 2.00 arcsec, 12 s left"

@@ -57,14 +57,14 @@ def load(name):
 
 @pytest.fixture(scope="module")
 def demo():
-    plan, simulation, capture_settings, _ = load("tracer_demo.yaml")
+    plan, simulation, capture_settings, _ = load("tracer_paper.yaml")
     cell, capture = SimulatedCell(simulation), Capture(plan, capture_settings, RULES)
     return plan, cell, capture, list(measure(plan, cell, capture))
 
 
 def test_the_demonstration_is_the_experiment_of_the_paper():
     """64 targets in 450 x 600 x 450 mm, 11 stations from -145 deg, 704 lengths."""
-    plan, simulation, _, _ = load("tracer_demo.yaml")
+    plan, simulation, _, _ = load("tracer_paper.yaml")
     assert np.ptp(plan.targets, axis=0) == pytest.approx([0.45, 0.6, 0.45])
     assert np.rad2deg(plan.table_angles) == pytest.approx(-145 + 30 * np.arange(11))
     assert (len(plan.targets), len(plan.steps)) == (64, 704)
@@ -123,7 +123,7 @@ def test_spikes_and_gaps_were_met(demo):
 @pytest.mark.parametrize("order", ["stations_per_target", "targets_per_station"])
 def test_both_orders_of_measuring_give_true_lengths(order):
     plan = tracer_plan(TracerPlanSettings(table_positions=3, box_points=(2, 2, 1), order=order))
-    _, simulation, settings, _ = load("tracer_demo.yaml")
+    _, simulation, settings, _ = load("tracer_paper.yaml")
     cell = SimulatedCell(replace(simulation, seed=3))
     settings = replace(settings, window_samples=50)
     seen = list(measure(plan, cell, Capture(plan, settings, RULES)))

@@ -8,14 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.catalogue.arrivals import RepeatedTrials, arrivals_of
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
+from rotcal_ros.catalogue.plane_mirror.plan import MirrorPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import plane_mirror
+from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem, noise_of
 from rotcal_ros.methods.plane_mirror.settings import DIRECT, WAYS, MirrorSolverSettings, Way
 from rotcal_ros.observations import Observation, PointKind
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.table_angles import table_angles
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -27,14 +31,27 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     out; details["left_out"] names it.
     """
     problem, left_out = _problem(configuration, plan, observations)
-    return _solve_ways(problem, {"left_out": left_out})
+    return _solve_ways(problem, {"left_out": left_out}, _arrivals(configuration))
 
 
 def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about the accepted observations of a plane-mirror plan."""
-    return plane_mirror.mirror_trials(_problem(configuration, plan, observations)[0])
+    problem = _problem(configuration, plan, observations)[0]
+    prepared, arrivals = plane_mirror.mirror_trials(problem), _arrivals(configuration)
+    if arrivals is None:
+        return prepared
+    result = plane_mirror.solve(problem)
+    return RepeatedTrials.of(prepared, result, arrivals.take(result.details["table_positions"]))
+
+
+def _arrivals(configuration: Configuration) -> Arrivals | None:
+    """Return the arrivals of all positions of a plan that measures both directions."""
+    settings: MirrorPlanSettings = configuration.plan
+    if not settings.bidirectional:
+        return None
+    return arrivals_of(table_angles(settings), runs=1, bidirectional=True)
 
 
 def _problem(
@@ -50,7 +67,7 @@ def _problem(
 
 def solve_points(configuration: Configuration, problem: PlaneMirrorProblem) -> Result:
     """Solve points that come without a plan, as the configuration says."""
-    return _solve_ways(configured(problem, configuration), {})
+    return _solve_ways(configured(problem, configuration), {}, _arrivals(configuration))
 
 
 def check(
@@ -73,8 +90,10 @@ def check(
 def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> PlaneMirrorProblem:
     """Return a problem with noise, way and limits of the configuration."""
     settings: MirrorSolverSettings = configuration.solver
+    arrivals = _arrivals(configuration)
     return replace(
         problem,
+        upward=None if arrivals is None else arrivals.upward,
         noise=noise_of(settings),
         way=settings.way,
         tilt_std=settings.tilt_std_arcsec * ARCSEC,
@@ -83,19 +102,28 @@ def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> Pla
     )
 
 
-def _solve_ways(problem: PlaneMirrorProblem, details: dict[str, Any]) -> Result:
+def _solve_ways(
+    problem: PlaneMirrorProblem, details: dict[str, Any], arrivals: Arrivals | None
+) -> Result:
     """Solve the chosen way; the other ways of the same points go into the details."""
-    result = plane_mirror.solve(problem)
+    result = _mean(plane_mirror.solve(problem), arrivals)
     others = [way for way in WAYS if DIRECT not in (way, problem.way) and way != problem.way]
     if others:
-        details = {**details, "ways": [_other_way(problem, way) for way in others]}
+        details = {**details, "ways": [_other_way(problem, way, arrivals) for way in others]}
     return replace(result, details={**result.details, **details})
 
 
-def _other_way(problem: PlaneMirrorProblem, way: Way) -> dict[str, Any]:
+def _mean(result: Result, arrivals: Arrivals | None) -> Result:
+    """Return the result over the distinct angles, where both directions were measured."""
+    if arrivals is None:
+        return result
+    return mean_of_runs(result, arrivals.take(result.details["table_positions"]))
+
+
+def _other_way(problem: PlaneMirrorProblem, way: Way, arrivals: Arrivals | None) -> dict[str, Any]:
     """Return the curve of another way, or why there is none."""
     try:
-        result = plane_mirror.solve(replace(problem, way=way))
+        result = _mean(plane_mirror.solve(replace(problem, way=way)), arrivals)
     except DataError as error:
         return {"way": way, "why_not": str(error)}
     return {

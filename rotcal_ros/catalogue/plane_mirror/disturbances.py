@@ -33,6 +33,7 @@ from rotcal_ros.geometry.rotations import rotation_about_z, rotation_from_vector
 from rotcal_ros.methods.plane_mirror.problem import noise_of
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.table_angles import table_angles
 from rotcal_ros.units import ARCSEC
 
 
@@ -83,10 +84,8 @@ def measure(
     The table has no ECC; the true ECC are zero.
     """
     noise, other = streams(seed)
-    stations = [
-        TrackerStation(stand.place)
-        for stand in tracker_stands(configuration.plan, plan.table_angles)
-    ]
+    angles = table_angles(configuration.plan)
+    stations = [TrackerStation(s.place) for s in tracker_stands(configuration.plan, angles)]
     station = np.array([step.station for step in plan.steps])
     head = np.array([stations[s].place for s in station.tolist()])
     seen = _places(configuration, plan, stations, sizes, (noise, other)) - head
@@ -97,7 +96,7 @@ def measure(
     observations = tuple(
         step.observed((x, y, z)) for step, (x, y, z) in zip(plan.steps, seen.tolist(), strict=True)
     )
-    return DisturbedMeasurement(observations, {"ECC": np.zeros(len(plan.table_angles))})
+    return DisturbedMeasurement(observations, {"ECC": np.zeros(len(angles))})
 
 
 def _places(

@@ -71,7 +71,8 @@ def ways(result: Result, truth: Mapping[str, Any] | None = None) -> str:
     curves |= {str(way["way"]): _curve(way) for way in others}
     reference = own[:2]
     if truth is not None and "ECC" in truth.get("deviations", {}):
-        reference = (_array(truth["angles_rad"]), _array(truth["deviations"]["ECC"]))
+        known_at, first = np.unique(_array(truth["angles_rad"]), return_index=True)
+        reference = (known_at, _array(truth["deviations"]["ECC"])[first])
     panels = style.grid(2, len(curves), height=2.5, sharex=True, sharey="row")
     for number, (name, (angles, ecc, std)) in enumerate(curves.items()):
         top, bottom = panels[number], panels[number + len(curves)]

@@ -28,12 +28,13 @@ from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
 from rotcal_ros.methods.plane_mirror.solve import METHOD as NAME
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.table_angles import table_angles
 
 
-def nominal(configuration: Configuration, plan: Plan) -> See:
+def nominal(configuration: Configuration, _plan: Plan) -> See:
     """Return what a tracker sees that looks along +x at every station; the mirror is flat."""
     settings: MirrorPlanSettings = configuration.plan
-    stations = [TrackerStation(s.place) for s in tracker_stands(settings, plan.table_angles)]
+    stations = [TrackerStation(s.place) for s in tracker_stands(settings, table_angles(settings))]
     mirror = nominal_mirror(settings)
 
     def see(step: Step) -> tuple[float, ...]:

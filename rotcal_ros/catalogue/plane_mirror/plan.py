@@ -88,6 +88,11 @@ class MirrorPlanSettings(TableAngleSettings):
         "measured again",
         minimum=0.01,
     )
+    bidirectional: bool = setting(
+        False,
+        doc="from every tracker station measure its positions on the way up and, from the other "
+        "side, on the way down",
+    )
     reflectors: int = setting(
         1, doc="reflectors put up at each position and seen twice", minimum=1, maximum=20
     )
@@ -139,7 +144,7 @@ def _plan(configuration: Configuration, *, nests_once: bool) -> Plan:
             "mirror"
         )
     result = mirror_plan(settings, nests_once=nests_once)
-    n_stations = len(tracker_stands(settings, result.table_angles))
+    n_stations = len(tracker_stands(settings, table_angles(settings)))
     if way == STITCHING and n_stations > 1 and not settings.shared_positions:
         raise PlanError(
             f"{configuration.source}: stitching carries the zero on through shared positions; "
@@ -166,19 +171,24 @@ class Stand:
 def mirror_plan(settings: MirrorPlanSettings, *, nests_once: bool = False) -> Plan:
     """Return the plan of one plane-mirror calibration.
 
-    ``nests_once``: as earlier versions did it, each station measures the nests once, a single one
-    not at all. Raises PlanError when a station sees the mirror beyond the incidence limit, or when
-    nests, stations and positions do not fit together.
+    With ``bidirectional`` the table positions go up through the angles and down again: position
+    2 n - 1 - i stands at the angle of position i, reached from above. ``nests_once``: as earlier
+    versions did it, each station measures the nests once, a single one not at all. Raises
+    PlanError when a station sees the mirror beyond the incidence limit, or when nests, stations
+    and positions do not fit together.
     """
     angles = table_angles(settings)
     stands = tracker_stands(settings, angles)
     again = settings.closing_nests and not nests_once
     nests = triples(settings.nests_m, "nests_m") if len(stands) > 1 or again else ()
     _check_nests(nests)
-    blocks = [_steps_of(settings, angles, stand, nests, again) for stand in stands]
+    every = position_angles(settings)
+    blocks = [_steps_of(settings, every, stand, nests, again) for stand in stands]
+    up = len(angles)
+    side = [Approach.POSITIVE] * up + [Approach.NEGATIVE] * (len(every) - up)
     starts = np.cumsum([0, *map(len, blocks)]).tolist()
     steps = tuple(
-        Step(index, position, angles[position], Approach.POSITIVE, kind, target, place, station)
+        Step(index, position, every[position], side[position], kind, target, place, station)
         for index, (station, position, kind, target, place) in enumerate(chain(*blocks))
     )
     pauses: list[Pause] = []
@@ -187,7 +197,13 @@ def mirror_plan(settings: MirrorPlanSettings, *, nests_once: bool = False) -> Pl
         pauses.append(Pause(start, start + len(nests) - 1, instruction))
         if nests and again:
             pauses.append(Pause(end - len(nests), end - 1, _CLOSING, again_from=start))
-    return Plan(METHOD, angles, nests, steps, tuple(pauses))
+    return Plan(METHOD, every, nests, steps, tuple(pauses))
+
+
+def position_angles(settings: MirrorPlanSettings) -> tuple[float, ...]:
+    """Return the commanded angle (rad) of every table position: up, then down if both ways."""
+    angles = table_angles(settings)
+    return angles + angles[::-1] * settings.bidirectional
 
 
 def tracker_stands(settings: MirrorPlanSettings, angles: tuple[float, ...]) -> tuple[Stand, ...]:
@@ -248,16 +264,18 @@ def _steps_of(
 ) -> list[Row]:
     """Return what is measured from one station: nests, position by position, nests ``again``."""
     mirrored = [PointKind.MIRRORED] if settings.carries == MIRROR else []
-    rows = _round(stand, stand.visit[0], nests)
-    for count, position in enumerate(stand.visit):
+    down = [len(angles) - 1 - position for position in reversed(stand.visit)]
+    visit = [*stand.visit, *(down if settings.bidirectional else ())]
+    rows = _round(stand, visit[0], nests)
+    for count, position in enumerate(visit):
         if again and count and settings.nests_every and count % settings.nests_every == 0:
-            rows += _round(stand, stand.visit[count - 1], nests)
+            rows += _round(stand, visit[count - 1], nests)
         rows += [
             (stand.number, position, kind, number, place)
             for number, place in enumerate(_reflectors(settings, angles[position], stand), start=1)
             for kind in (PointKind.DIRECT, *mirrored)
         ]
-    return rows + _round(stand, stand.visit[-1], nests) if again else rows
+    return rows + _round(stand, visit[-1], nests) if again else rows
 
 
 def _round(stand: Stand, position: int, nests: tuple[Point, ...]) -> list[Row]:

@@ -17,11 +17,11 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.catalogue.plane_mirror.calibration import configured, solve_points
+from rotcal_ros.catalogue.plane_mirror.plan import position_angles
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror import mirror_trials
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.observations import PointKind
-from rotcal_ros.planning.table_angles import table_angles
 from rotcal_ros.results import Result
 from rotcal_ros.tables import Header, Row, Table, hashes
 
@@ -53,7 +53,7 @@ class TrackerPoints:
         return mirror_trials(configured(self._points(), self.configuration))
 
     def _points(self) -> PlaneMirrorProblem:
-        return read_points(self.table, np.array(table_angles(self.configuration.plan)))
+        return read_points(self.table, np.array(position_angles(self.configuration.plan)))
 
 
 def read(configuration: Configuration, table: Table, _targets: Path | None) -> TrackerPoints:

@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.catalogue.arrivals import RepeatedTrials, arrivals_of
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
-from rotcal_ros.catalogue.tracer.lengths import mean_targets, reported_positions, time_order
+from rotcal_ros.catalogue.tracer.lengths import (
+    mean_targets,
+    reported_positions,
+    require_segments,
+)
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods import tracer
-from rotcal_ros.methods.arrivals import Arrivals, mean_from_first, mean_of_runs, repeatability_std
+from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
 from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined, at_equal_places
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solution import adjust
 from rotcal_ros.methods.tracer.solve import result_of
-from rotcal_ros.observations import Approach, Observation
+from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
-from rotcal_ros.planning.visits import visits
+from rotcal_ros.planning.time_order import time_order
+from rotcal_ros.planning.tracer_design.scene import on_table
 from rotcal_ros.results import Result
 
 
@@ -51,10 +56,7 @@ def trials(
     if arrivals is None:
         return prepared
     result, positions = _solved(configuration, plan, observations)
-    arrivals = arrivals.take(positions)
-    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
-    scatter = repeatability_std(ecc, covariance, arrivals)
-    return RepeatedTrials(prepared, mean_from_first(arrivals), scatter)
+    return RepeatedTrials.of(prepared, result, arrivals.take(positions))
 
 
 def _interrupted(observations: Sequence[Observation]) -> bool:
@@ -86,28 +88,18 @@ def _in_segments(configuration: Configuration) -> bool:
 
 def _segments(observations: Sequence[Observation]) -> Ints:
     """Return the segment (k,) of each observation; another run is another segment."""
-    if any(o.segment < 0 for o in observations):
-        raise DataError(
-            "these observations were recorded before they told the segment of the beam: solve "
-            "from the streams, or set solver.zero to per_station"
-        )
+    require_segments(observations)
     both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
     return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 
 
-@dataclass(frozen=True, eq=False)
-class RepeatedTrials:
-    """Trials of all arrivals, with their repeatability (rad), as mean curves."""
+def _stations(configuration: Configuration, plan: Plan) -> Floats | None:
+    """Return where the tracer stands at each table angle (m, 3), None where the plan is silent.
 
-    arrivals: Trials
-    mean: Floats
-    repeatability_std: float
-
-    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return the mean deviations (count, k) in rad."""
-        values = self.arrivals(rng, count)
-        values = values + self.repeatability_std * rng.standard_normal(values.shape)
-        return np.asarray(values @ self.mean.T, dtype=np.float64)
+    Few lengths to low targets leave a mirror image of a station, which this rules out.
+    """
+    mount = configuration.plan.tracer_m
+    return on_table(mount, plan.table_angles) if mount else None
 
 
 def _arrivals(configuration: Configuration) -> Arrivals | None:
@@ -115,14 +107,7 @@ def _arrivals(configuration: Configuration) -> Arrivals | None:
     settings: TracerPlanSettings = configuration.plan
     if not settings.repeated:
         return None
-    angles = np.array(table_angles(settings))
-    every = visits(len(angles), settings.runs, settings.bidirectional)
-    return Arrivals(
-        targets=angles,
-        target=np.array([visit.target for visit in every]),
-        run=np.array([visit.run for visit in every]),
-        upward=np.array([visit.approach is Approach.POSITIVE for visit in every]),
-    )
+    return arrivals_of(table_angles(settings), settings.runs, bidirectional=settings.bidirectional)
 
 
 def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Runs:
@@ -154,6 +139,19 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
             )
         )
     return Runs(posed, run, reported_positions(kept) - place, pairs)
+
+
+def _again(plan: Plan, observations: Sequence[Observation]) -> Ints | None:
+    """Return how many earlier steps (k,) of the plan have the same pair; None: none has."""
+    earlier: dict[tuple[int, int], int] = {}
+    of_step: dict[int, int] = {}
+    for step in plan.steps:
+        pair = (step.table_position, step.target)
+        of_step[step.index] = earlier.get(pair, 0)
+        earlier[pair] = of_step[step.index] + 1
+    if len(earlier) == len(plan.steps):
+        return None
+    return np.array([of_step[o.step] for o in observations], dtype=np.int64)
 
 
 def problem(
@@ -189,13 +187,17 @@ def problem(
         distance_std=relative_std,
         order=time_order(observations),
         segment=_segments(observations) if _in_segments(configuration) else None,
+        again=_again(plan, observations),
         zero_walk_std=settings.zero_walk_std_m if _in_segments(configuration) else 0.0,
+        slip=settings.slip_m,
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),
+        start_stations=_stations(configuration, plan),
         variant=settings.variant,
         datum=settings.datum,
         error_motion_std=settings.error_motion_std_m,
+        circle_std=settings.circle_std_m,
         settings=settings,
         repeated_runs=configuration.plan.repeated,
     )

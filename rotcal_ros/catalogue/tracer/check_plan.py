@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,24 +17,28 @@ from rotcal_ros.curves.interpolation import without_harmonics
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.files import write_atomically
-from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.plan import Point
-from rotcal_ros.planning.sequence_choice import MeasuringOrder, measuring_orders
+from rotcal_ros.planning.sequence_choice import least_hidden, measuring_orders
 from rotcal_ros.planning.sequence_forecast import Forecast, OrderForecast
+from rotcal_ros.planning.tracer_design.candidates import candidates, scene_of
 from rotcal_ros.planning.tracer_design.check_lengths import (
     LEAST_REDUNDANCY,
+    CheckLengths,
     Progress,
     fewest_lengths,
 )
+from rotcal_ros.planning.tracer_design.ordering import noisy_problem
 from rotcal_ros.planning.tracer_design.scene import Scene, on_table
-from rotcal_ros.protection import TOLERABLE
+from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 from rotcal_ros.units import DEGREE
 
 CONFIGURATION_FILE: Final = "check.yaml"
 TARGETS_FILE: Final = "targets.csv"
 PAIRS_FILE: Final = "pairs.csv"
+SEED: Final = 0
+"""Of the noise with which orders are judged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +106,17 @@ def plan_check(
     rule: CheckRule,
     *,
     every: int = 1,
-    candidates: tuple[Point, ...] = (),
+    offered: tuple[Point, ...] = (),
+    room: TracerDesignSettings | None = None,
     least_redundancy: float = LEAST_REDUNDANCY,
     progress: Progress | None = None,
 ) -> CheckPlan:
     """Choose the fewest lengths that check ``earlier`` at each ``every``-th of its angles.
 
     ``earlier`` is a curve of ECC, rad. The tracer stands where the simulation of ``configuration``
-    mounts it; its ``solver`` states the noise. The reflector may go to ``candidates`` (m), or to
-    the targets of the configuration's block. Raises ConfigurationError for another method or
+    mounts it; its ``solver`` states the noise. The reflector may go to places ``offered`` (m), to
+    the volume of ``room``, or to the targets of the configuration's block; with a ``room`` only
+    to those with a free beam from all angles. Raises ConfigurationError for another method or
     variant and where the error motion is not stated, PlanError where no choice suffices.
     """
     _require_fitting(configuration)
@@ -118,39 +124,73 @@ def plan_check(
     if len(rows) < LEAST_ANGLES:
         raise PlanError(f"{len(rows)} angles to check: a circle needs at least {LEAST_ANGLES}")
     angles = earlier.angles[rows]
-    offered = np.array(candidates or block_of_targets(configuration.plan))
-    solver = configuration.solver
-    scene = _scene(configuration, angles, offered)
-    keep = without_harmonics(angles, 0)
-    expected = rule.expected(earlier.covariance[np.ix_(rows, rows)], keep)
+    scene = _scene(configuration, angles, _offered(configuration, angles, offered, room))
+    expected = rule.expected(earlier.covariance[np.ix_(rows, rows)], without_harmonics(angles, 0))
     found = fewest_lengths(
         scene,
         rule,
         np.sqrt(np.diagonal(expected)),
-        one_zero=solver.zero == "per_segment",
+        one_zero=configuration.solver.zero == "per_segment",
         least_redundancy=least_redundancy,
         progress=progress,
     )
+    return _in_order(configuration, rule, scene, found)
+
+
+def _in_order(
+    configuration: Configuration, rule: CheckRule, scene: Scene, found: CheckLengths
+) -> CheckPlan:
+    """Return the plan of the lengths ``found``, to the targets in use, in their best order."""
     used, target = np.unique(found.lengths.target, return_inverse=True)
     pairs = np.column_stack([found.lengths.position, target])
-    segment = found.lengths.segment if solver.zero == "per_segment" else None
-    unseen = OrderForecast(_exact_lengths(scene, offered[used], pairs, segment))
-    costs = cell_time(configuration).costs(angles, offered[used], pairs[:, 0], pairs[:, 1])
-    order = _order(costs, pairs, unseen)
+    solver, angles, targets = configuration.solver, scene.table_angles, scene.targets[used]
+    unseen = OrderForecast(
+        noisy_problem(
+            scene, found.lengths, one_zero=solver.zero == "per_segment", seed=SEED,
+            slip=solver.slip_m, limits=solver,
+        )
+    )  # fmt: skip
+    costs = cell_time(configuration).costs(angles, targets, pairs[:, 0], pairs[:, 1])
+    order = least_hidden(measuring_orders(pairs[:, 0], pairs[:, 1], costs, unseen))
     return CheckPlan(
         configuration=configuration,
         rule=rule,
         angles=angles,
-        targets=offered[used],
+        targets=targets,
         pairs=pairs[order.order],
         std=found.std,
         acceptance=rule.acceptance(found.std),
         assurance=found.assurance,
         least_redundancy=found.least_redundancy,
-        offered=len(angles) * len(offered),
+        offered=len(angles) * len(scene.targets),
         seconds=order.seconds,
         unseen=unseen(order.order),
     )
+
+
+def _offered(
+    configuration: Configuration,
+    angles: Floats,
+    listed: tuple[Point, ...],
+    room: TracerDesignSettings | None,
+) -> Floats:
+    """Return the places (n, 3) of the reflector that are offered, m."""
+    if room is None:
+        return np.array(listed or block_of_targets(configuration.plan))
+    room = replace(
+        room,
+        table_angles_deg=tuple((angles / DEGREE).tolist()),
+        mount_m=configuration.simulation.tracer.mount_m,
+    )
+    scene = scene_of(room, listed or None)
+    seen = np.bincount(candidates(scene, room).target, minlength=len(scene.targets))
+    places = np.asarray(scene.targets[seen == len(angles)], dtype=np.float64)
+    if not len(places):
+        raise PlanError(
+            f"no target has a free beam from all {len(angles)} angles: see keep_out_m, "
+            "blocked_azimuth_deg, min_elevation_deg, or check fewer angles"
+        )
+    return places
 
 
 def _scene(configuration: Configuration, angles: Floats, offered: Floats) -> Scene:
@@ -163,6 +203,7 @@ def _scene(configuration: Configuration, angles: Floats, offered: Floats) -> Sce
         target_std=solver.target_std_m,
         length_std=solver.length_std_m,
         length_std_relative=solver.length_std_relative,
+        circle_std=solver.circle_std_m,
         error_motion_std=solver.error_motion_std_m,
     )
 
@@ -185,36 +226,6 @@ def _require_fitting(configuration: Configuration) -> None:
             f"{source}: solver.error_motion_std_m is absent, so the few stations of a quick check "
             "would have to tell it: state what the full calibration has found"
         )
-
-
-def _exact_lengths(
-    scene: Scene, targets: Floats, pairs: Ints, segment: Ints | None
-) -> TracerProblem:
-    """Return the lengths of ``pairs`` (k, 2) as a problem without any error."""
-    position, target = pairs.T
-    distance = np.linalg.norm(scene.stations[position] - targets[target], axis=1)
-    return TracerProblem(
-        position=position,
-        target=target,
-        length=distance,
-        length_std=np.hypot(scene.length_std, scene.length_std_relative * distance),
-        targets=targets,
-        target_std=np.broadcast_to(scene.target_std[0], targets.shape),
-        table_angles=scene.table_angles,
-        error_motion_std=scene.error_motion_std,
-        start_stations=scene.stations,
-        segment=segment,
-    )
-
-
-def _order(costs: Floats, pairs: Ints, forecast: OrderForecast) -> MeasuringOrder:
-    """Return the quickest order that shows drift and knock, else the one that hides least."""
-
-    def badness(way: MeasuringOrder) -> tuple[float, float]:
-        unseen = way.forecast or forecast(way.order)
-        return max(unseen.drift, unseen.knock, TOLERABLE), way.seconds
-
-    return min(measuring_orders(pairs[:, 0], pairs[:, 1], costs, forecast), key=badness)
 
 
 def _point(target: Floats) -> Point:

@@ -1,4 +1,4 @@
-"""Observed lengths as arrays: when each was taken, and where the reflector was."""
+"""Observed lengths as arrays: where the reflector was."""
 
 from __future__ import annotations
 
@@ -7,15 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.errors import DataError
 from rotcal_ros.observations import Observation
-
-
-def time_order(observations: Sequence[Observation]) -> Ints:
-    """Return the rank (k,) in time of each observation: by run, then by step of the plan."""
-    keys = ([o.step for o in observations], [o.run for o in observations])
-    rank = np.empty(len(observations), dtype=np.int64)
-    rank[np.lexsort(keys)] = np.arange(len(observations))
-    return rank
 
 
 def reported_positions(observations: Sequence[Observation]) -> Floats:
@@ -32,3 +25,12 @@ def mean_targets(nominal: Floats, target: Ints, reported: Floats) -> Floats:
     total[seen] /= count[seen, None]
     total[~seen] = nominal[~seen]
     return total
+
+
+def require_segments(observations: Sequence[Observation]) -> None:
+    """Raise DataError where a recording does not tell the segments of the beam."""
+    if any(o.segment < 0 for o in observations):
+        raise DataError(
+            "these observations were recorded before they told the segment of the beam: solve "
+            "from the streams, or leave solver.zero out"
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from math import dist
 from typing import Final
 
@@ -24,6 +25,7 @@ from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD as NAME
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Step
+from rotcal_ros.planning.plan_figures import Compared
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
@@ -37,6 +39,15 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
     return see
 
 
+def compare(
+    configuration: Configuration, plan: Plan, steps: Sequence[int], lost: Collection[int]
+) -> Compared:
+    """Return what is known of ``steps`` and of the paper's plan; loaded when it is asked for."""
+    from rotcal_ros.catalogue.tracer import paper
+
+    return paper.compare(configuration, plan, steps, lost)
+
+
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracer, multi-station",
@@ -48,6 +59,7 @@ METHOD: Final = Method(
     plan=lambda configuration: tracer_plan(configuration.plan),
     check_plan=lambda configuration, plan: check_plan(configuration.solver, plan),
     adaptive=until_goal,
+    compare=compare,
     plan_files=PLAN_FILES,
     capture=CaptureRules({PointKind.REFLECTOR: decide_length}, lambda plan: (LengthCheck(plan),)),
     solve=calibration.solve,

@@ -15,7 +15,8 @@ from itertools import product
 import numpy as np
 
 from rotcal_ros.errors import ConfigurationError, PlanError
-from rotcal_ros.methods.tracer.grid import SHARED_MINIMUM, STATION_MINIMUM
+from rotcal_ros.methods.tracer.circle_prior import contrast_count
+from rotcal_ros.methods.tracer.grid import station_minimum
 from rotcal_ros.methods.tracer.observability import what_is_missing
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD
@@ -23,6 +24,9 @@ from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.points import block
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
+from rotcal_ros.planning.tracer_design.candidates import candidates
+from rotcal_ros.planning.tracer_design.scene import Scene, on_table
+from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 from rotcal_ros.planning.visits import visits
 from rotcal_ros.settings import setting
 
@@ -82,7 +86,18 @@ class TracerPlanSettings(TableAngleSettings):
     tracer_m: tuple[float, ...] = setting(
         (),
         doc="m, where the tracer stands on the table at angle 0, to a few centimetres: x, y, z; "
-        "for the policy until_goal; absent: that of the simulation",
+        "the solver starts there, until_goal and the two below need it; absent: not known, and "
+        "until_goal takes that of a simulation",
+    )
+    min_elevation_deg: float | None = setting(
+        None,
+        doc="deg, lowest beam over the tracer's horizon; pairs below are left out of the plan; "
+        "absent: none is",
+        minimum=-90.0,
+        maximum=90.0,
+    )
+    min_distance_m: float = setting(
+        0.0, doc="m, pairs with a shorter beam are left out of the plan", minimum=0.0
     )
 
     def __post_init__(self) -> None:
@@ -103,9 +118,19 @@ class TracerPlanSettings(TableAngleSettings):
                 )
 
     @property
+    def listed(self) -> tuple[tuple[int, int], ...]:
+        """The explicit pairs of table position and target, in their order."""
+        return tuple(zip(self.pairs[::2], self.pairs[1::2], strict=True))
+
+    @property
     def repeated(self) -> bool:
         """Whether the table comes to an angle more than once."""
         return self.runs > 1 or self.bidirectional
+
+    @property
+    def limited(self) -> bool:
+        """Whether pairs with a beam that is too low or too short are left out."""
+        return self.min_elevation_deg is not None or self.min_distance_m > 0.0
 
 
 def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
@@ -115,15 +140,22 @@ def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
         for name in ("table_position", "target")
     )
     shared = solver.zero == "per_segment"
-    least = SHARED_MINIMUM if shared else STATION_MINIMUM
-    lengths = np.bincount(at, minlength=len(planned.table_angles))
+    on_circle = solver.circle_std_m is not None
+    least = station_minimum(not shared, on_circle)
+    different = np.array(sorted({*zip(at.tolist(), of.tolist(), strict=True)}))
+    lengths = np.bincount(different[:, 0], minlength=len(planned.table_angles))
     poor = np.flatnonzero(lengths < least)
     enough = lengths[at] >= least
     n = len(planned.targets)
     free = solver.variant == "joint" and solver.datum == "free"
-    missing = what_is_missing(
-        int((lengths >= least).sum()), len(set(of[enough])), int(enough.sum()), free and not shared
-    )
+    m, count = int((lengths >= least).sum()), int(enough.sum())
+    missing = what_is_missing(m, len(set(of[enough])), count, free and not shared, least)
+    unknowns = 3 * m + (1 if shared else m) - (contrast_count(m) if on_circle else 0)
+    if not missing and count < unknowns:
+        missing = (
+            f"{count} lengths from {m} stations are fewer than the {unknowns} unknowns: measure "
+            "more targets"
+        )
     if len(poor) and not missing:
         missing = (
             f"table position {poor[0]} has {lengths[poor[0]]} lengths, at least {least} are "
@@ -161,33 +193,62 @@ def tracer_plan(settings: TracerPlanSettings) -> Plan:
     targets = targets_of(settings)
     every = tuple(angles[visit.target] for visit in arrivals)
     plan = plan_of(every, targets, [visit.approach for visit in arrivals])
+    if settings.limited:
+        plan = _with_free_beams(plan, settings)
     if settings.order == TARGETS_PER_STATION:
         return plan
-    in_order = sorted(plan.steps, key=lambda step: step.target)
-    steps = tuple(replace(step, index=number) for number, step in enumerate(in_order))
-    return replace(plan, steps=steps)
+    return _renumbered(plan, sorted(plan.steps, key=lambda step: step.target))
 
 
-def explicit_plan(settings: TracerPlanSettings) -> Plan:
-    """Return the plan of the listed pairs; PlanError, with the step, for those that cannot be."""
+def _with_free_beams(plan: Plan, settings: TracerPlanSettings) -> Plan:
+    """Return the plan without the pairs whose beam is too low or too short."""
+    if len(settings.tracer_m) != 3:
+        raise PlanError(
+            "min_elevation_deg and min_distance_m need to know where the tracer stands on the "
+            "table: give tracer_m: [x, y, z]"
+        )
+    angles = np.array(plan.table_angles)
+    targets = np.array(plan.targets)
+    scene = Scene(on_table(settings.tracer_m, angles), angles, targets, np.zeros(3), 1.0)
+    lowest = settings.min_elevation_deg
+    limits = TracerDesignSettings(
+        min_elevation_deg=-90.0 if lowest is None else lowest,
+        min_distance_m=settings.min_distance_m,
+        max_distance_m=np.inf,
+    )
+    free = candidates(scene, limits)
+    pairs = set(zip(free.position.tolist(), free.target.tolist(), strict=True))
+    kept = [step for step in plan.steps if (step.table_position, step.target) in pairs]
+    return _renumbered(plan, kept)
+
+
+def _renumbered(plan: Plan, steps: Iterable[Step]) -> Plan:
+    in_order = tuple(replace(step, index=number) for number, step in enumerate(steps))
+    return replace(plan, steps=in_order)
+
+
+def explicit_plan(settings: TracerPlanSettings, targets: Sequence[Point] = ()) -> Plan:
+    """Return the plan of the listed pairs; PlanError, with the step, for those that cannot be.
+
+    A pair that is listed several times is measured as often. ``targets``: in place of the plan's.
+    """
     if settings.repeated:
         raise PlanError(
             "runs and bidirectional repeat all lengths: they do not go with explicit pairs"
         )
-    angles, targets = table_angles(settings), targets_of(settings)
-    pairs = tuple(zip(settings.pairs[::2], settings.pairs[1::2], strict=True))
-    seen: dict[tuple[int, int], int] = {}
+    if settings.limited:
+        raise PlanError(
+            "min_elevation_deg and min_distance_m leave out pairs: they do not go with explicit "
+            "ones"
+        )
+    angles, targets = table_angles(settings), tuple(targets) or targets_of(settings)
+    pairs = settings.listed
     for number, (position, target) in enumerate(pairs):
         where = f"step {number} of the pairs, table position {position}, target {target}"
         if position >= len(angles):
             raise PlanError(f"{where}: there are table positions 0 to {len(angles) - 1}")
         if target >= len(targets):
             raise PlanError(f"{where}: there are targets 0 to {len(targets) - 1}")
-        if (position, target) in seen:
-            raise PlanError(
-                f"{where}: it is step {seen[position, target]} already; a pair is measured once"
-            )
-        seen[position, target] = number
     return _plan(angles, targets, pairs, [Approach.POSITIVE] * len(angles))
 
 

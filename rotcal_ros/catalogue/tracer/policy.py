@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from rotcal_ros.arrays import Floats
@@ -20,11 +23,11 @@ from rotcal_ros.planning.tracer_design.scene import Scene, on_table
 from rotcal_ros.units import ARCSEC
 
 
-def until_goal(configuration: Configuration, plan: Plan, continuation: Continuation) -> Policy:
-    """Return the policy for what ``continuation`` leaves.
+def until_goal(configuration: Configuration, plan: Plan) -> Callable[[Continuation], Policy]:
+    """Return what makes the policy for a continuation; the first sweep is planned only once.
 
     Raises ConfigurationError for what until_goal cannot plan with, PlanError when the goal is out
-    of reach of all steps, or a first step is asked for.
+    of reach of all steps; what is returned raises PlanError when a first step is asked for.
     """
     settings, source = configuration.planner, configuration.source
     goal = settings.goal_arcsec * ARCSEC
@@ -37,18 +40,22 @@ def until_goal(configuration: Configuration, plan: Plan, continuation: Continuat
             f"{source}: planner: the policy {UNTIL_GOAL} chooses single steps, repeated runs "
             "measure all of them: leave out plan.runs and plan.bidirectional, or the policy"
         )
+    experiment = length_experiment(configuration, plan)
+    _check_reach(experiment, goal, source)
+    return partial(_begun, experiment, Limits(goal, configuration.solver.rejection_significance))
+
+
+def _begun(experiment: LengthExperiment, limits: Limits, continuation: Continuation) -> Policy:
     if continuation.run == 0 and continuation.start_index:
         raise PlanError(
             f"start_index {continuation.start_index}: the policy {UNTIL_GOAL} measures in an "
             "order of its own; go on with 'rotcal run --resume'"
         )
-    experiment = length_experiment(configuration, plan)
-    _check_reach(experiment, goal, source)
     done = {o.step for o in continuation.observations}
-    gone = {step.index for step in plan.steps} - done - set(continuation.steps)
+    gone = {step.index for step in experiment.plan.steps} - done - set(continuation.steps)
     return UntilGoal(
         experiment,
-        Limits(goal, configuration.solver.rejection_significance),
+        limits,
         again=continuation.again,
         earlier=continuation.observations,
         given_up=sorted(gone),
@@ -73,7 +80,14 @@ def length_experiment(configuration: Configuration, plan: Plan) -> LengthExperim
             f"{configuration.source}: planner: the policy {UNTIL_GOAL} plans with the machine's "
             "coordinates: the solver's datum must be 'prior'"
         )
-    return LengthExperiment(plan, scene, Costs(planner.step_s, planner.turn_s))
+    in_segments = settings.zero == "per_segment"
+    if in_segments and settings.zero_walk_std_m != 0.0:
+        raise ConfigurationError(
+            f"{configuration.source}: planner: the policy {UNTIL_GOAL} plans with zeros that "
+            "stand: leave out solver.zero_walk_std_m, or the policy"
+        )
+    costs = Costs(planner.step_s, planner.turn_s)
+    return LengthExperiment(plan, scene, costs, per_segment=in_segments, solver=settings)
 
 
 def _mount(configuration: Configuration) -> Floats:
@@ -91,12 +105,11 @@ def _mount(configuration: Configuration) -> Floats:
 
 
 def _check_reach(experiment: LengthExperiment, goal: float, source: str) -> None:
-    first = experiment.first_sweep(goal)
-    found = experiment.uncertainty(first, 1.0, COVERAGE_FACTOR)
-    if found > goal:
-        every = range(len(experiment.plan.steps))
-        best = experiment.uncertainty(every, 1.0, COVERAGE_FACTOR) / ARCSEC
+    every = range(len(experiment.plan.steps))
+    best = experiment.planned(experiment.nothing, 1.0, COVERAGE_FACTOR, every)
+    if best > goal:
         raise PlanError(
             f"{source}: planner: goal_arcsec {goal / ARCSEC:g} is out of reach: all {len(every)} "
-            f"steps of the plan give {best:.3g}; offer more targets, or a better spread of them"
+            f"steps of the plan give {best / ARCSEC:.3g}; offer more targets, or a better spread "
+            "of them"
         )

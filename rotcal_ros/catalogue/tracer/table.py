@@ -12,17 +12,18 @@ from typing import Final
 from rotcal_ros.catalogue.calibration import Calibration, prepare
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.measurements import PlannedMeasurements, StepFinder
-from rotcal_ros.catalogue.tracer.plan import plan_of
+from rotcal_ros.catalogue.tracer.plan import explicit_plan, plan_of
 from rotcal_ros.catalogue.tracer.plausibility import LengthCheck
 from rotcal_ros.errors import DataError
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.plan import Point
 from rotcal_ros.tables import Header, Table, hashes, read_table, require_header
 
+SEGMENT: Final = "segment"
 HEADERS: Final[tuple[Header, ...]] = (
     ("position", "target", "length_m"),
     ("station", "target", "length_m"),
-    ("position", "target", "length_m", "segment"),
+    ("position", "target", "length_m", SEGMENT),
 )
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
 TARGETS_FILE: Final = "targets.csv"
@@ -35,31 +36,39 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     set-up, in this order. Segments that the table names have a zero each, unless the set-up asks
     for one per station.
     """
-    in_segments = "segment" in table.header
+    in_segments = SEGMENT in table.header
     if in_segments and configuration.solver.zero == "auto":
         solver = replace(configuration.solver, zero="per_segment")
         configuration = replace(configuration, solver=solver)
     files, calibration = [table.path], prepare(configuration)
-    beside = table.path.with_name(TARGETS_FILE)
-    if targets is None and beside.exists():
-        targets = beside
+    targets = targets_of_table(table, targets)
     if targets is not None:
         files.append(targets)
         angles = calibration.plan.table_angles
         unknown = [Approach.UNKNOWN] * len(angles)
-        plan = plan_of(angles, read_targets(targets), unknown)
+        listed = configuration.plan.listed
+        if len(set(listed)) < len(listed):  # only the plan tells which pairs come again
+            plan = explicit_plan(configuration.plan, read_targets(targets))
+        else:
+            plan = plan_of(angles, read_targets(targets), unknown)
         calibration = Calibration(configuration, plan)
     position = table.header[0]
     find, check = StepFinder(calibration.plan), LengthCheck(calibration.plan)
     observations = []
     for row in table.rows():
         step = find(row, row.index(position), row.index("target"))
-        segment = row.index("segment") if in_segments else 0
+        segment = row.index(SEGMENT) if in_segments else 0
         observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)
     return PlannedMeasurements(calibration, tuple(observations), hashes(*files))
+
+
+def targets_of_table(table: Table, given: Path | None) -> Path | None:
+    """Return the file of the targets: the ``given`` one, or that beside the table if it exists."""
+    beside = table.path.with_name(TARGETS_FILE)
+    return beside if given is None and beside.exists() else given
 
 
 def read_targets(path: Path) -> tuple[Point, ...]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
-from rotcal_ros.catalogue.tracer.lengths import mean_targets, reported_positions, time_order
+from rotcal_ros.catalogue.tracer.lengths import (
+    mean_targets,
+    reported_positions,
+    require_segments,
+)
 from rotcal_ros.catalogue.tracer.plan import TARGETS_PER_STATION
 from rotcal_ros.catalogue.tracer_six.places import described
 from rotcal_ros.catalogue.tracer_six.plan import LOCATING, places_of
@@ -19,9 +23,10 @@ from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods import tracer_six
 from rotcal_ros.methods.tracer.station import locate_stations
 from rotcal_ros.methods.tracer_six.problem import SixProblem
-from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero
+from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero, ZeroSetting
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Point
+from rotcal_ros.planning.time_order import time_order
 from rotcal_ros.results import Result
 from rotcal_ros.units import MILLIMETRE
 
@@ -83,6 +88,7 @@ def problem(
             [arrival[o.step] + len(plan.steps) * o.run for o in observations], dtype=np.int64
         ),
         tilt_std=settings.tilt_std_rad,
+        slip=settings.slip_m,
         order=time_order(observations),
         settings=settings,
     )
@@ -146,17 +152,25 @@ def _require_planned(plan: Plan, places: Floats, observations: Sequence[Observat
             )
 
 
-def _zeros(zero: Zero, observations: Sequence[Observation]) -> tuple[Zero, Ints | None]:
-    """Return which lengths share a zero, with the segment (k,) of each where runs were resumed."""
-    resumed = len({(o.station, o.run) for o in observations}) > len(
-        {o.station for o in observations}
-    )
-    if zero != "segments" and not resumed:
+def _zeros(zero: ZeroSetting, observations: Sequence[Observation]) -> tuple[Zero, Ints | None]:
+    """Return which lengths share a zero, with the segment (k,) of each where it takes numbers.
+
+    Whatever is chosen, a tracer that was fixed anew and a run that was resumed begin a new zero.
+    """
+    if zero == "auto":
+        known = all(o.segment >= 0 for o in observations)
+        zero = "per_segment" if known else "per_run"
+    if zero == "per_segment":
+        require_segments(observations)
+    mountings = {(o.station, o.run) for o in observations}
+    resumed = len(mountings) > len({o.station for o in observations})
+    if zero != "per_segment" and not resumed:
         return zero, None
-    by_station = zero == "per_station"
-    keys = [(o.station, o.run, o.table_position if by_station else 0) for o in observations]
-    _, segment = np.unique(np.array(keys), axis=0, return_inverse=True)
-    return "segments", np.asarray(segment.ravel(), dtype=np.int64)
+    within = {"per_run": lambda _: 0, "per_station": lambda o: o.table_position}
+    part: Callable[[Observation], int] = within.get(zero, lambda o: o.segment)
+    keys = np.array([(o.station, o.run, part(o)) for o in observations])
+    _, segment = np.unique(keys, axis=0, return_inverse=True)
+    return "per_segment", np.asarray(segment.ravel(), dtype=np.int64)
 
 
 def check(

@@ -13,11 +13,11 @@ from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Method, See, TableReader
 from rotcal_ros.catalogue.tracer_six import calibration, table
 from rotcal_ros.catalogue.tracer_six.disturbances import DISTURBANCES
+from rotcal_ros.catalogue.tracer_six.figures import figures
 from rotcal_ros.catalogue.tracer_six.plan import SixPlanSettings, check_plan, places_of, plan
 from rotcal_ros.catalogue.tracer_six.plausibility import PlaceLengths
 from rotcal_ros.catalogue.tracer_six.simulation_settings import SixSimulationSettings
 from rotcal_ros.curves.gauge import without_axis_and_artefact
-from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer_six import METHOD as NAME
 from rotcal_ros.methods.tracer_six import TracerSixSolverSettings
@@ -56,6 +56,6 @@ METHOD: Final = Method(
     gauge=without_axis_and_artefact,
     table=TableReader(table.HEADERS, table.read),
     short_setup=table.short_setup,
-    figures=lambda result, _truth: residual_figures(result),
+    figures=figures,
     disturbances=DISTURBANCES,
 )

@@ -1,18 +1,20 @@
 """Lengths as a plain table: ``place,position,target,length_m``, and beside it ``targets.csv``.
 
+A fifth column ``segment`` numbers the unbroken beams from a place; without it each has one.
 A short set-up lists settings of the plan and of the solver by their names, points as x, y, z.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.catalogue.calibration import Calibration, prepare
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.measurements import PlannedMeasurements, StepFinder
-from rotcal_ros.catalogue.tracer.table import TARGETS_FILE, read_targets
+from rotcal_ros.catalogue.tracer.table import SEGMENT, read_targets, targets_of_table
 from rotcal_ros.catalogue.tracer_six.plan import SixPlanSettings, plan_of
 from rotcal_ros.catalogue.tracer_six.plausibility import PlaceLengths
 from rotcal_ros.errors import ConfigurationError, DataError
@@ -21,7 +23,10 @@ from rotcal_ros.plugins import nearest
 from rotcal_ros.settings import declarations
 from rotcal_ros.tables import Header, Table, hashes
 
-HEADERS: Final[tuple[Header, ...]] = (("place", "position", "target", "length_m"),)
+HEADERS: Final[tuple[Header, ...]] = (
+    ("place", "position", "target", "length_m"),
+    ("place", "position", "target", "length_m", SEGMENT),
+)
 
 
 def read(configuration: Configuration, table: Table, targets: Path | None) -> PlannedMeasurements:
@@ -31,10 +36,9 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     The targets are those of the file ``targets``, of ``targets.csv`` beside the table, or of the
     set-up, in this order.
     """
+    in_segments = SEGMENT in table.header
     files, calibration = [table.path], prepare(configuration)
-    beside = table.path.with_name(TARGETS_FILE)
-    if targets is None and beside.exists():
-        targets = beside
+    targets = targets_of_table(table, targets)
     if targets is not None:
         files.append(targets)
         angles = calibration.plan.table_angles
@@ -44,7 +48,8 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     observations = []
     for row in table.rows():
         step = find(row, row.index("position"), row.index("target"), row.index("place"))
-        observation = check(step.observed((row.metres("length_m"),)))
+        segment = row.index(SEGMENT) if in_segments else 0
+        observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:
             raise DataError(f"{row.place}: {observation.reason}")
         observations.append(observation)

@@ -48,13 +48,14 @@ class Prepared(ABC):
     """A screened problem with all that does not change from trial to trial.
 
     ``problem`` has its points without the ``drift`` of the tracker. ``angles`` (N,) are those of
-    the positions that were measured; the positions of pairs and reflectors count in them.
+    the ``positions`` (N,) that were measured; those of pairs and reflectors count in them.
     ``poses`` are the nominal stations, or all at the origin where the way needs none. ``joining``
     (N, readings) makes deviations of readings.
     """
 
     problem: PlaneMirrorProblem
     drift: Drift
+    positions: Ints
     angles: Floats
     nests: Nests
     poses: Poses
@@ -207,6 +208,7 @@ def _prepare_mirror(problem: PlaneMirrorProblem, drift: Drift) -> Screened:
     prepared = PreparedNormals(
         problem=problem,
         drift=drift,
+        positions=used,
         angles=angles,
         nests=nests,
         poses=poses,
@@ -235,6 +237,7 @@ def _prepare_direct(problem: PlaneMirrorProblem, drift: Drift) -> Screened:
     prepared = PreparedPoints(
         problem=problem,
         drift=drift,
+        positions=used,
         angles=angles,
         nests=nests,
         poses=poses,

@@ -8,7 +8,7 @@ from dataclasses import astuple, dataclass, field
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror.settings import (
     INCIDENCE_LIMIT_DEG,
@@ -93,7 +93,9 @@ class PlaneMirrorProblem:
     ``tilt_std`` (rad) is how far the table may tilt (EAC, EBC), that is, how exactly the normals
     stand on one cone. ``incidence_limit`` (rad) is the greatest angle between beam and mirror
     normal that is used. ``significance`` is the probability of a false alarm of each test.
-    ``station_names``, ``source`` and ``lines`` (of the file, per row) serve the messages.
+    ``upward`` (N,) tells the side from which the table came to each position, where it came from
+    both: what differs between them is the table's reversal. ``station_names``, ``source`` and
+    ``lines`` (of the file, per row) serve the messages.
     """
 
     angles: Floats
@@ -111,6 +113,7 @@ class PlaneMirrorProblem:
     source: str = "the data"
     lines: tuple[int, ...] = ()
     time: Floats | None = None
+    upward: Bools | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "angles", np.asarray(self.angles, dtype=np.float64))

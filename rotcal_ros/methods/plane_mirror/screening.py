@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import wrap_angle
 from rotcal_ros.methods.distributions import chi2_isf
@@ -145,9 +145,13 @@ def check_size(problem: PlaneMirrorProblem, angles: Floats, deviations: Floats) 
 
 
 def repeats(
-    angles: Floats, deviations: Floats, covariance: Floats, significance: float
+    angles: Floats,
+    deviations: Floats,
+    covariance: Floats,
+    significance: float,
+    upward: Bools | None = None,
 ) -> tuple[list[dict[str, float | int]], list[str]]:
-    """Compare positions commanded to the same angle, whole turns apart or not.
+    """Compare positions commanded to the same angle from the same side, whole turns apart or not.
 
     Returns one entry per repeat (positions, difference, its std; rad) and a warning for each that
     differs by more than its uncertainty explains. 0 and 360 degrees are the closure.
@@ -156,7 +160,8 @@ def repeats(
     warnings: list[str] = []
     for later in range(len(angles)):
         turn = (angles[later] - angles[:later] + 1e-7) % (2.0 * np.pi)
-        for earlier in np.flatnonzero(turn < 2e-7)[:1]:
+        same_side = upward is None or upward[:later] == upward[later]
+        for earlier in np.flatnonzero((turn < 2e-7) & same_side)[:1]:
             difference = float(deviations[later] - deviations[earlier])
             spread = covariance[later, later] + covariance[earlier, earlier]
             variance = max(float(spread - 2.0 * covariance[later, earlier]), 1e-300)

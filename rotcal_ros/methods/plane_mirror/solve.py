@@ -39,7 +39,8 @@ def solve(problem: PlaneMirrorProblem) -> Result:
     sigma0 = float(np.sqrt(outcome.chi_square / outcome.dof)) if outcome.dof else 1.0
     covariance, warnings = _judge(problem, outcome, sigma0)
     curve = prepared.angles, outcome.deviations, covariance
-    repeats, differing = screening.repeats(*curve, problem.significance)
+    side = None if problem.upward is None else problem.upward[prepared.positions]
+    repeats, differing = screening.repeats(*curve, problem.significance, side)
     std, closure = _std(covariance), _closure(prepared.angles, repeats)
     drifted = large_drifts(prepared, correction, std)
     warnings = [*screened.warnings, *warnings, *drifted, *differing]
@@ -77,6 +78,7 @@ def _details(prepared: PreparedWay, outcome: Outcome) -> dict[str, Any]:
         **outcome.details,
         **_stations(prepared),
         **_normals(prepared),
+        **({} if prepared.problem.upward is None else {"table_positions": prepared.positions}),
     }
 
 

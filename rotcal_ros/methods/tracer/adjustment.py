@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
@@ -32,7 +32,9 @@ class Adjustment:
     Where the targets' coordinates are observations too: ``corrections`` (n, 3) in their standard
     deviations, ``target_redundancy`` (n, 3), ``coupling`` (3, 3): squared sums of the redundancy
     matrix by pairs of axes, and ``target_test`` (n,): the largest normalised correction of a
-    target. Else all zero. ``network``: the linearisation at this very place, if there is one.
+    target. Else all zero. ``circle_coupling`` (4,): the same sums of a stated circle with the
+    targets' axes, and with the lengths. ``network``: the linearisation at this very place, if
+    there is one.
     ``strip_station`` (p,): station of each strip; None: strips are stations.
     """
 
@@ -52,6 +54,7 @@ class Adjustment:
     coupling: Floats
     network: Network | None = None
     strip_station: Ints | None = None
+    circle_coupling: Floats = field(default_factory=lambda: np.zeros(4))
 
     @property
     def standing(self) -> Floats:
@@ -84,18 +87,34 @@ class StationCovariance:
 
     ``lengths``: noise of the lengths, ``targets``: errors of the machine's coordinates, common to
     all stations; ``felt`` (3 m, n, 3): what a standard error of each coordinate does to the
-    stations, m. ``dof_effective``: the chi-squared sum is distributed like
-    ``dof / dof_effective`` times chi-squared of that many degrees of freedom.
+    stations, m. ``circle``: by how much stations leave a stated circle; None: none is.
+    ``dof_effective``: the chi-squared sum is distributed like ``dof / dof_effective`` times
+    chi-squared of that many degrees of freedom.
     """
 
     lengths: Floats
     targets: Floats
     felt: Floats
     dof_effective: float
+    circle: Floats | None = None
+
+    @property
+    def total(self) -> Floats:
+        """Return the covariance from all sources."""
+        total = self.lengths + self.targets
+        return total if self.circle is None else total + self.circle
+
+    def enlarged(self, scale: float) -> StationCovariance:
+        """Return the covariance of standard deviations ``scale`` times as large."""
+        square = scale**2
+        circle = None if self.circle is None else square * self.circle
+        return replace(
+            self, lengths=square * self.lengths, targets=square * self.targets, circle=circle
+        )
 
     def position_blocks(self) -> Floats:
         """Return the 3 by 3 covariance of every station, shape (m, 3, 3)."""
-        total = self.lengths + self.targets
+        total = self.total
         m = len(total) // 3
         blocks = total.reshape(m, 3, m, 3)[np.arange(m), :, np.arange(m)]
         return np.asarray(blocks, dtype=np.float64)

@@ -11,7 +11,8 @@ explains the residuals, little is left of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,6 +23,7 @@ from rotcal_ros.components import HALF_OF_95_PERCENT
 from rotcal_ros.methods.roots import root_between
 from rotcal_ros.methods.tracer.adjustment import StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion
+from rotcal_ros.methods.tracer.circle_prior import circle_contrasts, without_prior
 
 OUTSIDE: Final = 0.05
 TINY: Final = 1e-12
@@ -53,27 +55,97 @@ class ErrorMotion:
 
 @dataclass(frozen=True, eq=False)
 class CircleResiduals:
-    """What centre and radius leave of the stations' radial distances, ``seen`` (m - 3,) in m.
+    """What centre and radius leave of the stations' radial distances, ``seen`` (k,) in m.
 
-    ``noise`` (m - 3, m - 3): their covariance from that of the stations, m^2. ``open_part``
-    (m, m - 3): takes radial distances to them.
+    ``noise`` (k, k): their covariance from that of the stations, m^2. k = m - 3, or fewer where
+    the circle was stated and the lengths do not tell all of them.
     """
 
     seen: Floats
     noise: Floats
-    open_part: Floats
 
 
-def circle_residuals(motion: TableMotion, total: Floats) -> CircleResiduals:
-    """Return the free residuals of the circle; ``total`` (3 m, 3 m) are the stations' errors."""
-    direction = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
+def circle_residuals(
+    motion: TableMotion, total: Floats, circle_std: float | None = None
+) -> CircleResiduals:
+    """Return the free residuals of the circle; ``total`` (3 m, 3 m) are the stations' errors.
+
+    Where the stations were bound to a circle with ``circle_std`` (m), what the lengths alone say.
+    """
+    direction, open_part = _radial(motion)
     m = len(direction)
-    absorbed = np.column_stack([direction, np.ones(m)])
-    open_part = np.linalg.qr(absorbed, mode="complete")[0][:, 3:]
     outward = direction @ motion.plane.basis()
     radial = np.einsum("ja,jakb,kb->jk", outward, total.reshape(m, 3, m, 3), outward)
     noise = open_part.T @ radial @ open_part
-    return CircleResiduals(open_part.T @ motion.radial, noise, open_part)
+    if circle_std is None:
+        return CircleResiduals(open_part.T @ motion.radial, noise)
+    alone = without_prior(open_part.T @ motion.radial, noise, circle_std)
+    return CircleResiduals(alone.seen, np.diag(alone.noise))
+
+
+@dataclass(frozen=True, eq=False)
+class CircleTest:
+    """What the circle is tested by: ``seen`` (k,), m, with the ``covariance`` (k, k), m^2.
+
+    ``moved`` takes moves (t, m, 3) of the stations, m, to what they do to them (t, k).
+    ``redundancy``: share of a stated circle that the lengths check.
+    """
+
+    seen: Floats
+    covariance: Floats
+    moved: Callable[[Floats], Floats]
+    redundancy: float = 1.0
+
+
+def circle_tested(
+    stations: Floats,
+    motion: TableMotion,
+    total: Floats,
+    expected_std: float,
+    circle_std: float | None,
+) -> CircleTest:
+    """Return what tells whether ``stations`` (m, 3) leave their circle by more than expected.
+
+    ``total`` (3 m, 3 m): covariance of the stations, ``expected_std`` (m): of their deviation from
+    the circle. Radial distances, with the error motion as expected; where the stations were
+    bound to a circle with ``circle_std`` (m), radial and axial ones as the lengths tell them.
+    """
+    if circle_std is not None:
+        value, slope = circle_contrasts(stations)
+        alone = without_prior(value, slope @ total @ slope.T, circle_std)
+        variance = np.diag(alone.noise + expected_std**2)
+        basis = slope.T @ alone.basis
+        return CircleTest(
+            alone.seen, variance, lambda moves: moves.reshape(len(moves), -1) @ basis,
+            alone.redundancy,
+        )  # fmt: skip
+    total = total + error_motion_covariance(motion, expected_std)
+    circle = circle_residuals(motion, total)
+    outward, open_part = _radial(motion)
+
+    def moved(moves: Floats) -> Floats:
+        radial = np.einsum("kja,ja->kj", moves @ motion.plane.basis().T, outward)
+        return np.asarray(radial @ open_part)
+
+    return CircleTest(circle.seen, circle.noise, moved)
+
+
+def error_motion_covariance(motion: TableMotion, std: float) -> Floats:
+    """Return the covariance (3 m, 3 m) of independent error motions ``std`` (m) in the plane."""
+    normal = motion.plane.normal
+    in_plane = np.eye(3) - np.outer(normal, normal)
+    blocks = np.kron(np.eye(len(motion.in_plane)), std**2 * in_plane)
+    return np.asarray(blocks, dtype=np.float64)
+
+
+def _radial(motion: TableMotion) -> tuple[Floats, Floats]:
+    """Return the stations' directions (m, 2) from the centre, and what no circle absorbs of them.
+
+    The latter (m, m - 3) takes radial distances to their free residuals.
+    """
+    direction = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
+    absorbed = np.column_stack([direction, np.ones(len(direction))])
+    return direction, np.linalg.qr(absorbed, mode="complete")[0][:, 3:]
 
 
 def tangential_std(motion: TableMotion, covariance: StationCovariance) -> float:
@@ -110,24 +182,36 @@ def estimate_error_motion(circle: CircleResiduals, tangential: float) -> tuple[f
     return float(likely), float(allowed)
 
 
+def likely_circle(circle: CircleTest, expected_std: float) -> float:
+    """Return the deviation from the circle, m, that what was seen leaves open.
+
+    ``expected_std`` (m) is the one in the ``circle``.
+    """
+    if len(circle.seen) == 0:
+        return expected_std
+    noise = circle.covariance - expected_std**2 * np.eye(len(circle.seen))
+    level = float(np.sqrt(np.trace(noise) / len(noise)))
+    return estimate_error_motion(CircleResiduals(circle.seen, noise), level)[1]
+
+
 def error_motion_of(
     motion: TableMotion,
     covariance: StationCovariance,
     scale: float,
     stated: float | None,
     contradicted: bool,
+    circle_std: float | None = None,
 ) -> ErrorMotion:
     """Return the error motion that the covariance has to hold.
 
     What was stated, unless the circle contradicts it or nothing was: then what the circle leaves
-    open, if that is more. ``scale`` enlarges the covariance of the stations.
+    open, if that is more. ``scale`` enlarges the covariance of the stations, which were bound to
+    a circle with ``circle_std`` (m).
     """
-    stations = replace(
-        covariance,
-        lengths=scale**2 * covariance.lengths,
-        targets=scale**2 * covariance.targets,
-    )
-    circle = circle_residuals(motion, stations.lengths + stations.targets)
+    stations = covariance.enlarged(scale)
+    circle = circle_residuals(motion, stations.total, circle_std)
+    if len(circle.seen) == 0:
+        return ErrorMotion(stated, 0.0, 0.0, 0, stated or 0.0)
     likely, allowed = estimate_error_motion(circle, tangential_std(motion, stations))
     used = stated
     if used is None or contradicted:

@@ -18,12 +18,13 @@ import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError
+from rotcal_ros.methods.tracer.circle_prior import contrast_count
 from rotcal_ros.methods.tracer.problem import TracerProblem
 
 STATION_MINIMUM: Final = 5
-"""Lengths per station: four unknowns (X, Y, Z, d) and one to check them."""
-SHARED_MINIMUM: Final = 4
-"""The same where the zero d is shared with other stations."""
+"""Lengths per station that place it by themselves: (X, Y, Z, d), and one to check them."""
+SEVERAL: Final = 4
+"""Lengths of a strip whose median tells something."""
 FREE_TARGET_MINIMUM: Final = 4
 """Lengths per target of a free network: three unknowns and one to check them."""
 REACH: Final = 100.0
@@ -32,6 +33,15 @@ IMPOSSIBLE_SHARE: Final = 0.25
 """From this share of impossible lengths on, it is the unit or the plan that is wrong."""
 MILLIMETRES: Final = 1e-3
 """Below this spread of the lengths, as a share of that of the targets, the units differ."""
+
+
+def station_minimum(own_zero: bool, on_circle: bool) -> int:
+    """Return how many lengths a station needs: as many as it has unknowns to itself.
+
+    Its three coordinates, of which a stated circle leaves the one along it, and its zero unless
+    that is shared.
+    """
+    return (1 if on_circle else 3) + int(own_zero)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +57,9 @@ class Grid:
     strip is a station and has its own. ``segment_ids`` (s,): the problem's segment of each zero.
     ``walk`` (s,): standard deviation of the step from each zero to the next one, m; infinite
     between segments and at the end. None: zeros do not wander.
+    ``circle_std``: by how much (m) stations leave a common circle; None: nothing is known.
+
+    Strips share zeros where these belong to segments, and where pairs are measured again.
     """
 
     position_ids: Ints
@@ -63,6 +76,7 @@ class Grid:
     zero: Ints | None = None
     segment_ids: Ints | None = None
     walk: Floats | None = None
+    circle_std: float | None = None
 
     @property
     def weights(self) -> Floats:
@@ -86,8 +100,22 @@ class Grid:
 
     @property
     def station_minimum(self) -> int:
-        """How many lengths a station needs, one of them to check the others."""
-        return STATION_MINIMUM if self.zero is None else SHARED_MINIMUM
+        """How many lengths a station needs, see :func:`station_minimum`."""
+        own_zero = self.zero is None or (
+            len(self.zero) > 0 and np.array_equal(self.zero, self.station)
+        )
+        return station_minimum(own_zero, self.circle_std is not None)
+
+    @property
+    def apart(self) -> bool:
+        """Whether nothing but targets ties stations, and each has the lengths to find it alone."""
+        tied = self.zero is not None or self.circle_std is not None
+        return not tied and bool((self.used.sum(axis=1) >= STATION_MINIMUM).all())
+
+    @property
+    def contrasts(self) -> int:
+        """How many observations the stations' circle makes."""
+        return 0 if self.circle_std is None else contrast_count(self.n_stations)
 
     @cached_property
     def first_strip(self) -> Ints:
@@ -159,7 +187,10 @@ class Absent:
 
 
 class _Strips(NamedTuple):
-    """``position`` and ``segment`` (p,) of each strip, and the strip of each row (k,)."""
+    """``position`` and ``segment`` (p,) of each strip, and the strip of each row (k,).
+
+    ``segment`` None: strips are stations; else what has a zero, be it the position.
+    """
 
     position: Ints
     segment: Ints | None
@@ -167,10 +198,12 @@ class _Strips(NamedTuple):
 
 
 def _strips(problem: TracerProblem) -> _Strips:
-    if problem.segment is None:
+    if _own_zero(problem):
         return _Strips(np.arange(len(problem.table_angles)), None, problem.position)
-    both = np.column_stack([problem.position, problem.segment])
-    strips, of_row = np.unique(both, axis=0, return_inverse=True)
+    segment = problem.position if problem.segment is None else problem.segment
+    again = np.zeros_like(segment) if problem.again is None else problem.again
+    keys = np.column_stack([problem.position, segment, again])
+    strips, of_row = np.unique(keys, axis=0, return_inverse=True)
     return _Strips(strips[:, 0], strips[:, 1], of_row.ravel())
 
 
@@ -207,6 +240,7 @@ def arrange(problem: TracerProblem) -> tuple[Grid, Absent]:
         station=station,
         zero=zero,
         segment_ids=segments,
+        circle_std=problem.circle_std,
     )
     return grid, absent
 
@@ -259,7 +293,7 @@ def _drop_impossible(
     # The noise of lengths and coordinates may add to the distance; ten of it is never noise.
     span = _diagonal(seen) + 10.0 * problem.length_std.max() + 10.0 * problem.target_std.max()
     excess = np.abs(np.where(used, problem.length[row] - middle[:, None], 0.0))
-    several = used.sum(axis=1) >= (1 if problem.segment is None else SHARED_MINIMUM)
+    several = used.sum(axis=1) >= (1 if _own_zero(problem) else SEVERAL)
     if several.any():
         _check_unit_of_lengths(excess[several][used[several]], span)
     for j, i in np.argwhere(excess > span):
@@ -292,10 +326,9 @@ def _drop_undetermined(problem: TracerProblem, row: Ints, strips: _Strips, absen
     A length that no other shares its segment with says nothing of its station.
     """
     free = problem.variant == "joint" and problem.datum == "free"
-    shared = strips.segment is not None
     minima = {
         "target": FREE_TARGET_MINIMUM if free else 1,
-        "station": SHARED_MINIMUM if shared else STATION_MINIMUM,
+        "station": station_minimum(problem.segment is None, problem.circle_std is not None),
     }
     before = -1
     while before != (before := int((row >= 0).sum())):
@@ -304,24 +337,39 @@ def _drop_undetermined(problem: TracerProblem, row: Ints, strips: _Strips, absen
             group = strips.position if name == "station" else np.arange(row.shape[1])
             table = row if name == "station" else row.T
             present = np.bincount(group, weights=(table >= 0).sum(axis=1))
-            count = np.bincount(group, weights=_telling(table >= 0, name, strips)).astype(int)
+            count = present if name == "target" else _telling(row >= 0, strips)
             for index in np.flatnonzero((present > 0) & (count < minimum)):
                 lines = group == index
                 for dropped in table[lines][table[lines] >= 0]:
                     why[int(dropped)] = (
-                        f"{name} {index} has {count[index]} usable lengths, {minimum} are needed"
+                        f"{name} {index} has {int(count[index])} usable lengths, {minimum} are "
+                        "needed"
                     )
                 table[lines] = -1
 
 
-def _telling(present: Bools, name: str, strips: _Strips) -> Ints:
-    """Return how many of the ``present`` lengths of each line of a table tell something."""
-    count = present.sum(axis=1)
-    if name == "station" and strips.segment is not None:
-        of_segment = np.unique(strips.segment, return_inverse=True)[1]
-        total = np.bincount(of_segment, weights=count)
-        count = np.where(total[of_segment] > 1, count, 0)
-    return np.asarray(count)
+def _own_zero(problem: TracerProblem) -> bool:
+    """Whether strips are stations with a zero of their own."""
+    return problem.segment is None and (problem.again is None or not problem.again.any())
+
+
+def _telling(present: Bools, strips: _Strips) -> Floats:
+    """Return how many of the ``present`` (p, n) lengths of each position tell something of it.
+
+    One that was measured again from the same zero tells nothing of the place.
+    """
+    if strips.segment is None:
+        return np.bincount(strips.position, weights=present.sum(axis=1)).astype(np.float64)
+    total = np.bincount(
+        np.unique(strips.segment, return_inverse=True)[1], weights=present.sum(axis=1)
+    )
+    both = np.column_stack([strips.position, strips.segment])
+    beams, of_strip = np.unique(both, axis=0, return_inverse=True)
+    seen = np.zeros((len(beams), present.shape[1]), dtype=np.bool_)
+    np.logical_or.at(seen, of_strip.ravel(), present)
+    of_segment = np.unique(beams[:, 1], return_inverse=True)[1]
+    count = np.where(total[of_segment] > 1, seen.sum(axis=1), 0)
+    return np.bincount(beams[:, 0], weights=count).astype(np.float64)
 
 
 def _diagonal(points: Floats) -> float:

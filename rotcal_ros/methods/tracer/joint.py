@@ -50,15 +50,16 @@ def adjust_network(grid: Grid, start: Floats, targets: Floats | None = None) -> 
     Raises ObservabilityError when more stays open than is known in advance, DataError when the
     network does not settle.
     """
-    if targets is None and grid.zero is None:
+    if targets is None and grid.apart:
         start = adjust_stations(grid, start).state
-    network = relax(grid, start, grid.targets if targets is None else targets)
+    network = _settled(grid, start, grid.targets if targets is None else targets)
     rank = _rank(network, grid)
     state, targets = network.state, network.targets
     if grid.free:
         state, targets = align(state, targets, grid.targets)
     spread = _posterior(network)
     corrections, redundancy, coupling = _felt_by_targets(network, grid, spread)
+    leverage = grid.weights * _leverage(network, spread)
     unknowns = network.layout.size + network.targets.size
     n_lengths = int(grid.used.sum())
     return Adjustment(
@@ -67,9 +68,9 @@ def adjust_network(grid: Grid, start: Floats, targets: Floats | None = None) -> 
         targets=targets,
         residual=-network.f,
         std=grid.length_std,
-        redundancy=grid.used - grid.weights * _leverage(network, spread),
+        redundancy=grid.used - leverage,
         chi2=network.chi2,
-        dof=n_lengths - (rank if grid.free else network.layout.size) + _walked(grid),
+        dof=n_lengths - (rank if grid.free else network.layout.size) + _others(grid),
         unknowns=unknowns,
         rank=rank,
         target_test=target_test(corrections, redundancy),
@@ -78,16 +79,27 @@ def adjust_network(grid: Grid, start: Floats, targets: Floats | None = None) -> 
         coupling=coupling,
         network=None if grid.free else network,  # a free one was moved since
         strip_station=None if grid.zero is None else grid.station,
+        circle_coupling=_felt_by_circle(network, grid, float((grid.used - leverage).sum())),
     )
 
 
-def _walked(grid: Grid) -> int:
-    """Return how many steps of zeros that wander are observations too."""
-    return 0 if grid.walk is None else int(np.isfinite(grid.walk).sum())
+def _settled(grid: Grid, start: Floats, targets: Floats) -> Network:
+    """Return the least-squares network; where there is none, name what is open."""
+    try:
+        return relax(grid, start, targets)
+    except ObservabilityError:
+        _rank(linearise(grid, start, targets), grid)
+        raise
+
+
+def _others(grid: Grid) -> int:
+    """Return how many observations of stations and zeros there are beside the lengths."""
+    walked = 0 if grid.walk is None else int(np.isfinite(grid.walk).sum())
+    return walked + grid.contrasts
 
 
 def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
-    """Return the covariance of the stations, split into noise of the lengths and of the prior."""
+    """Return the covariance of the stations, split into lengths, targets' prior and circle."""
     network = fit.network or linearise(grid, fit.state, fit.targets)
     reduced = network.reduced
     kept = reduced.covariance()
@@ -96,8 +108,15 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     else:
         mixed = -(kept @ reduced.transfer).T
         stations = reduced.other_times(kept, np.eye(network.layout.size))
+    by_circle = None
+    if network.circle is not None:
+        pull = network.layout.with_zeros(network.circle.T)
+        by_circle, of_targets = stations @ pull, mixed.T @ pull
     if grid.free:
+        on_stations, rigid_part = _datum(network)
         stations = _move_datum(network, mixed, kept)
+        if by_circle is not None:
+            by_circle = by_circle - on_stations @ (rigid_part @ of_targets)
     prior, felt = np.zeros_like(stations), np.zeros_like(mixed)
     if not grid.free:
         felt = mixed / grid.target_std.ravel()
@@ -105,7 +124,19 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     coordinates = network.layout.places
     places = np.ix_(coordinates, coordinates)
     felt = felt[coordinates].reshape(-1, *grid.targets.shape)
-    return StationCovariance((stations - prior)[places], prior[places], felt, float(fit.dof))
+    lengths, circle = stations - prior, None
+    if by_circle is not None:
+        shared = by_circle @ by_circle.T
+        lengths, circle = lengths - shared, shared[places]
+    return StationCovariance(lengths[places], prior[places], felt, float(fit.dof), circle)
+
+
+def _datum(network: Network) -> tuple[Floats, Floats]:
+    """Return what rigid motions do to the unknowns, and what targets' errors are as such."""
+    centre = network.targets.mean(axis=0)
+    stations = network.state[network.layout.first_strip, :3]
+    on_stations = network.layout.with_zeros(rigid(stations - centre))
+    return on_stations, np.asarray(np.linalg.pinv(rigid(network.targets - centre)))
 
 
 def _move_datum(network: Network, mixed: Floats, kept: Floats) -> Floats:
@@ -113,10 +144,7 @@ def _move_datum(network: Network, mixed: Floats, kept: Floats) -> Floats:
 
     S-transformation: from every error its rigid part, as the targets feel it, is taken away.
     """
-    centre = network.targets.mean(axis=0)
-    stations = network.state[network.layout.first_strip, :3]
-    on_stations = network.layout.with_zeros(rigid(stations - centre))
-    rigid_part = np.asarray(np.linalg.pinv(rigid(network.targets - centre)), dtype=np.float64)
+    on_stations, rigid_part = _datum(network)
     own = rigid_part @ network.reduced.other_times(kept, rigid_part.T)
     shift = mixed @ rigid_part.T @ on_stations.T
     return np.asarray(kept - shift - shift.T + on_stations @ own @ on_stations.T)
@@ -188,6 +216,25 @@ def _felt_by_targets(
     return corrections, redundancy, np.asarray(coupling, dtype=np.float64)
 
 
+def _felt_by_circle(network: Network, grid: Grid, lengths: float) -> Floats:
+    """Return the squared sums (4,) of the redundancy matrix between circle and others.
+
+    With the targets' x, y and z, and with the ``lengths``, whose redundancy that is: the rest of
+    what the circle's own has, for the matrix is a projection.
+    """
+    if network.circle is None:
+        return np.zeros(4)
+    kept = network.reduced.covariance()
+    pull = network.layout.with_zeros(network.circle.T)
+    own = np.eye(pull.shape[1]) - pull.T @ kept @ pull
+    others = np.zeros(3)
+    if not grid.free:
+        moved = (network.reduced.transfer.T @ (kept @ pull)).reshape(*grid.targets.shape, -1)
+        others = ((moved / grid.target_std[:, :, None]) ** 2).sum(axis=(0, 2))
+    rest = float(np.trace(own) - (own**2).sum() - others.sum())
+    return np.append(others, min(max(rest, 0.0), lengths))
+
+
 def target_test(corrections: Floats, redundancy: Floats) -> Floats:
     """Return (n,) the largest normalised correction of each target's machine coordinates.
 
@@ -208,10 +255,10 @@ def _rank(network: Network, grid: Grid) -> int:
     if missing:
         index = int(np.argmax(np.abs(reduced.scale * vectors[:, 0])))
         name, where, direction = _weakest(network, grid, reduced.scale * vectors[:, 0], index)
+        cure = f"{CURE}, or use the datum 'prior'" if grid.free else CURE
         raise ObservabilityError(
             f"the lengths leave {missing} more directions open than expected; the weakest "
-            f"is {name} {where} along {name_direction(direction)}: {CURE}, or use the datum "
-            "'prior'"
+            f"is {name} {where} along {name_direction(direction)}: {cure}"
         )
     return int(network.layout.size + network.targets.size - reduced.constraints.shape[1])
 

@@ -4,29 +4,29 @@ All lengths of a segment after some moment differing by the same amount from tho
 tested like an outlier: the score of that shift over its standard deviation, with the unexplained
 scatter of the other residuals (externally studentised). It has to stand out more than any single
 length does, which would be an outlier. The zero is then split there, which costs one unknown.
+
+The size is left free. That a slip is a whole fringe helps little to find it: the best of all
+tests for slips of one fringe at any moment (Neyman and Pearson: the mean of the likelihood
+ratios) finds hardly more of them (``scripts/zero_coverage.py --best``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.special import erfc
 
-from rotcal_ros.arrays import Bools, Floats, Ints
-from rotcal_ros.methods.roots import root_between
+from rotcal_ros.arrays import Ints
 from rotcal_ros.methods.tracer.adjustment import Adjustment
-from rotcal_ros.methods.tracer.gain import NetworkGain
 from rotcal_ros.methods.tracer.grid import Grid
-from rotcal_ros.methods.tracer.network import Network, linearise
+from rotcal_ros.methods.tracer.shifts import Shifts, shifts_at
 
-LEAST_SIDE: Final = 4
-"""Lengths that a segment keeps on either side of a jump: fewer are outliers."""
-CANDIDATES: Final = 256
-"""Moments that are tried first; then all those about the best one."""
-PLACES: Final = 2_000_000
-"""Places of the grid, of all candidates of a chunk together."""
+MOST_FRINGES: Final = 3
+"""Fringes that a counter slips at once; what is more is a beam that was broken."""
+AGREES: Final = 2.58
+"""Standard deviations by which the size of a slip may miss a whole number of fringes; 99 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,55 +42,45 @@ class Jump:
     std: float
     value: float
 
-
-@dataclass(frozen=True, eq=False)
-class _Moments:
-    """Lengths in use in the order of time: strip and target (k,), and segment number (k,)."""
-
-    strip: Ints
-    target: Ints
-    segment: Ints
-
-    def later(self, grid: Grid, moments: Ints) -> Bools:
-        """Return (t, p, n) the places of each moment's segment that come with or after it."""
-        time = np.full(grid.used.shape, -1)
-        time[self.strip, self.target] = np.arange(len(self.strip))
-        own = grid.segment_of_strip == self.segment[moments][:, None]
-        return np.asarray((time >= moments[:, None, None]) & own[:, :, None], dtype=np.bool_)
+    def fringes(self, fringe: float) -> int:
+        """Return how many times ``fringe`` (m) it is; 0 if it is no whole number, or many."""
+        number = round(self.size / fringe) if fringe else 0
+        agrees = abs(self.size - number * fringe) <= AGREES * self.std
+        return number if agrees and abs(number) <= MOST_FRINGES else 0
 
 
 def find_jump(
-    grid: Grid, fit: Adjustment, order: Ints, significance: float, margin: float = 1.0
+    grid: Grid,
+    fit: Adjustment,
+    shifts: Shifts,
+    significance: float,
+    margin: float = 1.0,
+    at: Callable[[Ints], Shifts] | None = None,
 ) -> Jump | None:
     """Return the jump that stands out most; None if none does.
 
-    ``order`` (k,): when each row of the problem was taken. ``significance``: of the largest of all
-    moments, two-sided; the limit is ``margin`` times its quantile.
+    ``shifts``: those of ``grid`` and ``fit`` at some moments. ``significance``: of the largest of
+    all moments, two-sided; the limit is ``margin`` times its quantile. ``at`` gives the shifts at
+    other moments; None: of the tracer's network. The jump's segment is a number of the moments'.
     """
-    moments = _in_time(grid, order)
-    possible = _possible(moments)
-    if not len(possible):
+    if not shifts.enough.any():
         return None
-    network = fit.network or linearise(grid, fit.state, fit.targets)
-    gain = NetworkGain.of(network)
-    few = possible[:: max(1, -(-len(possible) // CANDIDATES))]
-    score, information, alike = _scores(grid, fit, network, gain, moments, few)
-    limit = margin * _limit(alike, significance)
-    best = few[int(np.argmax(score**2 / information))]
-    near = possible[np.abs(possible - best) <= len(possible) // len(few) + 1]
-    score, information, _ = _scores(grid, fit, network, gain, moments, near)
-    k = int(np.argmax(score**2 / information))
-    squared = float(score[k] ** 2 / information[k])
+    limit = margin * shifts.limit(significance)
+    best = int(np.argmax(np.where(shifts.enough, shifts.squared, 0.0)))
+    about = shifts.about(best)
+    near = shifts_at(grid, fit, shifts.moments, about) if at is None else at(about)
+    k = int(np.argmax(near.squared))
+    squared = float(near.squared[k])
     left = max(1.0, (fit.chi2 - squared) / max(fit.dof - 1, 1))
     value = float(np.sqrt(squared / left))
     if value < max(limit, float(np.abs(np.where(grid.used, fit.test_value, 0.0)).max())):
         return None
-    at = near[k]
+    begins, moments = near.at[k], near.moments
     return Jump(
-        segment=int(grid.segment_numbers[moments.segment[at]]),
-        row=int(grid.row[moments.strip[at], moments.target[at]]),
-        size=float(score[k] / information[k]),
-        std=float(np.sqrt(left / information[k])),
+        segment=int(moments.segment[begins]),
+        row=int(grid.row[moments.strip[begins], moments.target[begins]]),
+        size=float(near.score[k] / near.information[k]),
+        std=float(np.sqrt(left / near.information[k])),
         value=value,
     )
 
@@ -114,66 +104,3 @@ def split(grid: Grid, jump: Jump, order: Ints) -> tuple[Grid, Ints]:
         zero=zero,
         segment_ids=np.append(grid.segment_ids, grid.segment_ids[broken]),
     ), source
-
-
-def _in_time(grid: Grid, order: Ints) -> _Moments:
-    strip, target = np.nonzero(grid.used)
-    rank = np.argsort(order[grid.row[strip, target]], kind="stable")
-    strip, target = strip[rank], target[rank]
-    return _Moments(strip, target, grid.segment_of_strip[strip])
-
-
-def _possible(moments: _Moments) -> Ints:
-    """Return the moments (t,) that have enough lengths of their segment before and after."""
-    count = np.zeros(len(moments.segment), dtype=np.int64)
-    total = np.bincount(moments.segment)
-    for segment in range(len(total)):
-        own = moments.segment == segment
-        count[own] = np.arange(total[segment])
-    after = total[moments.segment] - count
-    return np.flatnonzero((count >= LEAST_SIDE) & (after >= LEAST_SIDE))
-
-
-def _scores(
-    grid: Grid, fit: Adjustment, network: Network, gain: NetworkGain, moments: _Moments, at: Ints
-) -> tuple[Floats, Floats, Floats]:
-    """Return scores (t,) and information (t,) of a shift that begins at each moment.
-
-    The third array (t - 1,) is the correlation of neighbouring scores.
-    """
-    weights = grid.weights
-    pulled, rows = weights * fit.residual, network.rows
-    size = max(1, PLACES // weights.size)
-    scores, informations, shared = [], [], []
-    for begin in range(0, len(at), size):
-        later = moments.later(grid, at[begin : begin + size])
-        pull = weights * later
-        by_strip = np.einsum("tpi,pia->tpa", pull, rows)
-        by_target = -np.einsum("tpi,pia->tia", pull, rows[:, :, :3])
-        x, y = gain.step(by_strip, by_target)
-        taken = (by_strip * x).sum(axis=(1, 2)) + (by_target * y).sum(axis=(1, 2))
-        total = pull.sum(axis=(1, 2))
-        scores.append((later * pulled).sum(axis=(1, 2)))
-        informations.append(np.maximum(total - taken, 1e-9 * total))
-        both = (pull[1:] * later[:-1]).sum(axis=(1, 2))
-        both -= (by_strip[:-1] * x[1:]).sum(axis=(1, 2)) + (by_target[:-1] * y[1:]).sum(
-            axis=(1, 2)
-        )
-        shared.append(both / np.sqrt(informations[-1][1:] * informations[-1][:-1]))
-    return np.concatenate(scores), np.concatenate(informations), np.concatenate(shared)
-
-
-def _limit(alike: Floats, significance: float) -> float:
-    """Return the limit of the largest of normal scores whose neighbours are ``alike`` (t - 1,).
-
-    By the expected number of upcrossings, two-sided: acos(rho) / (2 pi) exp(-u^2 / 2) each (Rice's
-    formula for a sequence), and never more than of independent ones.
-    """
-    rate = float(np.arccos(np.clip(alike, -1.0, 1.0)).sum()) / (2.0 * np.pi)
-
-    def false_alarms(u: float) -> float:
-        above = 0.5 * float(erfc(u / np.sqrt(2.0)))
-        crossings = min(rate * float(np.exp(-0.5 * u * u)), len(alike) * above)
-        return 2.0 * (above + crossings) - significance
-
-    return root_between(false_alarms, 0.0, 40.0, 1e-12)

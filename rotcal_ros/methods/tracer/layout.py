@@ -1,7 +1,7 @@
 """Where the unknowns of stations and zeros stand in the vector that a network is solved for.
 
-A zero per station: (X, Y, Z, d) station by station. Shared zeros: the coordinates of all stations,
-then all zeros; a strip finds its three coordinates and its zero by index.
+A zero per station: (X, Y, Z, d) station by station. Shared zeros, or stations on a circle: the
+coordinates of all stations, then all zeros; a strip finds its coordinates and its zero by index.
 """
 
 from __future__ import annotations
@@ -37,12 +37,14 @@ class Layout:
     def of(cls, grid: Grid) -> Layout:
         """Return the layout of a grid."""
         m = grid.n_stations
-        if grid.zero is None:
+        if grid.zero is None and grid.circle_std is None:
             index, each = np.arange(4 * m).reshape(m, 4), np.arange(m)
             return cls(index, 4 * m, index[:, :3].ravel(), False, each, each, None)
         of_station = 3 * grid.station[:, None] + np.arange(3)
         return cls(
-            index=np.column_stack([of_station, 3 * m + grid.zero]),
+            index=np.column_stack(
+                [of_station, 3 * m + (grid.station if grid.zero is None else grid.zero)]
+            ),
             size=3 * m + grid.n_zeros,
             places=np.arange(3 * m),
             shared=True,
@@ -75,11 +77,17 @@ class Layout:
         return np.moveaxis(total, 0, -1)
 
     def gather(
-        self, blocks: Floats, targets: Floats, cross: Floats
+        self, blocks: Floats, targets: Floats, cross: Floats, circle: Floats | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the normal matrix of the unknowns from blocks (p, 4, 4) and (4 p, 3 n)."""
+        """Return the normal matrix of the unknowns from blocks (p, 4, 4) and (4 p, 3 n).
+
+        ``circle`` (c, 3 m): slopes of what else is observed of the stations, in its standard
+        deviations.
+        """
         kept = np.zeros((self.size, self.size))
         np.add.at(kept, (self.index[:, :, None], self.index[:, None, :]), blocks)
+        if circle is not None:
+            kept[np.ix_(self.places, self.places)] += circle.T @ circle
         if self.tension is not None:
             zeros = slice(len(self.places), None)
             kept[zeros, zeros] += self.tension

@@ -5,7 +5,8 @@ with more unknowns, in a free network always the targets. What a free network le
 by constraints; see :mod:`.joint`.
 
 Zeros that several stations share join the stations, which then are always kept: the blocks of the
-strips are added up into one matrix of three unknowns per station and one per zero.
+strips are added up into one matrix of three unknowns per station and one per zero. So they
+do where the stations' circle is stated, which ties them together.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.tracer.adjustment import ranges
+from rotcal_ros.methods.tracer.circle_prior import circle_contrasts
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.layout import Layout
 from rotcal_ros.methods.tracer.schur import Reduced, eliminate, eliminate_from
@@ -47,8 +49,9 @@ class Network:
     ``f`` (p, n) is computed - observed, ``rows`` (p, n, 4) the design's station part (its target
     part is minus the first three columns). ``stations_kept``: the targets are eliminated.
     ``layout``: where the strips' coordinates and zeros are among the unknowns. ``prior`` (n, 3):
-    weights of the machine's coordinates, 1/m^2; None in a ``free`` network. Normal matrices are
-    made when they are asked for.
+    weights of the machine's coordinates, 1/m^2; None in a ``free`` network. ``circle`` (c, 3 m):
+    slopes of the contrasts of the stations' circle, in its standard deviation; None: none is
+    stated. Normal matrices are made when they are asked for.
     """
 
     state: Floats
@@ -64,6 +67,7 @@ class Network:
     lengths: Floats
     weights: Floats
     layout: Layout
+    circle: Floats | None = None
 
     @cached_property
     def blocks(self) -> tuple[Floats, Floats, Floats]:
@@ -82,9 +86,7 @@ class Network:
     @cached_property
     def reduced(self) -> Reduced:
         """The normal matrix with one side eliminated."""
-        return _reduce(
-            self.blocks, self.stations_kept, self.layout, self.state if self.free else None
-        )
+        return self._reduce(self.blocks)
 
     @property
     def stiffness(self) -> float:
@@ -97,7 +99,20 @@ class Network:
             return self.reduced
         stations, targets, cross = self.blocks
         blocks = (stations + damping * np.eye(4), targets + damping * np.eye(3), cross)
-        return _reduce(blocks, self.stations_kept, self.layout, self.state if self.free else None)
+        return self._reduce(blocks)
+
+    def _reduce(self, blocks: tuple[Floats, Floats, Floats]) -> Reduced:
+        """Eliminate one side of normal ``blocks``; a free network's datum is bound."""
+        stations, targets, cross = blocks
+        layout, constraints = self.layout, None
+        if self.free:
+            constraints = _constraints(self.state[layout.first_strip, :3], layout)
+        if layout.shared:
+            gathered = layout.gather(stations, targets, cross, self.circle)
+            return eliminate_from(*gathered, constraints)
+        if self.stations_kept:
+            return eliminate(stations, targets, cross, constraints)
+        return eliminate(targets, stations, np.ascontiguousarray(cross.T))
 
     def step(self, reduced: Reduced) -> tuple[Floats, Floats]:
         """Return the step of strips (p, 4) and targets (n, 3) that ``reduced`` gives."""
@@ -193,27 +208,17 @@ def linearise(grid: Grid, state: Floats, targets: Floats) -> Network:
         steps, pull = layout.stretch(state[layout.first_of_zero, 3])
         chi2 += float((steps**2).sum())
         station_gradient[layout.first_of_zero, 3] += pull
+    circle = None
+    if grid.circle_std is not None:
+        value, slope = circle_contrasts(state[layout.first_strip, :3])
+        off, circle = value / grid.circle_std, slope / grid.circle_std
+        chi2 += float((off**2).sum())
+        station_gradient[layout.first_strip, :3] += (off @ circle).reshape(-1, 3)
     stations_kept = grid.free or layout.shared or 4 * p <= 3 * n
     return Network(
         state, targets, f, rows, chi2, station_gradient, target_gradient, prior, stations_kept,
-        grid.free, grid.length, weights, layout,
+        grid.free, grid.length, weights, layout, circle,
     )  # fmt: skip
-
-
-def _reduce(
-    blocks: tuple[Floats, Floats, Floats],
-    stations_kept: bool,
-    layout: Layout,
-    free: Floats | None,
-) -> Reduced:
-    """Eliminate one side; ``free``: the state (p, 4) of a free network, which binds its datum."""
-    stations, targets, cross = blocks
-    constraints = None if free is None else _constraints(free[layout.first_strip, :3], layout)
-    if layout.shared:
-        return eliminate_from(*layout.gather(stations, targets, cross), constraints)
-    if stations_kept:
-        return eliminate(stations, targets, cross, constraints)
-    return eliminate(targets, stations, np.ascontiguousarray(cross.T))
 
 
 def rigid(points: Floats) -> Floats:

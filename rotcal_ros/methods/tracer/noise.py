@@ -140,13 +140,14 @@ def _information(redundancy: Floats, fit: Adjustment, shares: Floats) -> Floats:
     """
     information = np.zeros((5, 5))
     information[2:, 2:] = fit.coupling
-    with_lengths = redundancy[2:] - fit.coupling.sum(axis=1)
-    lengths = redundancy[:2].sum()
+    with_lengths = redundancy[2:] - fit.coupling.sum(axis=1) - fit.circle_coupling[:3]
+    lengths = max(float(redundancy[:2].sum()), np.finfo(np.float64).tiny)
     part = redundancy[:2] / lengths
     information[:2, 2:] = part[:, None] * with_lengths
     information[2:, :2] = information[:2, 2:].T
     within = np.einsum("gji,hji->gh", shares, shares * fit.redundancy)
-    information[:2, :2] = within * (1.0 - with_lengths.sum() / lengths)
+    others = with_lengths.sum() + fit.circle_coupling[3]
+    information[:2, :2] = within * (1.0 - others / lengths)
     return information
 
 

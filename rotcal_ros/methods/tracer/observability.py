@@ -7,6 +7,7 @@ first-order statement about the angle worthless.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -17,42 +18,48 @@ from rotcal_ros.methods.tracer.grid import Grid
 
 RANK_TOLERANCE: Final = 1e-12
 """Smallest eigenvalue of the mean outer product of the design's rows, relative to the largest."""
+MOST_NAMED: Final = 3
+"""Reasons for dropped lengths that a refusal quotes."""
 CURE: Final = (
     "spread the targets in height and sideways, nearer to the tracer's height and to its sides"
 )
 
 
-def check_counts(grid: Grid) -> None:
+def check_counts(grid: Grid, dropped: Iterable[str] = ()) -> None:
     """Raise ObservabilityError unless there are lengths enough.
 
-    m >= 4, and in a free network lengths >= 4 m + 3 n (Eq. 2); with s shared zeros
-    lengths > 3 m + s, and in a free network as many as its 3 m + s + 3 n - 7 unknowns.
+    m >= 4, and in a free network lengths >= 4 m + 3 n (Eq. 2); else as many as the 3 m unknowns
+    of stations and s of zeros, less 2 (m - 3) where the stations stand on a stated circle, and in
+    a free network with shared zeros as many as its 3 m + s + 3 n - 7 unknowns. ``dropped``: why
+    lengths have no place on the grid.
     """
     m, n = grid.n_stations, grid.used.shape[1]
     lengths = int(grid.used.sum())
-    missing = what_is_missing(m, n, lengths, grid.free and grid.zero is None)
-    needed = grid.unknowns + (3 * n - 7 if grid.free else 1)
-    if not missing and grid.zero is not None and lengths < needed:
+    missing = what_is_missing(m, n, lengths, grid.free and grid.zero is None, grid.station_minimum)
+    needed = grid.unknowns + (3 * n - 7 if grid.free else 0) - grid.contrasts
+    if not missing and lengths < needed:
         missing = (
-            f"{lengths} usable lengths from {m} stations to {n} targets in {grid.n_zeros} "
-            f"segments are fewer than the {needed} that are needed: measure more targets, or look "
-            "for what breaks the beam"
+            f"{lengths} usable lengths from {m} stations to {n} targets with {grid.n_zeros} "
+            f"unknown zero(s) are fewer than the {needed} that are needed: measure more targets, "
+            "or look for what breaks the beam"
         )
     if missing:
-        raise ObservabilityError(missing)
+        named = sorted({why for why in dropped if why.startswith("station")})[:MOST_NAMED]
+        raise ObservabilityError("; ".join([missing, *named]))
 
 
-def what_is_missing(m: int, n: int, lengths: int, free: bool) -> str:
+def what_is_missing(m: int, n: int, lengths: int, free: bool, least: int) -> str:
     """Return what m stations and n targets lack; empty when they can be solved (Eq. 2).
 
-    A station is one with at least 5 usable lengths. Where the machine tells the targets, three
-    coordinates of each are observed and their unknowns count for nothing: 5 m lengths are enough.
+    A station is one with at least ``least`` usable lengths. Where the machine tells the targets,
+    three coordinates of each are observed and their unknowns count for nothing: ``least`` m
+    lengths are enough.
     """
     unknowns = 4 * m + 3 * n
     if m < 4:
         return (
-            f"{m} stations with at least 5 usable lengths each, at least 4 are needed (Eq. 2): "
-            "measure at more table angles"
+            f"{m} stations with at least {least} usable lengths each, at least 4 are needed "
+            "(Eq. 2): measure at more table angles"
         )
     if free and lengths < unknowns:
         return (

@@ -13,6 +13,8 @@ from rotcal_ros.methods.tracer.angles import TableMotion, table_motion
 from rotcal_ros.methods.tracer.grid import Grid, arrange
 from rotcal_ros.methods.tracer.observability import check_counts
 from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.shifts import find_shifts
+from rotcal_ros.methods.tracer.slips import slips_among
 from rotcal_ros.methods.tracer.uncertainty import AngleUncertainty, angle_uncertainty
 
 
@@ -54,7 +56,12 @@ def predicted(problem: TracerProblem, stations: Floats) -> Prediction:
         covariance = station.stations_covariance(grid, fit)
     motion = table_motion(fit.stations, problem.table_angles[grid.position_ids])
     error_motion = problem.error_motion_std or 0.0
-    angles = angle_uncertainty(motion, fit, covariance, error_motion, 1.0)
+    slips = None
+    if grid.zero is not None:
+        shifts = find_shifts(grid, fit, problem.measuring_order)
+        slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance)
+    unseen = None if slips is None else slips.covariance()
+    angles = angle_uncertainty(motion, fit, covariance, error_motion, 1.0, unseen)
     redundancy = np.full(len(problem.position), np.nan)
     placed = grid.row >= 0
     redundancy[grid.row[placed]] = fit.redundancy[placed]

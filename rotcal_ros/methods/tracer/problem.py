@@ -46,6 +46,11 @@ class TracerProblem:
     position cannot tell it from the angle; it enters the uncertainty as a type B component. Zero
     is known to be none; None: it is estimated from what the stations leave their circle by.
 
+    ``circle_std``: standard deviation, m, by which the stations leave one circle about the table's
+    axis, radially and along it; the circle is unknown. It is an observation that the lengths may
+    contradict (:mod:`.circle_prior`), and says nothing of errors along the circle: those are
+    ``error_motion_std``, which is taken as large when it is None. None: nothing is said.
+
     ``repeated_runs``: equal table angles are separate arrivals, whose differences are the table's
     repeatability and reversal and no closure of the measurement.
 
@@ -58,14 +63,20 @@ class TracerProblem:
     that was broken begins a new segment. None: each station has a zero of its own.
     ``zero_walk_std``: with segments, the zero wanders by so much (m, standard deviation) from one
     length to the next of its segment, in their ``order``; 0: it stands, None: it is estimated.
+    ``slip``: with segments, a fringe (m) by which the counter may slip unseen, allowed for in the
+    uncertainty (:mod:`.slips`); 0: it does not slip.
+
+    ``again`` (k,), optional: how often the pair of each length had been measured before, 0, 1,
+    ...: what a plan repeats is a length of its own, to the same place of the target. None: every
+    pair is measured once.
 
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
     all targets lie in one plane.
 
     Lengths may be missing (a blocked beam): leave the row out. A pair (position, target) has one
-    length in each segment; an identical repetition is dropped and counted as rejected, a different
-    one raises.
+    length in each segment, or each time it is measured ``again``; an identical repetition is
+    dropped and counted as rejected, a different one raises.
 
     Raises DataError for values that are not finite, indices out of range, and standard
     deviations that are not positive; ConfigurationError for unknown names.
@@ -81,11 +92,14 @@ class TracerProblem:
     variant: Variant = _DEFAULTS.variant
     datum: Datum = _DEFAULTS.datum
     error_motion_std: float | None = _DEFAULTS.error_motion_std_m
+    circle_std: float | None = None
     repeated_runs: bool = False
     distance_std: Floats = 0.0  # type: ignore[assignment]
     order: Ints | None = None
     segment: Ints | None = None
     zero_walk_std: float | None = 0.0
+    again: Ints | None = None
+    slip: float = _DEFAULTS.slip_m
     start_stations: Floats | None = None
     settings: TracerLimits = _DEFAULTS
 
@@ -107,6 +121,8 @@ class TracerProblem:
             self._store("order", _indices("order", self.order, _LATEST, len(position)))
         if self.segment is not None:
             self._store("segment", _indices("segment", self.segment, _LATEST, len(position)))
+        if self.again is not None:
+            self._store("again", _indices("again", self.again, _LATEST, len(position)))
         if self.start_stations is not None:
             start = _matrix("start_stations", self.start_stations)
             if start.shape != (len(angles), 3):
@@ -140,7 +156,13 @@ class TracerProblem:
             raise ConfigurationError(
                 f"error_motion_std is {motion}, expected zero or more metres, or None"
             )
+        circle = self.circle_std
+        if circle is not None and not (np.isfinite(circle) and circle > 0.0):
+            raise ConfigurationError(
+                f"circle_std is {circle}, expected a positive number of metres, or None"
+            )
         self._check_zero()
+        self._check_ties()
 
     def _check_zero(self) -> None:
         walk = self.zero_walk_std
@@ -148,15 +170,31 @@ class TracerProblem:
             raise ConfigurationError(
                 f"zero_walk_std is {walk}, expected zero or more metres, or None"
             )
+        if not (np.isfinite(self.slip) and self.slip >= 0.0):
+            raise ConfigurationError(f"slip is {self.slip}, expected zero or more metres")
         if self.segment is None and walk != 0.0:
             raise ConfigurationError(
                 "zero_walk_std is for a zero per segment; lengths without segments have a zero "
                 "per station, which does not wander"
             )
-        if self.segment is not None and self.variant == "station":
+
+    def _check_ties(self) -> None:
+        """Refuse for the variant 'station' what is solved with several stations or strips only."""
+        if self.variant != "station":
+            return
+        solves = "and the variant 'station' solves each by itself: choose the variant 'joint', or"
+        if self.segment is not None:
             raise ConfigurationError(
-                "segments tie all stations together, and the variant 'station' solves each by "
-                "itself: choose the variant 'joint', or a zero per station"
+                f"segments tie all stations together, {solves} a zero per station"
+            )
+        if self.circle_std is not None:
+            raise ConfigurationError(
+                f"a stated circle ties all stations together, {solves} leave out circle_std"
+            )
+        if self.again is not None and self.again.any():
+            raise ConfigurationError(
+                "pairs measured several times share the error of their target, and the variant "
+                "'station' takes a target for known: choose the variant 'joint', or average them"
             )
 
     def _store(self, name: str, values: NDArray[Any]) -> NDArray[Any]:

@@ -14,10 +14,9 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.tracer import disturbances
 from rotcal_ros.methods.tracer.angles import bearing_jacobian
-from rotcal_ros.methods.tracer.error_motion import circle_residuals
+from rotcal_ros.methods.tracer.error_motion import circle_tested, error_motion_covariance
 from rotcal_ros.methods.tracer.response import Worst, respond
 from rotcal_ros.methods.tracer.solution import TracerSolution
-from rotcal_ros.methods.tracer.uncertainty import error_motion_covariance
 from rotcal_ros.methods.tracer.verdict import FAILED_FACTORS
 from rotcal_ros.protection import POWER, Effect, Protection, ordered
 
@@ -32,30 +31,15 @@ HARMLESS: Final = 0.1
 def protections(solution: TracerSolution) -> tuple[Protection, ...]:
     """Return a statement about every effect, in the fixed order."""
     when = disturbances.timing(solution)
-    std = solution.angles.std
-    reach = float(np.linalg.norm(solution.fit.targets - solution.motion.centre, axis=1).max())
-    patterns = {
-        "drift": disturbances.drifts(solution, when),
-        "turn": disturbances.turning(solution, when) / reach,
-        "knock": disturbances.knocks(solution, when),
-        "scale": disturbances.scale(solution),
-        "refraction": disturbances.refraction(solution),
-    }
-    answer = respond(solution, np.concatenate(list(patterns.values())))
-    ends = np.cumsum([len(pattern) for pattern in patterns.values()])
-    part = {
-        name: answer.take(slice(end - len(patterns[name]), end))
-        for name, end in zip(patterns, ends.tolist(), strict=True)
-    }
-    worst = {
-        name: found.worst(std, LARGEST_RATIO if name in ("scale", "refraction") else LARGEST_MOVE)
-        for name, found in part.items()
-    }
-    drift = max(worst["drift"], worst["turn"], key=lambda unseen: unseen.error)
+    moving = _moving(solution, when)
+    worst = _worst(
+        solution,
+        moving
+        | {"scale": disturbances.scale(solution), "refraction": disturbances.refraction(solution)},
+    )
     return ordered(
         (
-            _moved("drift", drift, solution, "the machine's frame that drifts or turns"),
-            _moved("knock", worst["knock"], solution, "a tracer that slips on the table"),
+            *_of_the_order(solution, worst),
             _noise(solution),
             _error_motion(solution),
             _repeatability(solution, int(when.arrivals.min())),
@@ -68,8 +52,72 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
                 "no gauge is carried: the angle is counted on the circle of the stations, in its "
                 "own plane, whatever its radius and lean",
             ),
+            *_slip(solution),
         )
     )
+
+
+def of_the_order(solution: TracerSolution) -> tuple[Protection, Protection]:
+    """Return the statements about drift and knock, which depend on the order of measuring."""
+    return _of_the_order(
+        solution, _worst(solution, _moving(solution, disturbances.timing(solution)))
+    )
+
+
+def _moving(solution: TracerSolution, when: disturbances.Timing) -> dict[str, Floats]:
+    """Return the patterns (p, m, n) of what moves while it is measured."""
+    reach = float(np.linalg.norm(solution.fit.targets - solution.motion.centre, axis=1).max())
+    return {
+        "drift": disturbances.drifts(solution, when),
+        "turn": disturbances.turning(solution, when) / reach,
+        "knock": disturbances.knocks(solution, when),
+    }
+
+
+def _worst(solution: TracerSolution, patterns: dict[str, Floats]) -> dict[str, Worst]:
+    """Return the largest error of each kind of pattern that may stay unseen."""
+    answer, std = respond(solution, np.concatenate(list(patterns.values()))), solution.angles.std
+    ends = np.cumsum([len(pattern) for pattern in patterns.values()])
+    part = {
+        name: answer.take(slice(end - len(patterns[name]), end))
+        for name, end in zip(patterns, ends.tolist(), strict=True)
+    }
+    return {
+        name: found.worst(std, LARGEST_RATIO if name in ("scale", "refraction") else LARGEST_MOVE)
+        for name, found in part.items()
+    }
+
+
+def _of_the_order(
+    solution: TracerSolution, worst: dict[str, Worst]
+) -> tuple[Protection, Protection]:
+    drift = max(worst["drift"], worst["turn"], key=lambda unseen: unseen.error)
+    return (
+        _moved("drift", drift, solution, "the machine's frame that drifts or turns"),
+        _moved("knock", worst["knock"], solution, "a tracer that slips on the table"),
+    )
+
+
+def _slip(solution: TracerSolution) -> tuple[Protection, ...]:
+    """Return the statement about a fringe slipped unseen, where lengths share zeros."""
+    slips = solution.slips
+    if slips is None:
+        return ()
+    bearing = bearing_jacobian(solution.fit.stations, solution.motion)
+    moved = slips.size * slips.shifts.moved @ (bearing - bearing[0]).T
+    std = solution.angles.std
+    share = np.abs(moved[:, std > 0.0]) / std[std > 0.0]
+    hidden = share[slips.missed > 1.0 - POWER]
+    worst = float(hidden.max()) if hidden.size else 0.0
+    what = f"a counter that slips a fringe of {slips.size:.3g} m"
+    if slips.found >= POWER:
+        why = f"{what} makes the lengths disagree, and is found"
+        return (Protection("slip", "tested", why, worst),)
+    why = (
+        f"{what} is found in {100 * slips.found:.0f} % of the cases, by these lengths in this "
+        "order; the uncertainty holds what the others do"
+    )
+    return (Protection("slip", "bounded", why, worst),)
 
 
 def _moved(effect: Effect, worst: Worst, solution: TracerSolution, what: str) -> Protection:
@@ -166,13 +214,16 @@ def _tilt(solution: TracerSolution) -> Protection:
 def _hidden_motion(solution: TracerSolution) -> float:
     """Return the error of an unstated error motion that the circle just shows with POWER."""
     motion, angles = solution.motion, solution.angles
-    dof = solution.error_motion.dof
+    circle = circle_tested(
+        solution.fit.stations, motion, solution.covariance.total, solution.error_motion.used,
+        solution.grid.circle_std,
+    )  # fmt: skip
+    dof = len(circle.seen)
+    if dof == 0:
+        return float("inf")
     significance = solution.problem.settings.test_significance
     ratio = float(chi2_isf(significance, dof) / chi2_isf(POWER, dof))
-    covariance = solution.covariance
-    total = covariance.lengths + covariance.targets
-    total = total + error_motion_covariance(motion, solution.error_motion.used)
-    noise = float(np.linalg.eigvalsh(circle_residuals(motion, total).noise).mean())
+    noise = float(np.linalg.eigvalsh(circle.covariance).mean())
     bearing = bearing_jacobian(solution.fit.stations, motion)
     unit = bearing - bearing[0]
     in_plane = error_motion_covariance(motion, 1.0)

@@ -17,12 +17,11 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_isf, normal_isf
 from rotcal_ros.methods.tracer.adjustment import ranges
 from rotcal_ros.methods.tracer.angles import bearing_jacobian
-from rotcal_ros.methods.tracer.error_motion import circle_residuals
+from rotcal_ros.methods.tracer.error_motion import circle_tested
 from rotcal_ros.methods.tracer.gain import NetworkGain
 from rotcal_ros.methods.tracer.network import linearise
 from rotcal_ros.methods.tracer.noise import LEAST_REDUNDANCY
 from rotcal_ros.methods.tracer.solution import KNOWN, TracerSolution
-from rotcal_ros.methods.tracer.uncertainty import error_motion_covariance
 from rotcal_ros.protection import POWER
 
 NOTHING: Final = 1e-150
@@ -80,7 +79,9 @@ def respond(solution: TracerSolution, errors: Floats) -> Response:
         for dof, seen in zip(by_part.tolist(), unexplained.T, strict=True)
         if dof > LEAST_REDUNDANCY
     ]
-    found.append(_needed(len(motion.in_plane) - 3, significance) / _off_circle(solution, moved))
+    dof, off_circle = _off_circle(solution, moved)
+    if dof:
+        found.append(_needed(dof, significance) / off_circle)
     for closure in solution.evidence.closures:
         first, last = np.searchsorted(solution.positions, [closure.first, closure.last])
         jump = deviations[:, last] - deviations[:, first]
@@ -136,13 +137,12 @@ def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Float
     return x[:, grid.first_strip, :3], unexplained
 
 
-def _off_circle(solution: TracerSolution, moved: Floats) -> Floats:
-    """Return what moves (k, m, 3) of the stations add to chi-squared of the circle."""
-    motion = solution.motion
-    total = solution.covariance.lengths + solution.covariance.targets
-    total = total + error_motion_covariance(motion, solution.error_motion.used)
-    circle = circle_residuals(motion, total)
-    outward = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
-    radial = np.einsum("kja,ja->kj", moved @ motion.plane.basis().T, outward)
-    seen = radial @ circle.open_part
-    return np.asarray((seen * np.linalg.solve(circle.noise, seen.T).T).sum(axis=1) + NOTHING)
+def _off_circle(solution: TracerSolution, moved: Floats) -> tuple[int, Floats]:
+    """Return the circle's degrees of freedom, and what moves (k, m, 3) add to its chi-squared."""
+    circle = circle_tested(
+        solution.fit.stations, solution.motion, solution.covariance.total,
+        solution.error_motion.used, solution.grid.circle_std,
+    )  # fmt: skip
+    seen = circle.moved(moved)
+    chi2 = (seen * np.linalg.solve(circle.covariance, seen.T).T).sum(axis=1) + NOTHING
+    return len(circle.seen), np.asarray(chi2)

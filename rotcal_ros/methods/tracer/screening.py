@@ -8,7 +8,8 @@ Rule: the normalised residual (residual over its own standard deviation, after B
 length is compared with the two-sided normal quantile at ``rejection_significance`` shared among
 all lengths. While any exceeds it, the largest of each station is rejected - in the joint variant
 only where it is also the largest of its target, because there residuals smear over both - and
-everything is adjusted again. A station keeps at least five lengths, a free target four. Rejected
+everything is adjusted again. A station keeps one length more than it has unknowns, which is five
+where nothing ties it to others, a free target four. Rejected
 lengths keep their residual against the final solution, and are flagged.
 
 Where the machine's coordinates are observations too, they are tested by the same rule: a target
@@ -180,7 +181,7 @@ def reject_gross(
 def _outliers(grid: Grid, fit: Adjustment, limit: float) -> Bools:
     """Return (m, n) which lengths to reject in this round."""
     size = np.where(grid.used, np.abs(fit.test_value), 0.0)
-    size[(grid.per_station(grid.used) <= grid.station_minimum)[grid.station]] = 0.0
+    size[(grid.per_station(grid.used) <= grid.station_minimum + 1)[grid.station]] = 0.0
     if grid.free:
         size[:, grid.used.sum(axis=0) <= FREE_TARGET_MINIMUM] = 0.0
     outliers = (size > limit) & (size == grid.largest_of_station(size))

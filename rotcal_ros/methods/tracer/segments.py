@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.network import linearise
 from rotcal_ros.methods.tracer.solution import TracerSolution
@@ -44,13 +45,23 @@ def segment_report(solution: TracerSolution) -> list[dict[str, Any]]:
             "std": float(np.sqrt(covariance[z, z])),
         }
         if before is not None:
-            step = float(value[z] - value[before])
-            variance = covariance[z, z] + covariance[before, before] - 2 * covariance[z, before]
-            entry |= {
-                "step": step,
-                "step_std": float(np.sqrt(variance)),
-                "probability": chi2_sf(step**2 / float(variance), 1.0),
-            }
+            entry |= step_between(value, covariance, before, z)
         found.append(entry)
         before = last[k]
     return found
+
+
+def step_between(value: Floats, covariance: Floats, before: int, after: int) -> dict[str, float]:
+    """Return by how much one zero (m) is larger than the one ``before`` it, and how sure that is.
+
+    ``value`` (s,), ``covariance`` (s, s) of all zeros; ``probability``: of such a step by chance.
+    """
+    step = float(value[after] - value[before])
+    pair = [before, after]
+    (a, b), (_, c) = covariance[np.ix_(pair, pair)].tolist()
+    variance = c + a - 2 * b
+    return {
+        "step": step,
+        "step_std": float(np.sqrt(variance)),
+        "probability": chi2_sf(step**2 / variance, 1.0),
+    }

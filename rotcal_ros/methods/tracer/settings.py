@@ -64,17 +64,9 @@ class TracerLimits:
 
 
 @dataclass(frozen=True)
-class TracerSolverSettings(TracerLimits):
-    """How the laser-tracer method is solved, and how well the instrument measures."""
+class LengthNoiseSettings(TracerLimits):
+    """How well the tracer measures and the machine places its targets."""
 
-    variant: Variant = setting(
-        "joint",
-        doc="station by station with known targets, or joint self-calibration",
-    )
-    datum: Datum = setting(
-        "prior",
-        doc="joint variant: targets as weighted prior, or as mere start values (free network)",
-    )
     length_std_m: float = setting(
         0.2e-6,
         doc="m, standard deviation of one captured length, repeatability included",
@@ -90,6 +82,20 @@ class TracerSolverSettings(TracerLimits):
     target_std_m: float = setting(
         1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
     )
+
+
+@dataclass(frozen=True)
+class TracerSolverSettings(LengthNoiseSettings):
+    """How the laser-tracer method is solved."""
+
+    variant: Variant = setting(
+        "joint",
+        doc="station by station with known targets, or joint self-calibration",
+    )
+    datum: Datum = setting(
+        "prior",
+        doc="joint variant: targets as weighted prior, or as mere start values (free network)",
+    )
     zero: Zero = setting(
         "auto",
         doc="the unknown zero of the lengths: one per_station, or one per_segment of unbroken "
@@ -103,10 +109,25 @@ class TracerSolverSettings(TracerLimits):
         minimum=0.0,
         maximum=1e-4,
     )
+    circle_std_m: float | None = setting(
+        None,
+        doc="m, standard deviation by which stations leave one circle about the table's axis, "
+        "radially and along it; absent: nothing is said, and every station is found by itself",
+        minimum=1e-9,
+        maximum=1e-2,
+    )
+    slip_m: float = setting(
+        0.3164e-6,
+        doc="m, with a zero per_segment: a fringe by which the counter may slip without a word; "
+        "what would not be found of it is in the uncertainty; 0: the counter does not slip",
+        minimum=0.0,
+        maximum=1e-5,
+    )
     error_motion_std_m: float | None = setting(
         None,
         doc="m, standard deviation of the table's radial error motion at the tracer's height; "
-        "0: known to be none; absent: estimated from the circle of the stations",
+        "0: known to be none; absent: as circle_std_m, else estimated from the circle of the "
+        "stations",
         minimum=0.0,
         maximum=1e-2,
     )

@@ -1,15 +1,36 @@
-"""Start values of stations that share zeros: by way of their fullest strips, or of a circle."""
+"""Start values of stations that share zeros, or have few lengths: by strips, or by a circle.
+
+A station with five lengths from one zero is found by itself (:mod:`.start`). Others are found
+together, at the commanded angles of one circle: linearly, and then with the lengths themselves,
+which places them to what the table deviates.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.tracer.adjustment import ranges
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid
-from rotcal_ros.methods.tracer.start import find_start
+from rotcal_ros.methods.tracer.start import CHANCE, MIRROR, find_start
+
+DEVIATES: Final = 1e-5
+"""By how much (m) stations may be off their commanded places on the circle."""
+LOST: Final = 1e-3
+"""Root mean square misfit (m) of stations that are not where the commanded angles say."""
+
+
+def find_any_start(grid: Grid, given: Floats | None, angles: Floats) -> tuple[Floats, bool]:
+    """Return start values (p, 4) for ``grid``, and whether mirror images fit equally well.
+
+    ``given`` (m, 3), if any, are approximate stations; ``angles`` (m,) rad are the commanded ones.
+    """
+    if grid.zero is None and (given is not None or grid.apart):
+        return find_start(grid, given)
+    return find_shared_start(grid, given, angles)
 
 
 def find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tuple[Floats, bool]:
@@ -26,7 +47,7 @@ def find_shared_start(grid: Grid, given: Floats | None, angles: Floats) -> tuple
             state, ambiguous = find_start(fullest, None)
             given = state[:, :3]
         else:
-            given = _stations_on_circle(grid, angles)
+            given, ambiguous = _on_circle(grid, angles)
     return with_zeros(grid, given[grid.station]), ambiguous
 
 
@@ -47,8 +68,86 @@ def _fullest_strips(grid: Grid) -> Grid:
     return replace(fullest, zero=None, segment_ids=None, walk=None)
 
 
-def _stations_on_circle(grid: Grid, angles: Floats) -> Floats:
-    """Return stations (m, 3) at the commanded ``angles`` (m,), rad, that fit linearly.
+@dataclass(frozen=True, eq=False)
+class _Carried:
+    """A tracer carried round a circle: the lengths in use, by zero and by station's angle."""
+
+    targets: Floats
+    length: Floats
+    zero: Ints
+    cos: Floats
+    sin: Floats
+
+    def stations(self, x: Floats) -> Floats:
+        """Return where each length's station is, (k, 3); x: centre (3,), arm (2,), zeros (s,)."""
+        flat = [
+            x[0] + self.cos * x[3] - self.sin * x[4],
+            x[1] + self.sin * x[3] + self.cos * x[4],
+        ]
+        return np.column_stack([*flat, np.full(len(self.cos), x[2])])
+
+    def misfit(self, x: Floats) -> Floats:
+        """Return computed - read lengths (k,), m."""
+        apart = self.stations(x) - self.targets
+        return np.asarray(np.linalg.norm(apart, axis=1) - x[5:][self.zero] - self.length)
+
+    def slope(self, x: Floats) -> Floats:
+        """Return the derivative (k, 5 + s) of the misfit."""
+        apart = self.stations(x) - self.targets
+        unit = apart / np.linalg.norm(apart, axis=1)[:, None]
+        rows = np.zeros((len(unit), len(x)))
+        rows[:, :3] = unit
+        rows[:, 3] = unit[:, 0] * self.cos + unit[:, 1] * self.sin
+        rows[:, 4] = unit[:, 1] * self.cos - unit[:, 0] * self.sin
+        rows[np.arange(len(unit)), 5 + self.zero] = -1.0
+        return rows
+
+
+def _on_circle(grid: Grid, angles: Floats) -> tuple[Floats, bool]:
+    """Return stations (m, 3) at the commanded ``angles`` (m,), rad, of the circle that fits best.
+
+    And whether a mirror image fits as well. Where none fits, the table may count clockwise.
+    """
+    found = [*_circles(grid, angles)]
+    if min(misfit for misfit, _ in found) > LOST**2:
+        found += _circles(grid, -angles)
+    least = min(misfit for misfit, _ in found)
+    variance = DEVIATES**2 + float((grid.length_std**2).max() + (grid.target_std**2).max())
+    equal = (least + CHANCE * variance / grid.used.sum()) >= np.array([m for m, _ in found])
+    alike = [each for (_, each), close in zip(found, equal.tolist(), strict=True) if close]
+    lowest = min(alike, key=lambda each: float(each[:, 2].mean()))
+    apart = max(float(np.abs(each - lowest).max()) for each in alike)
+    return lowest, apart > max(MIRROR, 3.0 * DEVIATES)
+
+
+def _circles(grid: Grid, angles: Floats) -> list[tuple[float, Floats]]:
+    """Return mean square misfits (m^2) and stations (m, 3) from several heights to start from."""
+    from scipy.optimize import least_squares  # slow to load, and rarely needed
+
+    linear = _linear_circle(grid, angles)
+    strip, target = np.nonzero(grid.used)
+    station = grid.station[strip]
+    zero = station if grid.zero is None else grid.zero[strip]
+    cos, sin = np.cos(angles), np.sin(angles)
+    carried = _Carried(
+        grid.targets[target], grid.length[strip, target], zero, cos[station], sin[station]
+    )
+    every = replace(carried, cos=cos, sin=sin)
+    height = float(np.ptp(grid.targets, axis=0).max())
+    found = []
+    for up in (0.0, height, -height):
+        begin = np.append(linear + up * np.eye(5)[2], np.zeros(grid.n_zeros))
+        ranges_there = carried.misfit(begin)
+        count = np.bincount(zero, minlength=grid.n_zeros)
+        total = np.bincount(zero, weights=ranges_there, minlength=grid.n_zeros)
+        begin[5:] = total / np.maximum(count, 1)
+        fit = least_squares(carried.misfit, begin, carried.slope, x_scale="jac", xtol=1e-12)
+        found.append((float((fit.fun**2).mean()), every.stations(fit.x)))
+    return found
+
+
+def _linear_circle(grid: Grid, angles: Floats) -> Floats:
+    """Return centre (3,) and arm (2,) of stations at ``angles`` (m,), rad, that fit linearly.
 
     With P = c + R(angle) q the squared ranges are linear in c, q and the zeros, in a number |P|^2
     of each station, and in one d^2 of each zero.
@@ -72,8 +171,4 @@ def _stations_on_circle(grid: Grid, angles: Floats) -> Floats:
     system[rows, 5 + m + of_zero] = 1.0
     system[rows, 5 + m + s + of_zero] = 2.0 * reading
     found = np.linalg.lstsq(system, (x**2).sum(axis=1) - reading**2, rcond=1e-12)[0]
-    arm, cos, sin = found[3:5], np.cos(angles), np.sin(angles)
-    flat = np.column_stack([arm[0] * cos - arm[1] * sin, arm[0] * sin + arm[1] * cos])
-    stations = np.tile(found[:3], (m, 1))
-    stations[:, :2] += flat
-    return np.asarray(stations * scale + centre, dtype=np.float64)
+    return np.asarray(found[:5] * scale + np.append(centre, [0.0, 0.0]), dtype=np.float64)

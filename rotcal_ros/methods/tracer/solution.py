@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.methods.tracer import joint, station
 from rotcal_ros.methods.tracer.adjustment import (
     MINIMAL_REDUNDANCY,
@@ -17,7 +17,13 @@ from rotcal_ros.methods.tracer.adjustment import (
     ranges,
 )
 from rotcal_ros.methods.tracer.angles import TableMotion, table_motion
-from rotcal_ros.methods.tracer.error_motion import ErrorMotion, error_motion_of
+from rotcal_ros.methods.tracer.error_motion import (
+    CircleTest,
+    ErrorMotion,
+    circle_tested,
+    error_motion_of,
+    likely_circle,
+)
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid, arrange
 from rotcal_ros.methods.tracer.jumps import Jump, find_jump, split
 from rotcal_ros.methods.tracer.noise import Noise, NoiseEvidence, scaled
@@ -30,16 +36,18 @@ from rotcal_ros.methods.tracer.screening import (
     reject_gross,
     without_targets,
 )
-from rotcal_ros.methods.tracer.shared_start import find_shared_start, with_zeros
-from rotcal_ros.methods.tracer.start import find_start
+from rotcal_ros.methods.tracer.shared_start import find_any_start, with_zeros
+from rotcal_ros.methods.tracer.shifts import Shifts, find_shifts
+from rotcal_ros.methods.tracer.slips import Slips, slips_among
 from rotcal_ros.methods.tracer.uncertainty import (
     AngleUncertainty,
+    CircleStatement,
     GlobalTest,
     angle_uncertainty,
     circle_test,
     length_test,
 )
-from rotcal_ros.methods.tracer.verdict import Evidence, closures
+from rotcal_ros.methods.tracer.verdict import Evidence, closures, judge
 from rotcal_ros.methods.tracer.zero_walk import likely_walk, wandering
 
 LOST: Final = 0.1
@@ -49,6 +57,9 @@ MOST_JUMPS: Final = 10
 KNOWN: Final = 1e-9
 """Standard deviation (m) of a coordinate that is called known, where others have errors."""
 
+FREE_CIRCLE: Final = 1e-4
+"""Deviation (m) from the circle that keeps every station near it and tells nothing else."""
+
 _COVARIANCE: Final = {"station": station.stations_covariance, "joint": joint.network_covariance}
 
 
@@ -57,8 +68,9 @@ class TracerSolution:
     """A solved problem; ``grid`` has the standard deviations that were used, after ``noise``.
 
     ``scale`` enlarges the covariance of the stations for what the noise leaves unexplained.
-    ``rejected`` says by row of the problem why a length was not used. All arrays of stations
-    follow ``positions``.
+    ``rejected`` says by row of the problem why a length was not used. ``slips``: those that would
+    not be found; None where every station has a zero of its own. All arrays of stations follow
+    ``positions``.
     """
 
     problem: TracerProblem
@@ -73,6 +85,7 @@ class TracerSolution:
     scale: float
     evidence: Evidence
     rejected: dict[int, str]
+    slips: Slips | None = None
 
     @property
     def positions(self) -> Ints:
@@ -102,21 +115,47 @@ class _Placed:
 
 
 def adjust(problem: TracerProblem) -> TracerSolution:
-    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
+    """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises.
+
+    A stated circle is believed while nothing is odd. Else the lengths are asked without it: where
+    the stations that they find contradict it, what they leave of it takes its place.
+    """
+    solution = _adjusted(problem)
+    stated = problem.circle_std
+    if stated is None or not _doubtful(solution):
+        return solution
+    try:
+        free = _adjusted(replace(problem, circle_std=FREE_CIRCLE))
+    except RotcalError:
+        return solution  # without the circle the lengths do not even place the stations
+    fit, grid, total = free.fit, free.grid, free.covariance.enlarged(free.scale).total
+    circle = circle_tested(fit.stations, free.motion, total, stated, grid.circle_std)
+    used = max(stated, likely_circle(circle, stated))
+    found = _statement(circle, stated, used)
+    if found.probability >= problem.settings.test_significance:
+        return solution
+    return _adjusted(replace(problem, circle_std=used), found)
+
+
+def _doubtful(solution: TracerSolution) -> bool:
+    verdict, _ = judge(solution.evidence, solution.problem.settings)
+    return verdict != "ok"
+
+
+def _statement(circle: CircleTest, stated: float, used: float) -> CircleStatement:
+    """Return what the ``circle`` says of its statement."""
+    test = circle_test(circle)
+    return CircleStatement(
+        stated, used, circle.redundancy, len(circle.seen), test.sigma0, test.probability
+    )
+
+
+def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> TracerSolution:
+    """Return the solution with the problem's circle, which may be ``wider`` than was stated."""
     grid, absent = arrange(problem)
-    check_counts(grid)
-    given = problem.start_stations
+    check_counts(grid, absent.unfit.values())
     commanded = problem.table_angles[grid.position_ids]
-    given = None if given is None else given[grid.position_ids]
-    if grid.zero is None:
-        start, ambiguous = find_start(grid, given)
-    else:
-        start, ambiguous = find_shared_start(grid, given, commanded)
-    jumps: tuple[Jump, ...] = ()
-    if grid.zero is None:
-        screened = _screened(problem, grid, start)
-    else:
-        screened, jumps = _screened_together(problem, grid, start)
+    screened, jumps, shifts, ambiguous = _started(problem, grid, commanded)
     placed = _placed(problem, grid, screened)
     motion, fit, covariance = placed.motion, placed.fit, placed.covariance
     _check_sense(motion, fit.stations, commanded, grid)
@@ -125,16 +164,28 @@ def adjust(problem: TracerProblem) -> TracerSolution:
     failed = unexplained.probability < significance
     scale = unexplained.sigma0 if failed and unexplained.sigma0 > 1.0 else 1.0
     stated = 0.0 if problem.error_motion_std is None else problem.error_motion_std
-    circle = circle_test(motion, covariance, stated, scale)
-    error_motion = error_motion_of(
-        motion, covariance, scale, problem.error_motion_std, circle.probability < significance
-    )
-    angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale)
+    circle_std = problem.circle_std
+    seen = circle_tested(
+        fit.stations, motion, covariance.enlarged(scale).total,
+        stated if circle_std is None else circle_std, circle_std,
+    )  # fmt: skip
+    circle, statement = circle_test(seen), wider
+    if circle_std is not None and wider is None:
+        statement = _statement(seen, circle_std, circle_std)
+    known = circle_std if problem.error_motion_std is None else problem.error_motion_std
+    contradicted = (statement or circle).probability < significance
+    error_motion = error_motion_of(motion, covariance, scale, known, contradicted, circle_std)
+    slips = None
+    if shifts is not None:
+        slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
+    unseen = None if slips is None else slips.covariance()
+    angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale, unseen)
     evidence = Evidence(
         lengths=_stated_test(problem, screened, placed, unexplained),
         noise=screened.noise,
         unexplained=scale,
         circle=circle,
+        circle_statement=statement,
         error_motion=error_motion,
         radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
         closures=()
@@ -142,19 +193,39 @@ def adjust(problem: TracerProblem) -> TracerSolution:
         else closures(commanded, motion.cumulative, angles.covariance, grid.position_ids),
         n_lengths=len(problem.length) - len(absent.repeated) - len(absent.spare),
         n_rejected=len(absent.unfit) + len(screened.why),
-        missing=tuple(
-            np.setdiff1d(np.arange(len(problem.table_angles)), grid.position_ids).tolist()
-        ),
+        missing=_missing_positions(problem, grid),
         spare=tuple(sorted({int(problem.target[row]) for row in absent.spare})),
         unchecked=int((placed.grid.used & (fit.redundancy <= MINIMAL_REDUNDANCY)).sum()),
         mirror_ambiguous=ambiguous,
         jumps=jumps,
+        fringe=problem.slip,
     )
     rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
     return TracerSolution(
         problem, placed.grid, screened.noise, screened.evidence, fit, covariance, motion,
-        error_motion, angles, scale, evidence, rejected,
+        error_motion, angles, scale, evidence, rejected, slips,
     )  # fmt: skip
+
+
+def _missing_positions(problem: TracerProblem, grid: Grid) -> tuple[int, ...]:
+    """Return the table positions without a station."""
+    every = np.arange(len(problem.table_angles))
+    return tuple(np.setdiff1d(every, grid.position_ids).tolist())
+
+
+def _started(
+    problem: TracerProblem, grid: Grid, commanded: Floats
+) -> tuple[Screened, tuple[Jump, ...], Shifts | None, bool]:
+    """Return the grid without outliers, jumps and shifts of its zeros, and if mirror images fit.
+
+    ``commanded`` (m,): angles of the stations, rad.
+    """
+    given = problem.start_stations
+    given = None if given is None else given[grid.position_ids]
+    start, ambiguous = find_any_start(grid, given, commanded)
+    if problem.variant == "station" or grid.apart:
+        return _screened(problem, grid, start), (), None, ambiguous
+    return *_screened_together(problem, grid, start), ambiguous
 
 
 def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
@@ -175,21 +246,25 @@ def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
 
 def _screened_together(
     problem: TracerProblem, grid: Grid, start: Floats
-) -> tuple[Screened, tuple[Jump, ...]]:
-    """Do as :func:`_screened` where stations share zeros, and split these where they jump.
+) -> tuple[Screened, tuple[Jump, ...], Shifts | None]:
+    """Do as :func:`_screened` where stations are tied together, and split zeros where they jump.
 
-    Large jumps are looked for before large outliers, with their margin: the errors of known
-    targets come in the order of time.
+    The shifts are those of the network that comes out. Large jumps are looked for before large
+    outliers, with their margin: the errors of known targets come in the order of time.
     """
     limits, order = problem.settings, problem.measuring_order
     jumps: list[Jump] = []
+    shifts: Shifts | None = None
 
     def broken(fit_grid: Grid, fit: Adjustment, margin: float) -> bool:
-        nonlocal grid, start
-        jump = find_jump(fit_grid, fit, order, limits.rejection_significance, margin)
+        nonlocal grid, start, shifts
+        if problem.segment is None:
+            return False
+        shifts = find_shifts(fit_grid, fit, order)
+        jump = find_jump(fit_grid, fit, shifts, limits.rejection_significance, margin)
         if jump is None or len(jumps) == MOST_JUMPS:
             return False
-        jumps.append(jump)
+        jumps.append(replace(jump, segment=int(fit_grid.segment_numbers[jump.segment])))
         grid, source = split(grid, jump, order)
         start = with_zeros(grid, start[source, :3])
         return True
@@ -206,7 +281,7 @@ def _screened_together(
             begin = with_zeros(coarse, start[source, :3])
         screened = adjust_and_screen(joint.adjust_network, coarse, begin, limits)
         if not broken(scaled(screened.grid, screened.noise.factors), screened.fit, 1.0):
-            return replace(screened, why=screened.why | gross), tuple(jumps)
+            return replace(screened, why=screened.why | gross), tuple(jumps), shifts
 
 
 def _known_targets(grid: Grid, start: Floats, targets: Floats | None = None) -> Adjustment:

@@ -116,6 +116,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         "covariance_scale": solution.scale * float(solution.noise.factors[0]),
         "coverage_factor": HALF_OF_95_PERCENT,
         **_tests(solution),
+        **_circle(solution),
         **_zeros(solution),
         "closure": [asdict(closure) for closure in solution.evidence.closures],
     }
@@ -161,12 +162,22 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
     }
 
 
+def _circle(solution: TracerSolution) -> dict[str, Any]:
+    """Return what was stated of the stations' circle, and its test."""
+    stated = solution.evidence.circle_statement
+    return {} if stated is None else {"circle_prior": asdict(stated)}
+
+
 def _zeros(solution: TracerSolution) -> dict[str, Any]:
-    """Return the zeros of segments, and their walk per length that was used, m."""
-    if solution.grid.zero is None:
+    """Return the zeros of segments, their walk per length that was used, m, and slips.
+
+    ``slips``: size of a fringe, m, and how probably one at any moment is found.
+    """
+    if solution.problem.segment is None:
         return {}
-    walk = solution.grid.walk
+    walk, slips = solution.grid.walk, solution.slips
     return {
         "segments": segment_report(solution),
         "zero_walk_std": 0.0 if walk is None else float(walk.min()),
+        "slips": None if slips is None else {"size": slips.size, "found": slips.found},
     }

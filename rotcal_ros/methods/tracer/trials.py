@@ -15,10 +15,12 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import wrap_angle
+from rotcal_ros.methods.tracer.circle_prior import Contrasts, circle_contrasts
 from rotcal_ros.methods.tracer.gain import NetworkGain
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.network import linearise, relax
 from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.slips import Slips
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 
 STEPS: Final = 3
@@ -39,7 +41,8 @@ class TracerTrials:
     solver. ``gain`` belongs to its variant; for "station" the inverse normal matrices (m, 4, 4).
     ``scale`` enlarges the stated noise as the solver does, ``wobble`` (2, 3) are standard error
     motions in the plane of the stations, ``zeros`` (r, m, n) standard errors that all lengths of a
-    run have in common (m).
+    run have in common (m), ``slips`` those that nobody sees. ``circle``: contrasts of a stated
+    circle about the solution.
     """
 
     grid: Grid
@@ -51,11 +54,17 @@ class TracerTrials:
     wobble: Floats
     zeros: Floats
     gain: Floats | NetworkGain
+    circle: Contrasts | None = None
+    slips: Slips | None = None
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return the cumulative deviations (count, m) in rad of simulated measurements."""
         size = max(1, PLACES // self.weights.size)
-        parts = [self.solve(*self.draw(rng, min(size, count - d))) for d in range(0, count, size)]
+        parts = []
+        for done in range(0, count, size):
+            number = min(size, count - done)
+            drawn = self.draw(rng, number)
+            parts.append(self.solve(*drawn, self.draw_circle(rng, number)))
         return np.concatenate(parts)
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Floats, Floats, Floats]:
@@ -68,6 +77,8 @@ class TracerTrials:
         length = grid.length + self.scale * grid.length_std * rng.standard_normal((count, m, n))
         if grid.walk is not None:
             length += _walks(grid.walk, rng, count)[:, grid.zero, None]
+        if self.slips is not None:
+            length += self.slips.draw(grid, rng, count)
         if len(self.zeros):
             length += np.tensordot(rng.standard_normal((count, len(self.zeros))), self.zeros, 1)
         places = rng.standard_normal((count, n, 3))
@@ -75,11 +86,23 @@ class TracerTrials:
         wobble = rng.standard_normal((count, grid.n_stations, 2)) @ self.wobble
         return length, targets, wobble
 
-    def solve(self, length: Floats, places: Floats, wobble: Floats) -> Floats:
-        """Return the cumulative deviations (t, m) for t sets of what :meth:`draw` returns."""
+    def draw_circle(self, rng: np.random.Generator, count: int) -> Floats | None:
+        """Return what the stated circle's contrasts (count, c) are held to be, m; none without."""
+        if self.circle is None:
+            return None
+        std = self.scale * (self.grid.circle_std or 0.0)
+        return std * rng.standard_normal((count, len(self.circle.value)))
+
+    def solve(
+        self, length: Floats, places: Floats, wobble: Floats, circle: Floats | None = None
+    ) -> Floats:
+        """Return the cumulative deviations (t, m) for t sets of what :meth:`draw` returns.
+
+        ``circle``: what :meth:`draw_circle` returns; none: as stated.
+        """
         state = np.broadcast_to(self.state, (len(length), *self.state.shape)).copy()
         if isinstance(self.gain, NetworkGain):
-            self._settle(self.gain, state, length, places)
+            self._settle(self.gain, state, length, places, circle)
         else:
             for _ in range(STEPS):
                 by_station, _ = self._gradients(state, places, length)
@@ -87,7 +110,14 @@ class TracerTrials:
         stations = state[:, self.grid.first_strip, :3]
         return cumulative_deviations(stations + wobble, self.angles)
 
-    def _settle(self, gain: NetworkGain, state: Floats, length: Floats, places: Floats) -> None:
+    def _settle(
+        self,
+        gain: NetworkGain,
+        state: Floats,
+        length: Floats,
+        places: Floats,
+        circle: Floats | None,
+    ) -> None:
         """Bring the stations ``state`` (t, m, 4) of networks to their minimum, in place."""
         targets = np.broadcast_to(self.targets, places.shape).copy()
         for _ in range(MOST_STEPS):
@@ -95,6 +125,8 @@ class TracerTrials:
             if (layout := gain.layout).tension is not None:
                 _, pull = layout.stretch(state[:, layout.first_of_zero, 3])
                 by_station[:, layout.first_of_zero, 3] += pull
+            if self.circle is not None:
+                by_station[:, self.grid.first_strip, :3] += self._circle_pull(state, circle)
             if not self.grid.free:
                 by_target += (targets - places) / self.grid.target_std**2
             steps = gain.step(by_station, by_target)
@@ -107,6 +139,18 @@ class TracerTrials:
         for t in np.flatnonzero(open_):
             grid = replace(self.grid, length=length[t], targets=places[t])
             state[t] = relax(grid, self.state, self.targets).state
+
+    def _circle_pull(self, state: Floats, held: Floats | None) -> Floats:
+        """Return the circle's pull (t, m, 3) on stations, linear about the solution."""
+        assert self.circle is not None
+        assert self.grid.circle_std is not None
+        first = self.grid.first_strip
+        moved = (state - self.state)[:, first, :3].reshape(len(state), -1)
+        off = self.circle.value + moved @ self.circle.slope.T
+        if held is not None:
+            off = off - held
+        pull = off @ self.circle.slope / self.grid.circle_std**2
+        return np.asarray(pull.reshape(len(state), -1, 3))
 
     def _gradients(self, state: Floats, targets: Floats, length: Floats) -> tuple[Floats, Floats]:
         """Return half the slope of chi-squared for stations (t, m, 4) and targets (t, n, 3)."""
@@ -160,6 +204,8 @@ def trials_about(solution: TracerSolution) -> TracerTrials:
         wobble=solution.error_motion.used * solution.motion.plane.basis(),
         zeros=np.zeros((0, *grid.used.shape)),
         gain=gain,
+        circle=None if grid.circle_std is None else circle_contrasts(fit.stations),
+        slips=solution.slips,
     )
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.angles import TableMotion, bearing_jacobian
-from rotcal_ros.methods.tracer.error_motion import circle_residuals
+from rotcal_ros.methods.tracer.error_motion import CircleTest, error_motion_covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +44,38 @@ class GlobalTest:
     probability: float
 
 
+@dataclass(frozen=True, slots=True)
+class CircleStatement:
+    """What was stated of the stations' circle, and what became of it.
+
+    ``stated``, ``used``: standard deviations, m. ``redundancy``: share of the statement that the
+    lengths check, ``dof`` of its test.
+    """
+
+    stated: float
+    used: float
+    redundancy: float
+    dof: int
+    sigma0: float
+    probability: float
+
+
+UNTESTED: Final = GlobalTest(1.0, 1.0)
+"""Of nothing: no degree of freedom is left."""
+
+
 def angle_uncertainty(
     motion: TableMotion,
     fit: Adjustment,
     covariance: StationCovariance,
     error_motion_std: float,
     scale: float,
+    slips: Floats | None = None,
 ) -> AngleUncertainty:
-    """Propagate the stations' covariance times ``scale``^2 and the error motion to the angles."""
+    """Propagate the stations' covariance times ``scale``^2 and the error motion to the angles.
+
+    ``slips`` (3 m, 3 m): what unseen slips add to that of the stations, m^2.
+    """
     bearing = bearing_jacobian(fit.stations, motion)
     cumulative, adjacent = bearing - bearing[0], np.diff(bearing, axis=0)
     sources = {
@@ -58,6 +83,10 @@ def angle_uncertainty(
         "targets": scale**2 * covariance.targets,
         "error_motion": error_motion_covariance(motion, error_motion_std),
     }
+    if covariance.circle is not None:
+        sources["circle"] = scale**2 * covariance.circle
+    if slips is not None:
+        sources["slips"] = slips
     total = sum(sources.values(), np.zeros_like(covariance.lengths))
     joint = cumulative @ total @ cumulative.T
     joint = 0.5 * (joint + joint.T)
@@ -69,34 +98,26 @@ def angle_uncertainty(
     )
 
 
-def error_motion_covariance(motion: TableMotion, std: float) -> Floats:
-    """Return the covariance (3 m, 3 m) of independent error motions ``std`` (m) in the plane."""
-    normal = motion.plane.normal
-    in_plane = np.eye(3) - np.outer(normal, normal)
-    blocks = np.kron(np.eye(len(motion.in_plane)), std**2 * in_plane)
-    return np.asarray(blocks, dtype=np.float64)
-
-
 def length_test(fit: Adjustment, dof_effective: float) -> GlobalTest:
     """Compare the residuals of the lengths with their stated standard deviations."""
+    if fit.dof <= 0:
+        return UNTESTED
     probability = chi2_sf(fit.chi2 * dof_effective / fit.dof, dof_effective)
     return GlobalTest(float(np.sqrt(fit.chi2 / fit.dof)), probability)
 
 
-def circle_test(
-    motion: TableMotion, covariance: StationCovariance, error_motion_std: float, scale: float
-) -> GlobalTest:
-    """Compare the stations' radial distances from the circle with their covariance.
+def circle_test(circle: CircleTest) -> GlobalTest:
+    """Compare the stations' distances from the circle with their covariance.
 
     What the circle has absorbed (centre and radius) is projected out; m - 3 degrees of freedom
     remain. The table's error motion shows here by its radial part; its tangential part is what
-    the angle cannot be told from.
+    the angle cannot be told from. A stated circle has twice as many, the axial ones, or fewer
+    where the lengths do not tell them.
     """
-    total = scale**2 * (covariance.lengths + covariance.targets)
-    total += error_motion_covariance(motion, error_motion_std)
-    circle = circle_residuals(motion, total)
-    chi2 = float(circle.seen @ np.linalg.solve(circle.noise, circle.seen))
+    chi2 = float(circle.seen @ np.linalg.solve(circle.covariance, circle.seen))
     dof = len(circle.seen)
+    if dof == 0:
+        return UNTESTED
     return GlobalTest(float(np.sqrt(chi2 / dof)), chi2_sf(chi2, dof))
 
 

@@ -5,7 +5,8 @@ suspect
     chi-squared test of the lengths fails all the same (the covariance is then enlarged by
     sigma0^2); more than ``max_rejected_share`` of the lengths were rejected; a closure is larger
     than its uncertainty allows; the stations leave the circle by more than the stated error
-    motion (the estimate of :mod:`.error_motion` is used); a zero jumps within a segment of
+    motion (the estimate of :mod:`.error_motion` is used) or by more than the stated circle
+    allows (what they leave of it is used); a zero jumps within a segment of
     unbroken beam (:mod:`.jumps`; it is split); or a position of the plan is missing.
 failed
     the lengths scatter more than 10 times or the targets more than 30 times as stated (the model
@@ -26,7 +27,7 @@ from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM
 from rotcal_ros.methods.tracer.jumps import Jump
 from rotcal_ros.methods.tracer.noise import Noise
 from rotcal_ros.methods.tracer.settings import TracerLimits
-from rotcal_ros.methods.tracer.uncertainty import GlobalTest
+from rotcal_ros.methods.tracer.uncertainty import CircleStatement, GlobalTest
 from rotcal_ros.results import Verdict
 
 FAILED_FACTORS: Final = np.array([10.0, 10.0, 30.0, 30.0, 30.0])
@@ -39,6 +40,8 @@ WORDS: Final = (
     "the targets' z",
 )
 FAILED_SHARE: Final = 0.2
+HARDLY_CHECKED: Final = 0.01
+"""Share of a stated circle below which nothing would contradict it."""
 TURN: Final = 2.0 * np.pi
 SAME_ANGLE: Final = 1e-9
 """Turns that the sum of commanded steps may be off by rounding; 1.3 milliarcsec."""
@@ -87,7 +90,7 @@ class Evidence:
 
     ``lengths``: test against the noise as stated, ``unexplained``: what the estimated ``noise``
     leaves, as a factor. ``missing`` are positions without a result, ``spare`` targets of a free
-    network that too few lengths reach.
+    network that too few lengths reach, ``fringe`` (m) is what a counter slips by.
     """
 
     lengths: GlobalTest
@@ -104,6 +107,8 @@ class Evidence:
     unchecked: int
     mirror_ambiguous: bool
     jumps: tuple[Jump, ...] = ()
+    circle_statement: CircleStatement | None = None
+    fringe: float = 0.0
 
 
 def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[str, ...]]:
@@ -156,10 +161,7 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
     doubts: list[str] = []
     limit = normal_isf(0.5 * settings.test_significance)
     doubts += [
-        f"the zero of segment {jump.segment} jumps by {jump.size:+.3g} m (standard deviation "
-        f"{jump.std:.2g} m) at observation {jump.row}, and nothing had said so: a slipped fringe, "
-        "or a beam that was broken; it was split there"
-        for jump in evidence.jumps
+        doubt_jump(f"segment {jump.segment}", jump, evidence.fringe) for jump in evidence.jumps
     ]
     doubts += [
         f"stations {c.first} and {c.last} stand at the same table angle but differ by "
@@ -168,8 +170,10 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
         for c in evidence.closures
         if abs(c.error) > limit * c.std
     ]
+    doubts += _doubt_circle(evidence, settings)
     motion = evidence.error_motion
-    if motion.stated is not None and evidence.circle.probability < settings.test_significance:
+    stated = motion.stated is not None and evidence.circle_statement is None
+    if stated and evidence.circle.probability < settings.test_significance:
         doubts.append(
             f"the stations leave their circle by {evidence.radial_rms:.3g} m (rms), "
             f"{evidence.circle.sigma0:.1f} times what is expected: the table's radial error "
@@ -180,6 +184,33 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
         names = ", ".join(str(j) for j in evidence.missing)
         doubts.append(f"no deviation for station(s) {names}: too few usable lengths")
     return doubts
+
+
+def _doubt_circle(evidence: Evidence, settings: TracerLimits) -> list[str]:
+    circle = evidence.circle_statement
+    if circle is None or circle.probability >= settings.test_significance:
+        return []
+    return [
+        f"the stations leave their circle, radially and axially, {circle.sigma0:.1f} times as far "
+        f"as is expected ({circle.dof} contrasts that the lengths tell): the stated circle_std of "
+        f"{circle.stated:.2g} m does not hold; {circle.used:.2g} m is used in its place"
+    ]
+
+
+def doubt_jump(where: str, jump: Jump, fringe: float) -> str:
+    """Return the sentence about a zero that jumped; ``fringe`` (m) is what a counter slips by."""
+    return (
+        f"the zero of {where} jumps by {jump.size:+.3g} m (standard deviation {jump.std:.2g} m) "
+        f"at observation {jump.row}, and nothing had said so: {_cause(jump, fringe)}; it was "
+        "split there"
+    )
+
+
+def _cause(jump: Jump, fringe: float) -> str:
+    """Return what may have made a zero jump."""
+    if number := jump.fringes(fringe):
+        return f"as much as {number:+d} fringe(s), a counter that slipped"
+    return "a beam that was broken, or a tracer that was knocked"
 
 
 def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
@@ -194,6 +225,12 @@ def _remarks(evidence: Evidence, settings: TracerLimits) -> list[str]:
         remarks.append(
             f"target(s) {names} of the free network were left out: fewer than "
             f"{FREE_TARGET_MINIMUM} lengths reach them"
+        )
+    circle = evidence.circle_statement
+    if circle is not None and circle.redundancy < HARDLY_CHECKED:
+        remarks.append(
+            f"the lengths check {100 * circle.redundancy:.2g} % of the stated circle: that the "
+            "stations stand on it is believed, not measured"
         )
     if evidence.unchecked:
         remarks.append(

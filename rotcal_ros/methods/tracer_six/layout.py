@@ -14,8 +14,9 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from scipy.sparse import csr_array
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import DataError, ObservabilityError
+from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer.grid import Grid, arrange
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer_six.problem import SixProblem
@@ -33,8 +34,10 @@ class Layout:
 
     ``position``, ``place`` (V,): indices into ``angles`` (m,) rad and ``places`` (p, 3) m, which
     are those in use; ``position_ids`` (m,), ``place_ids`` (p,): their indices in the problem.
-    ``zero`` (V, n): which of ``n_zeros`` a length has, 0 where there is none. ``tilt_std``: prior
-    of the table's tilts, rad, or None.
+    ``zero`` (V, n): which of ``n_zeros`` a length has, 0 where there is none; ``offset``
+    (n_zeros,), m: by how much the lengths of each are longer here than in the problem, so that
+    those of a place differ by centimetres only. ``tilt_std``: prior of the table's tilts, rad, or
+    None; ``tilts`` (m, 2): what EAC and EBC are expected to be, rad, None: zero.
     """
 
     grid: Grid
@@ -45,8 +48,24 @@ class Layout:
     position_ids: Ints
     place_ids: Ints
     zero: Ints
-    n_zeros: int
+    offset: Floats
     tilt_std: float | None
+    tilts: Floats | None = None
+
+    @property
+    def n_zeros(self) -> int:
+        """The number of zeros."""
+        return len(self.offset)
+
+    @cached_property
+    def most(self) -> Bools:
+        """Tells the lengths (V, n) that have the commonest zero of their station."""
+        if (self.zero == self.zero[:, :1]).all():
+            return self.grid.used
+        pair = np.arange(len(self.zero))[:, None] * self.n_zeros + self.zero
+        count = np.bincount(pair[self.grid.used], minlength=len(self.zero) * self.n_zeros)
+        commonest = np.argmax(count.reshape(len(self.zero), -1), axis=1)
+        return np.asarray(self.grid.used & (self.zero == commonest[:, None]))
 
     @cached_property
     def by_position(self) -> Floats:
@@ -100,6 +119,7 @@ def lay_out(problem: SixProblem) -> tuple[Layout, dict[int, str]]:
     lengths and wrong units.
     """
     _check_places(problem, np.unique(problem.place))
+    problem, offset = _aligned(problem)
     stations, row_station = _stations(problem)
     grid, why = _arranged(problem, stations, row_station, np.arange(len(problem.length)))
     while poor := _poor(problem, grid, stations):
@@ -110,7 +130,7 @@ def lay_out(problem: SixProblem) -> tuple[Layout, dict[int, str]]:
     _check_places(problem, np.unique(stations[grid.position_ids, 0]))
     place_ids, place = np.unique(stations[grid.position_ids, 0], return_inverse=True)
     position_ids, position = np.unique(stations[grid.position_ids, 1], return_inverse=True)
-    zero, n_zeros = _zeros(problem, grid, place)
+    zero, offset = _zeros(problem, grid, place, offset)
     layout = Layout(
         grid=grid,
         position=position,
@@ -120,7 +140,7 @@ def lay_out(problem: SixProblem) -> tuple[Layout, dict[int, str]]:
         position_ids=position_ids,
         place_ids=place_ids,
         zero=zero,
-        n_zeros=n_zeros,
+        offset=offset,
         tilt_std=problem.tilt_std,
     )
     return layout, why
@@ -157,19 +177,45 @@ def _as_tracer(
     )
 
 
-def _zeros(problem: SixProblem, grid: Grid, place: Ints) -> tuple[Ints, int]:
-    """Return the zero (V, n) of each length, and how many there are."""
+def _aligned(problem: SixProblem) -> tuple[SixProblem, Floats]:
+    """Return ``problem`` with all segments of a place counted from about the zero of the first.
+
+    And by how much each length (k,) has become longer, m. A counter that starts anew may read
+    metres less; the nominal places tell that to the centimetre.
+    """
+    offset = np.zeros(len(problem.length))
+    if problem.segment is None:
+        return problem, offset
+    turn = rotation_about_z(problem.table_angles)[problem.position]
+    station = (turn @ problem.places[problem.place][:, :, None])[:, :, 0]
+    distance = np.linalg.norm(problem.targets[problem.target] - station, axis=1)
+    for place in np.unique(problem.place):
+        here = problem.place == place
+        segments = np.unique(problem.segment[here])
+        zeros = [
+            float(np.median((distance - problem.length)[here & (problem.segment == segment)]))
+            for segment in segments
+        ]
+        for segment, zero in zip(segments[1:], zeros[1:], strict=True):
+            offset[here & (problem.segment == segment)] = zero - zeros[0]
+    return replace(problem, length=problem.length + offset), offset
+
+
+def _zeros(problem: SixProblem, grid: Grid, place: Ints, offset: Floats) -> tuple[Ints, Floats]:
+    """Return the zero (V, n) of each length, and the ``offset`` (k,) of the rows by zero (s,)."""
     shape = grid.used.shape
     if problem.segment is None:
         per_station = problem.zero == "per_station"
         own = np.arange(shape[0]) if per_station else place
-        return np.broadcast_to(own[:, None], shape), int(own.max()) + 1
-    numbers, inverse = np.unique(problem.segment[grid.row[grid.row >= 0]], return_inverse=True)
+        return np.broadcast_to(own[:, None], shape), np.zeros(int(own.max()) + 1)
+    there = grid.row >= 0
+    rows = grid.row[there]
+    _, first, inverse = np.unique(problem.segment[rows], return_index=True, return_inverse=True)
     zero = np.zeros(shape, dtype=np.int64)
-    zero[grid.row >= 0] = inverse
+    zero[there] = inverse
     # a place of the grid without a length belongs to a zero that its station has anyway
-    first = zero[np.arange(shape[0]), np.argmax(grid.row >= 0, axis=1)]
-    return np.where(grid.row >= 0, zero, first[:, None]), len(numbers)
+    some = zero[np.arange(shape[0]), np.argmax(there, axis=1)]
+    return np.where(there, zero, some[:, None]), offset[rows[first]]
 
 
 def _arranged(problem: SixProblem, stations: Ints, row_station: Ints, rows: Ints) -> _Arranged:

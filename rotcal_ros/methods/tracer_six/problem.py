@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,14 +40,15 @@ class SixProblem:
 
     ``zero`` tells which lengths share a zero: those of a run ("per_run"), of a station, which is
     a place at a position ("per_station"), or of equal ``segment`` (k,), whole numbers
-    ("segments", and only then).
+    ("per_segment", and only then).
 
     ``scatter_translation_std`` (m) and ``scatter_rotation_std`` (rad): how differently the table
     arrives at the same angle, run by run; zero: known to repeat; None: estimated. ``arrival``
     (k,): numbers that tell the arrivals at one angle in one run; lengths of different arrivals
     have their own scatter. ``tilt_std`` (rad): prior knowledge of EAC and EBC, which two
     places, or three in a line, need. ``order`` (k,): when each length was taken, in any growing
-    numbers; without it run follows run and angle follows angle.
+    numbers; without it run follows run and angle follows angle. ``slip``: a fringe (m) by which
+    the counter may slip unseen; 0: no jump of a zero is looked for.
 
     A pair of station and target has one length in each arrival. Raises DataError for values that
     are not finite, indices out of range and standard deviations that are not positive,
@@ -64,7 +65,7 @@ class SixProblem:
     table_angles: Floats
     places: Floats
     datum: Datum = _DEFAULTS.datum
-    zero: Zero = _DEFAULTS.zero
+    zero: Zero = "per_run"
     segment: Ints | None = None
     scatter_translation_std: float | None = _DEFAULTS.scatter_translation_std_m
     scatter_rotation_std: float | None = _DEFAULTS.scatter_rotation_std_rad
@@ -72,6 +73,7 @@ class SixProblem:
     tilt_std: float | None = _DEFAULTS.tilt_std_rad
     distance_std: Floats = 0.0  # type: ignore[assignment]
     order: Ints | None = None
+    slip: float = _DEFAULTS.slip_m
     settings: TracerLimits = _DEFAULTS
 
     def __post_init__(self) -> None:
@@ -98,22 +100,24 @@ class SixProblem:
                 self._store(name, indices(name, getattr(self, name), _LATEST, k))
 
     def _check_names(self) -> None:
-        names = {"datum": ("prior", "free"), "zero": ("per_run", "per_station", "segments")}
+        names = {"datum": get_args(Datum), "zero": get_args(Zero)}
         for name, known in names.items():
             if getattr(self, name) not in known:
                 raise ConfigurationError(
                     f"{name} {getattr(self, name)!r} is unknown: expected one of {known}"
                 )
-        if (self.zero == "segments") != (self.segment is not None):
+        if (self.zero == "per_segment") != (self.segment is not None):
             raise DataError(
                 f"zero is {self.zero!r} and segment is "
                 f"{'given' if self.segment is not None else 'missing'}: the numbers of the "
-                "segments belong to zero='segments', and to nothing else"
+                "segments belong to zero='per_segment', and to nothing else"
             )
         for name in ("scatter_translation_std", "scatter_rotation_std", "tilt_std"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value >= 0.0):
                 raise ConfigurationError(f"{name} is {value}, expected zero or more, or None")
+        if not (np.isfinite(self.slip) and self.slip >= 0.0):
+            raise ConfigurationError(f"slip is {self.slip}, expected zero or more metres")
         if self.tilt_std == 0.0:
             raise ConfigurationError("tilt_std is 0, expected a positive number, or None")
 

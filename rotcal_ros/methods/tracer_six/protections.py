@@ -10,7 +10,8 @@ from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.tracer_six import response
 from rotcal_ros.methods.tracer_six.response import Worst
 from rotcal_ros.methods.tracer_six.solution import SixSolution
-from rotcal_ros.protection import POWER, Effect, Protection, ordered
+from rotcal_ros.methods.tracer_six.timing import timing
+from rotcal_ros.protection import POWER, TOLERABLE, Effect, Protection, ordered
 
 LARGEST_MOVE: Final = 1e-4
 """Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
@@ -22,16 +23,24 @@ HARMLESS: Final = 0.1
 
 def protections(solution: SixSolution) -> tuple[Protection, ...]:
     """Return a statement about every effect, in the fixed order."""
-    when = response.timing(solution)
+    when = timing(solution.problem, solution.grid)
     drift = response.worst(solution, response.drifts(solution, when), LARGEST_MOVE)
     knock = response.worst(solution, response.knocks(solution, when), LARGEST_MOVE)
     scale = response.worst(solution, response.scale(solution), LARGEST_RATIO)
     air = response.worst(solution, response.refraction(solution), LARGEST_RATIO)
     return ordered(
         (
-            _felt("drift", drift, "a machine that drifts in each run alike moves the curves"),
-            _felt(
-                "knock", knock, "a tracer that slips on the table, up above all, tilts the curves"
+            _moved(
+                solution,
+                "drift",
+                drift,
+                "a machine that drifts in each run alike moves the curves",
+            ),
+            _moved(
+                solution,
+                "knock",
+                knock,
+                "a tracer that slips on the table, up above all, tilts the curves",
             ),
             _noise(solution),
             Protection("error motion", "estimated", "EXC, EYC and EZC are measured"),
@@ -45,8 +54,44 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
                 "the curves are referred to the axis itself: what a lean or shift of the machine "
                 "or of the table's own frame does is taken off",
             ),
+            *_slip(solution),
         )
     )
+
+
+def _slip(solution: SixSolution) -> tuple[Protection, ...]:
+    """Return the statement about a fringe slipped unseen, where lengths share zeros.
+
+    ``error``: the worst that one does at a moment where it is not found with POWER.
+    """
+    slips = solution.slips
+    if slips is None:
+        return ()
+    m = len(solution.layout.angles)
+    std = np.sqrt(np.einsum("ajaj->ja", solution.covariance))  # (m, 6)
+    moved = slips.size * slips.shifts.moved.reshape(-1, 2, m, 3).swapaxes(1, 2).reshape(-1, m, 6)
+    share = (np.abs(moved) / np.maximum(std, response.NOTHING)).max(axis=(1, 2))
+    hidden = share[slips.missed > 1.0 - POWER]
+    worst = float(hidden.max()) if hidden.size else 0.0
+    why = (
+        f"a counter that slips a fringe of {slips.size:.3g} m is found in "
+        f"{100 * slips.found:.0f} % of the cases, by these lengths in this order"
+    )
+    if worst > TOLERABLE:
+        why += "; several arrivals at each angle (plan.arrivals) show more"
+        return (Protection("slip", "not protected", why, worst),)
+    return (Protection("slip", "tested", why, worst),)
+
+
+def _moved(solution: SixSolution, effect: Effect, worst: Worst, what: str) -> Protection:
+    """Return the statement about ``what`` moves, which an angle measured again can show."""
+    again = solution.moves.test("within runs")
+    if again is None:
+        shown = f"{what}; no run measured an angle again to show it (plan.closes)"
+    else:
+        shown = f"{what}; {len(again.places)} of {len(solution.layout.places)} runs came back to"
+        shown += " an angle, and are tested for it"
+    return _felt(effect, worst, shown)
 
 
 def _felt(effect: Effect, worst: Worst, what: str) -> Protection:
@@ -55,7 +100,7 @@ def _felt(effect: Effect, worst: Worst, what: str) -> Protection:
     if not worst.seen:
         return Protection(effect, "not protected", f"{what}, and no test shows it")
     return Protection(
-        effect, "tested", f"{what}; residuals and closures show it at that size", worst.error
+        effect, "tested", f"{what}; the verdict turns from that size on", worst.error
     )
 
 

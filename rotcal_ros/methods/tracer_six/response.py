@@ -11,10 +11,12 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import cross_matrix
 from rotcal_ros.methods.distributions import noncentrality
+from rotcal_ros.methods.tracer_six.patterns import felt
 from rotcal_ros.methods.tracer_six.solution import PLACE, SixSolution
+from rotcal_ros.methods.tracer_six.timing import Timing
 from rotcal_ros.protection import POWER
 
 KNOCKED_AT: Final = (0.25, 0.5, 0.75)
@@ -44,6 +46,7 @@ def worst(solution: SixSolution, patterns: Floats, largest: float) -> Worst:
             jump = moved[:, PLACE[name], last] - moved[:, PLACE[name], first]
             size = np.sqrt(noncentrality(significance, POWER)) * c.std
             seen_at = np.minimum(seen_at, size / (np.abs(jump) + NOTHING))
+    seen_at = np.minimum(seen_at, solution.moves.found_at(patterns, significance))
     error = np.minimum(seen_at, largest) * share
     k = int(np.argmax(error))
     return Worst(float(error[k]), bool(seen_at[k] <= largest))
@@ -51,60 +54,13 @@ def worst(solution: SixSolution, patterns: Floats, largest: float) -> Worst:
 
 def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
     """Return moves of the curves (k, 6, m), and what is left in chi-squared (k,)."""
-    rig, layout = solution.rig, solution.layout
-    k, _, n = patterns.shape
-    here = rig.slopes
-    weighted = rig.grid.weights * patterns
-    if here.factor is not None:
-        taken = here.factor.swapaxes(1, 2) @ patterns[..., None]
-        weighted = weighted - (here.factor @ taken)[..., 0]
-    force = (here.unit * weighted[..., None]).sum(axis=2)  # (k, V, 3)
-    poses = layout.by_position @ (force[:, :, None] @ rig.motion)[:, :, 0]
-    turned = (force[:, :, None] @ rig.state.rotation[layout.position])[:, :, 0]
-    by_target = -np.einsum("kvt,vta->kta", weighted, here.unit).reshape(k, -1)
-    zeros = np.stack(
-        [np.bincount(layout.zero.ravel(), w.ravel(), layout.n_zeros) for w in weighted]
-    )
-    kept = [by_target, (layout.by_place @ turned).reshape(k, -1), -zeros]
-    lean = np.zeros((k, layout.size - 3 * n - 3 * len(layout.places) - layout.n_zeros))
-    slope = np.concatenate([*kept, lean, poses.reshape(k, -1)], axis=1)
-    step = slope @ solution.fit.posterior.covariance
-    left = (weighted * patterns).sum(axis=(1, 2)) - (step * slope).sum(axis=1)
+    layout, here, k = solution.layout, felt(solution.rig, patterns), len(patterns)
+    step = here.slope @ solution.fit.posterior.covariance
+    left = (here.weighted * patterns).sum(axis=(1, 2)) - (step * here.slope).sum(axis=1)
     moved = step[:, layout.size :] @ solution.table.jacobian.T
     m = len(layout.angles)
     ordered = moved.reshape(k, 2, m, 3).transpose(0, 1, 3, 2).reshape(k, 6, m)
     return ordered, np.maximum(left, 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Timing:
-    """Shares (V, n), 0 to 1, that had gone of all runs, and of the own run."""
-
-    whole: Floats
-    own: Floats
-
-
-def timing(solution: SixSolution) -> Timing:
-    """Return when the lengths were taken; see SixProblem.order."""
-    problem, row = solution.problem, solution.grid.row
-    order = problem.order
-    if order is None:
-        arrival = np.zeros_like(problem.place) if problem.arrival is None else problem.arrival
-        order = np.lexsort((problem.target, problem.position, arrival, problem.place)).argsort()
-    whole = _share(order, np.ones(len(order), dtype=np.bool_))
-    own = np.zeros(len(order))
-    for place in np.unique(problem.place):
-        here = problem.place == place
-        own[here] = _share(order, here)[here]
-    there = row >= 0
-    return Timing(np.where(there, whole[row], 0.0), np.where(there, own[row], 0.0))
-
-
-def _share(order: Ints, here: Bools) -> Floats:
-    share = np.zeros(len(order))
-    rows = np.flatnonzero(here)
-    share[rows[np.argsort(order[rows], kind="stable")]] = np.linspace(0.0, 1.0, len(rows))
-    return share
 
 
 def drifts(solution: SixSolution, when: Timing) -> Floats:

@@ -137,7 +137,7 @@ def slopes(grid: Grid, layout: Layout, scatter: Floats | None, state: State) -> 
         by_target = by_target + correction / grid.target_std
     kept = [by_target.ravel(), (layout.by_place @ turned).ravel(), -zeros]
     if layout.tilt_std is not None:
-        known = tilts.slopes(state.rotation, state.lean, layout.angles, layout.tilt_std)
+        known = tilts.slopes(state.rotation, state.lean, layout)
         chi2, poses = chi2 + known.chi2, poses + known.poses
         kept.append(known.lean)
     return Slopes(error, unit, factor, chi2, poses, np.concatenate(kept))

@@ -5,39 +5,34 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rotcal_ros.methods.tracer.settings import Datum, TracerLimits
+from rotcal_ros.methods.tracer.settings import Datum, LengthNoiseSettings
 from rotcal_ros.settings import setting
 
-Zero = Literal["per_run", "per_station", "segments"]
+Zero = Literal["per_run", "per_station", "per_segment"]
+ZeroSetting = Literal["auto", Zero]
 
 
 @dataclass(frozen=True)
-class TracerSixSolverSettings(TracerLimits):
-    """How six deviations are solved from lengths, and how well the instrument measures."""
+class TracerSixSolverSettings(LengthNoiseSettings):
+    """How six deviations are solved from lengths."""
 
     datum: Datum = setting(
         "prior",
         doc="targets as weighted prior, or as mere start values (free network)",
     )
-    zero: Zero = setting(
-        "per_run",
-        doc="which lengths share the zero of the counter: all of a run (a beam that never broke), "
-        "those of a station, or those of a segment as the measurement tells",
+    zero: ZeroSetting = setting(
+        "auto",
+        doc="which lengths share the unknown zero of the counter: all from one place (per_run: a "
+        "beam that never broke), those of an angle and place (per_station), or those of one "
+        "unbroken beam (per_segment); auto: per segment where the measurement tells the "
+        "segments, else per run",
     )
-    length_std_m: float = setting(
-        0.2e-6,
-        doc="m, standard deviation of one captured length, repeatability included",
-        minimum=1e-9,
-        maximum=1e-2,
-    )
-    length_std_relative: float = setting(
-        0.0,
-        doc="m/m, part of the length deviation that grows with the distance",
+    slip_m: float = setting(
+        0.3164e-6,
+        doc="m, a fringe by which the counter may slip without a word where lengths share zeros; "
+        "the verdict says how much of it would be found; 0: the counter does not slip",
         minimum=0.0,
-        maximum=1e-2,
-    )
-    target_std_m: float = setting(
-        1e-6, doc="m, standard deviation of each coordinate of a target", minimum=1e-9, maximum=1.0
+        maximum=1e-5,
     )
     scatter_translation_std_m: float | None = setting(
         None,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -10,20 +11,26 @@ import numpy as np
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.distributions import chi2_sf
-from rotcal_ros.methods.tracer.grid import Grid
+from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid
+from rotcal_ros.methods.tracer.jumps import Jump
 from rotcal_ros.methods.tracer.noise import Noise, scaled
-from rotcal_ros.methods.tracer.screening import adjust_and_screen, reject_gross
+from rotcal_ros.methods.tracer.screening import Screened, adjust_and_screen, reject_gross
+from rotcal_ros.methods.tracer.shifts import Shifts
+from rotcal_ros.methods.tracer.slips import Slips, slips_among
 from rotcal_ros.methods.tracer.station import adjust_stations
 from rotcal_ros.methods.tracer.uncertainty import GlobalTest
 from rotcal_ros.methods.tracer.verdict import Closure, closures
 from rotcal_ros.methods.tracer_six.adjustment import RigidAdjuster, RigidAdjustment
+from rotcal_ros.methods.tracer_six.fringes import MOST_JUMPS, find, find_shifts, split
 from rotcal_ros.methods.tracer_six.layout import Layout, lay_out, renamed
+from rotcal_ros.methods.tracer_six.moves import Moves, moves
 from rotcal_ros.methods.tracer_six.observability import check_curves
 from rotcal_ros.methods.tracer_six.posterior import CurvePosterior, curve_posterior, pulled
 from rotcal_ros.methods.tracer_six.problem import SixProblem
-from rotcal_ros.methods.tracer_six.rig import Rig
+from rotcal_ros.methods.tracer_six.rig import Rig, State
 from rotcal_ros.methods.tracer_six.scatter import Scatter, enlargement, turned
 from rotcal_ros.methods.tracer_six.start import find_start
+from rotcal_ros.methods.tracer_six.timing import taken, timing
 
 PLACE: Final = {name: index for index, name in enumerate(COMPONENTS)}
 
@@ -36,7 +43,8 @@ class SixSolution:
     in the order of COMPONENTS, what is known of them in the end: enlarged by ``scale`` for what
     the noise leaves unexplained, and for a scatter that few contrasts tell. ``lengths``: test of
     chi-squared with the noise that was used. ``rejected`` says by row why a length was not used;
-    ``n_lengths`` could have been used, ``n_rejected`` of them were not.
+    ``n_lengths`` could have been used, ``n_rejected`` of them were not. ``jumps`` of zeros, whose
+    segment is a zero of the ``layout``; ``slips`` of a fringe that may stay unseen.
     """
 
     problem: SixProblem
@@ -52,6 +60,8 @@ class SixSolution:
     rejected: dict[int, str]
     n_lengths: int
     n_rejected: int
+    jumps: tuple[Jump, ...] = ()
+    slips: Slips | None = None
 
     @property
     def rig(self) -> Rig:
@@ -62,6 +72,19 @@ class SixSolution:
     def scatter(self) -> Scatter:
         """The scatter from run to run that was used."""
         return self.fit.scatter
+
+    @cached_property
+    def moves(self) -> Moves:
+        """The tests of what moved between the runs, and within them."""
+        problem, grid = self.problem, self.grid
+        known = (problem.scatter_translation_std, problem.scatter_rotation_std)
+        when = (timing(problem, grid).own * grid.used).sum(axis=1) / grid.used.sum(axis=1)
+        return moves(self.rig, when, known, problem.settings.test_significance)
+
+    @property
+    def zeros(self) -> Floats:
+        """The zeros (s,) of the counter as the lengths of the problem have them, m."""
+        return self.rig.state.zeros + self.layout.offset
 
     @property
     def positions(self) -> Ints:
@@ -90,13 +113,14 @@ def adjust(problem: SixProblem) -> SixSolution:
     layout, absent = lay_out(problem)
     limits = problem.settings
     state = find_start(layout)
-    start = np.column_stack([state.stations(layout), state.zeros[layout.zero[:, 0]]])
-    coarse, why = reject_gross(adjust_stations, layout.grid, start, limits.rejection_significance)
+    coarse, start, why = _without_gross(layout, state, limits.rejection_significance)
     stated = (problem.scatter_translation_std, problem.scatter_rotation_std)
     adjuster = RigidAdjuster(layout, state, stated, limits.test_significance)
     screened = adjust_and_screen(adjuster, coarse, start, limits)
+    screened, jumps, shifts = _unbroken(problem, adjuster, screened, coarse, start)
     fit = screened.fit
     assert isinstance(fit, RigidAdjustment)
+    layout = fit.posterior.rig.layout
     names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
     why = {row: renamed(text, names) for row, text in (why | screened.why).items()}
     table = curve_posterior(fit.posterior.rig, fit.posterior.covariance)
@@ -118,7 +142,52 @@ def adjust(problem: SixProblem) -> SixSolution:
         rejected=absent | why,
         n_lengths=len(problem.length) - len(idle),
         n_rejected=len(absent) - len(idle) + len(why),
+        jumps=jumps,
+        slips=None
+        if shifts is None
+        else slips_among(shifts, problem.slip, limits.rejection_significance, scale),
     )
+
+
+def _unbroken(
+    problem: SixProblem, adjuster: RigidAdjuster, screened: Screened, coarse: Grid, start: Floats
+) -> tuple[Screened, tuple[Jump, ...], Shifts | None]:
+    """Return ``screened`` with zeros split where they jump, the jumps, and what shifts would do.
+
+    Zeros that belong to a single station are not looked at: their jumps are outliers.
+    """
+    jumps: list[Jump] = []
+    if problem.zero == "per_station" or problem.slip == 0.0:
+        return screened, (), None
+    order = taken(problem)
+    while True:
+        fit = screened.fit
+        assert isinstance(fit, RigidAdjustment)
+        shifts = find_shifts(fit, order)
+        jump = find(fit, shifts, problem.settings.rejection_significance)
+        if jump is None or len(jumps) == MOST_JUMPS:
+            return screened, tuple(jumps), shifts
+        jumps.append(jump)
+        layout, state = split(adjuster.layout, adjuster.state, coarse, jump, order)
+        adjuster = replace(adjuster, layout=layout, state=state)
+        screened = adjust_and_screen(adjuster, coarse, start, problem.settings)
+
+
+def _without_gross(
+    layout: Layout, state: State, significance: float
+) -> tuple[Grid, Floats, dict[int, str]]:
+    """Return the grid without gross errors, start values (V, 4), and why lengths were rejected.
+
+    Station by station, as far as the lengths of a station have one zero; where these are too few,
+    it is left to the network.
+    """
+    grid, most = layout.grid, layout.most
+    zero = layout.zero[np.arange(len(most)), np.argmax(most, axis=1)]
+    start = np.column_stack([state.stations(layout), state.zeros[zero]])
+    if (most.sum(axis=1) < STATION_MINIMUM).any():
+        return grid, start, {}
+    coarse, why = reject_gross(adjust_stations, replace(grid, used=most), start, significance)
+    return replace(coarse, used=coarse.used | (grid.used & ~most)), start, why
 
 
 def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest, float]:
@@ -137,7 +206,8 @@ def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
     if fit.scatter.estimated:
         gain = table.jacobian @ after.covariance[rig.layout.size :] @ pulled(rig).T
         by_station = gain.reshape(len(gain), -1, 3)
-        across = turned(rig.state.arms(rig.layout))
+        arms = rig.state.arms(rig.layout)
+        across = turned(arms)
         slope = np.stack(
             [
                 (by_station**2).sum(axis=(1, 2)),
@@ -146,7 +216,8 @@ def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
                 ),
             ]
         )
-        factor = enlargement(fit.scatter, covariance.diagonal(), slope)
+        used = fit.scatter.weighing(arms)
+        factor = enlargement(fit.scatter, used, covariance.diagonal(), slope)
         covariance = covariance * factor * factor[:, None]
     ordered = covariance.reshape(2, m, 3, 2, m, 3).transpose(0, 2, 1, 3, 5, 4)
     return np.ascontiguousarray(ordered.reshape(6, m, 6, m))

@@ -11,6 +11,7 @@ from rotcal_ros.components import COMPONENTS, HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer.screening import rejection_limit
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.protections import protections
+from rotcal_ros.methods.tracer_six.segments import segment_report
 from rotcal_ros.methods.tracer_six.solution import SixSolution, adjust
 from rotcal_ros.methods.tracer_six.verdict import judge
 from rotcal_ros.results import Rejection, Residuals, Result
@@ -86,8 +87,10 @@ def _details(solution: SixSolution) -> dict[str, Any]:
 
     ``places`` (p, 3) in the frame that turns with the table, z along the axis; ``place_ids`` are
     the problem's; ``axis``: where the axis meets the machine's z = 0, and its direction.
+    ``slips``: size of a fringe, m, and how probably one at any moment is found.
     """
     problem, rig, curves = solution.problem, solution.rig, solution.table.curves
+    slips = solution.slips
     places = (rig.state.places - curves.table_origin) @ curves.table_turn
     return {
         "datum": problem.datum,
@@ -95,7 +98,8 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "position_ids": solution.positions,
         "place_ids": solution.layout.place_ids,
         "places": places,
-        "zeros": rig.state.zeros,
+        "zeros": solution.zeros,
+        "segments": segment_report(solution),
         "target_ids": solution.grid.target_ids,
         "targets": rig.state.targets,
         "axis": {"origin": curves.origin, "direction": curves.axes[:, 2]},
@@ -105,6 +109,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "coverage_factor": HALF_OF_95_PERCENT,
         "scatter": _scatter(solution),
         "noise": solution.noise.details(),
+        "slips": None if slips is None else {"size": slips.size, "found": slips.found},
         "length_test": asdict(solution.lengths),
         "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
@@ -112,6 +117,15 @@ def _details(solution: SixSolution) -> dict[str, Any]:
             for name, found in solution.closures.items()
             if found
         },
+        "moves": [
+            {
+                "kind": test.kind,
+                "place_ids": solution.layout.place_ids[test.places].tolist(),
+                "moved": test.moved.tolist(),
+                "p_value": test.probability,
+            }
+            for test in solution.moves.tests
+        ],
     }
 
 

@@ -14,6 +14,7 @@ from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rigid import align
 from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
 from rotcal_ros.methods.tracer.start import start_candidates
 from rotcal_ros.methods.tracer_six.layout import Layout, lost_direction
 from rotcal_ros.methods.tracer_six.rig import State
@@ -29,12 +30,13 @@ def find_start(layout: Layout) -> State:
     grid = layout.grid
     about = rotation_about_z(layout.angles)
     nominal = (about[layout.position] @ layout.places[layout.place][:, :, None])[:, :, 0]
-    found = start_candidates(grid.targets, grid.length, grid.used)[:, :, :3]
+    most = layout.most
+    found = start_candidates(grid.targets, grid.length, most)[:, :, :3]
     away = np.linalg.norm(found - nominal, axis=2)
     best = np.argmin(away, axis=0)
     each = np.arange(len(best))
     near = away[best, each] < NEAR
-    _check_near(layout, near, away[best, each])
+    _check_near(layout, near | (most.sum(axis=1) < STATION_MINIMUM), away[best, each])
     stations = np.where(near[:, None], found[best, each], nominal)
     rotation, translation, places = about, np.zeros((len(about), 3)), layout.places
     for _ in range(ROUNDS):

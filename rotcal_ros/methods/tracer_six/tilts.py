@@ -1,7 +1,8 @@
 """Prior knowledge of the table's tilts, for places that cannot tell them.
 
 The tilt c_i of each position, less what both frames contribute, u + Rz w with four unknowns
-(u, w), is an observation of zero with the standard deviation ``tilt_std``.
+(u, w), is an observation of zero with the standard deviation ``tilt_std``; in a trial it is one of
+what chance has drawn.
 """
 
 from __future__ import annotations
@@ -28,13 +29,18 @@ def _tilts(rotation: Floats, angles: Floats) -> Floats:
     return rotation_vector(rotation @ rotation_about_z(-angles))
 
 
-def slopes(rotation: Floats, lean: Floats, angles: Floats, std: float) -> TiltSlopes:
+def slopes(rotation: Floats, lean: Floats, layout: Layout) -> TiltSlopes:
     """Return what the prior adds at poses ``rotation`` (m, 3, 3) and ``lean`` (4,) rad."""
-    design, _ = gauge_design(angles)
-    vector = _tilts(rotation, angles)
-    error = (vector[:, :2] - (design @ lean).reshape(-1, 2)) / std
+    std = layout.tilt_std
+    assert std is not None
+    design, _ = gauge_design(layout.angles)
+    vector = _tilts(rotation, layout.angles)
+    expected = (design @ lean).reshape(-1, 2)
+    if layout.tilts is not None:
+        expected = expected + layout.tilts
+    error = (vector[:, :2] - expected) / std
     slope = log_slope(vector)[:, :2]
-    poses = np.zeros((len(angles), 6))
+    poses = np.zeros((len(vector), 6))
     poses[:, :3] = (error[:, None] @ slope)[:, 0] / std
     return TiltSlopes(float((error**2).sum()), poses, -design.T @ error.ravel() / std)
 

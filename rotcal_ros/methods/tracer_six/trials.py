@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer_six.curves import table_curves
+from rotcal_ros.methods.tracer_six.layout import Layout
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.rig import Rig, State, relax, slopes
 from rotcal_ros.methods.tracer_six.scatter import turned
@@ -32,18 +32,11 @@ SETTLED: Final = 1e-10
 class SixTrials:
     """Draws measurements like the given one and solves them; made by :func:`six_trials`.
 
-    The measured lengths and targets get fresh noise, every arrival a fresh scatter. How large that
-    is follows the scatter of the solution: as stated, or as likely as it was found.
+    The measured lengths, targets and stated tilts get fresh noise, every arrival a fresh scatter.
+    How large that is follows the scatter of the solution: as stated, or as likely as it was found.
     """
 
     solution: SixSolution
-
-    def __post_init__(self) -> None:
-        if self.solution.layout.tilt_std is not None:
-            raise ConfigurationError(
-                "Monte Carlo trials draw measurements; what is stated about the tilt "
-                "(solver.tilt_std_rad) is none: measure from three places"
-            )
 
     @property
     def rig(self) -> Rig:
@@ -52,9 +45,9 @@ class SixTrials:
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return EXC, EYC, EZC (m), EAC, EBC, ECC (rad) at all angles, (count, 6 m)."""
-        return np.array([self._solved(self._drawn(rng)) for _ in range(count)])
+        return np.array([self._solved(*self._drawn(rng)) for _ in range(count)])
 
-    def _drawn(self, rng: np.random.Generator) -> Grid:
+    def _drawn(self, rng: np.random.Generator) -> tuple[Grid, Layout]:
         grid, layout, scale = self.rig.grid, self.rig.layout, self.solution.scale
         known = self.solution.scatter
         arms = self.rig.state.arms(layout)
@@ -63,25 +56,28 @@ class SixTrials:
         spread = root @ rng.standard_normal((len(arms), 3, 1))
         noise = scale * grid.length_std * rng.standard_normal(grid.length.shape)
         length = grid.length + noise + (self.rig.slopes.unit @ spread)[:, :, 0]
+        if layout.tilt_std is not None:
+            tilts = scale * layout.tilt_std * rng.standard_normal((len(layout.angles), 2))
+            layout = replace(layout, tilts=tilts)
         if grid.free:
-            return replace(grid, length=length)
+            return replace(grid, length=length), layout
         missed = scale * grid.target_std * rng.standard_normal(grid.targets.shape)
-        return replace(grid, length=length, targets=grid.targets + missed)
+        return replace(grid, length=length, targets=grid.targets + missed), layout
 
-    def _solved(self, grid: Grid) -> Floats:
-        state = self._settled(grid)
+    def _solved(self, grid: Grid, layout: Layout) -> Floats:
+        state = self._settled(grid, layout)
         curves = table_curves(state.rotation, state.translation, self.rig.layout.angles)
         return np.concatenate([curves.translation.T.ravel(), curves.rotation.T.ravel()])
 
-    def _settled(self, grid: Grid) -> State:
+    def _settled(self, grid: Grid, layout: Layout) -> State:
         state = self.rig.state
         for _ in range(MOST_STEPS):
-            here = slopes(grid, self.rig.layout, self.rig.scatter, state)
+            here = slopes(grid, layout, self.rig.scatter, state)
             kept, poses = self._step(-here.kept, -here.poses)
             state = state.moved(kept, poses.reshape(-1, 6))
             if abs(float(here.kept @ kept + here.poses.ravel() @ poses)) < SETTLED:
                 return state
-        return relax(grid, self.rig.layout, self.rig.scatter, state).state
+        return relax(grid, layout, self.rig.scatter, state).state
 
     def _step(self, kept: Floats, poses: Floats) -> tuple[Floats, Floats]:
         """Return the steps (K,) and (6 m,) for right-hand sides (K,) and (m, 6)."""

@@ -5,7 +5,8 @@ suspect
     lengths is too large all the same (the covariance is then enlarged by it); the distances
     between the places contradict the stated scatter (the estimate is used); more than
     ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
-    allows; a position of the plan is missing.
+    allows; the zero of a place jumps where no beam broke; the machine or the tracer has moved
+    between the runs or within one (:mod:`.moves`); a position of the plan is missing.
 failed
     the noise is beyond the limits of :mod:`rotcal_ros.methods.tracer.verdict`, or more than a
     fifth of the lengths were rejected.
@@ -13,20 +14,34 @@ failed
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from rotcal_ros.components import ROTATIONS
 from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY
+from rotcal_ros.methods.tracer.jumps import Jump
 from rotcal_ros.methods.tracer.verdict import (
     FAILED_FACTORS,
     FAILED_SHARE,
+    doubt_jump,
     doubt_noise,
     doubt_rejected,
     times_stated,
 )
+from rotcal_ros.methods.tracer_six.moves import Kind
 from rotcal_ros.methods.tracer_six.solution import SixSolution
 from rotcal_ros.results import Verdict
+from rotcal_ros.units import MICROMETRE
+
+MOVED: Final[dict[Kind, str]] = {
+    "between runs": "the machine stands elsewhere in one run than in another: it drifted, or was "
+    "knocked",
+    "slip": "the tracer slipped on the table",
+    "within runs": "angles measured again in the same run contradict the first time: the machine "
+    "drifted, or the tracer slipped on the table",
+}
 
 
 def judge(solution: SixSolution) -> tuple[Verdict, tuple[str, ...]]:
@@ -72,10 +87,35 @@ def _doubt_motion(solution: SixSolution) -> list[str]:
             for c in found
             if abs(c.error) > limit * c.std
         ]
+    doubts += [
+        doubt_jump(f"place {_place_of(solution, jump)}", jump, solution.problem.slip)
+        for jump in solution.jumps
+    ]
+    doubts += _doubt_moves(solution)
     if solution.missing:
         names = ", ".join(map(str, solution.missing))
         doubts.append(
             f"no deviations for position(s) {names}: fewer than three places have enough lengths"
+        )
+    return doubts
+
+
+def _place_of(solution: SixSolution, jump: Jump) -> int:
+    return int(solution.problem.place[jump.row])
+
+
+def _doubt_moves(solution: SixSolution) -> list[str]:
+    """Return which moves between the runs, or within them, are no chance."""
+    doubts = []
+    for test in solution.moves.tests:
+        if test.probability >= solution.problem.settings.test_significance:
+            continue
+        worst = int(np.argmax(np.linalg.norm(test.moved, axis=1)))
+        place = solution.layout.place_ids[test.places[worst]]
+        x, y, z = (test.moved[worst] / MICROMETRE).tolist()
+        doubts.append(
+            f"{MOVED[test.kind]} (p = {test.probability:.2g}), most at place {place}: about "
+            f"({x:.3g}, {y:.3g}, {z:.3g}) um along x, y, z"
         )
     return doubts
 

@@ -6,37 +6,31 @@ observed enters only the estimate of the noise and the tests.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
-from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
+from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.methods.tracer.grid import station_minimum
+from rotcal_ros.methods.tracer.prediction import predicted
+from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.policy.measured import Measured
 from rotcal_ros.planning.policy.noise import (
     LengthNoise,
     estimate_noise,
     judge_lengths,
     suspect_length,
 )
+from rotcal_ros.planning.policy.residuals import residual_rows
 from rotcal_ros.planning.tracer_design.information import Information
+from rotcal_ros.planning.tracer_design.ordering import noisy_problem
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
-
-ROUNDS: Final = 12
-"""In about so many rounds a sweep is put together."""
-SHORTLIST: Final = 1200
-"""Only so many of the best candidates are looked at again in every round."""
-PLACING_STEPS: Final = 8
-"""Gauss-Newton steps that place a station from its nominal place, a few centimetres off."""
-MOST_PER_STATION: Final = 3
-"""No more lengths of a station are taken in one round: they would all be alike."""
-LEAST_GAIN: Final = 5e-4
-"""A length that lowers the mean variance by less than this share is not worth its time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,27 +40,35 @@ class Costs:
     step_s: float
     turn_s: float
 
-
-@dataclass(frozen=True, slots=True)
-class Wish:
-    """What a set of steps has to reach: ``uncertainty`` (rad) with this noise and coverage factor.
-
-    ``noise`` is a factor on the planned standard deviation of a length.
-    """
-
-    uncertainty: float
-    noise: float
-    coverage_factor: float
+    @property
+    def dearest_s(self) -> float:
+        """A step for which the table has to turn."""
+        return self.step_s + self.turn_s
 
 
 class LengthExperiment:
-    """The steps of ``plan`` as lengths in ``scene``, each station with a zero of its own."""
+    """The steps of ``plan`` as lengths in ``scene``.
 
-    def __init__(self, plan: Plan, scene: Scene, costs: Costs) -> None:
-        self.plan, self.scene, self.costs = plan, scene, costs
+    Each station has a zero of its own, or ``per_segment`` each unbroken beam: what is not measured
+    yet is taken to be read from the beam of now. ``solver`` says how the lengths will be judged.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        scene: Scene,
+        costs: Costs,
+        *,
+        per_segment: bool = False,
+        solver: TracerSolverSettings | None = None,
+    ) -> None:
+        self.solver = solver or TracerSolverSettings()
+        self.plan, self.scene, self.costs, self.per_segment = plan, scene, costs, per_segment
+        self.minimum = 1 + station_minimum(not per_segment, on_circle=False)  # one checks them
         self.position = np.array([step.table_position for step in plan.steps], dtype=np.int64)
         self.target = np.array([step.target for step in plan.steps], dtype=np.int64)
-        self._first: dict[float, list[int]] = {}
+        self.sweeps: dict[float, tuple[int, ...]] = {}
+        """First sweeps that were planned, by the uncertainty (rad) that they reach."""
         self._scenes: dict[float, Scene] = {}
 
     @cached_property
@@ -74,184 +76,135 @@ class LengthExperiment:
         """Unit vectors (k, 3) of the beams, from target to station, machine's frame."""
         return self.scene.beams(self.position, self.target)[0]
 
-    def information(self, steps: Collection[int], noise: float) -> Information:
-        """Return what the lengths of ``steps`` tell."""
-        return Information(self._noisier(noise), self._lengths(steps), len(self.plan.table_angles))
+    @property
+    def nothing(self) -> Measured:
+        """What is measured before the first step."""
+        return Measured(self.per_segment)
 
-    def uncertainty(self, steps: Collection[int], noise: float, coverage_factor: float) -> float:
-        """Return the expanded uncertainty (rad, rms over the angles) that ``steps`` give.
+    def information(
+        self, measured: Measured, noise: float, further: Collection[int] = ()
+    ) -> Information:
+        """Return what the ``measured`` lengths tell, and those of ``further`` steps."""
+        zeros = len(measured.beams) if self.per_segment else self.stations
+        return Information(self._noisier(noise), self._known(measured, further), zeros)
 
-        Infinite while the solver could not solve them.
+    def _known(self, measured: Measured, further: Collection[int] | Ints = ()) -> Lengths:
+        rows = np.array([o.step for o in measured.observations], dtype=np.int64)
+        zero = measured.segments() if self.per_segment else self.position[rows]
+        lengths = Lengths.of(self.position[rows], self.target[rows], zero)
+        return lengths + self.lengths(further, measured)
+
+    def lengths(self, steps: Collection[int] | Ints, measured: Measured) -> Lengths:
+        """Return the lengths of ``steps`` as they would be read now."""
+        rows = np.fromiter(steps, dtype=np.int64, count=len(steps))
+        zero = measured.segment_now if self.per_segment else self.position[rows]
+        return Lengths.of(self.position[rows], self.target[rows], zero)
+
+    def planned(
+        self,
+        measured: Measured,
+        noise: float,
+        coverage_factor: float,
+        further: Collection[int] = (),
+    ) -> float:
+        """Return the expanded uncertainty (rad, rms over the angles) that these steps give.
+
+        To first order and without slips of a fringe. Infinite while the solver could not solve
+        them.
         """
-        if not self.solvable(steps):
+        known = self.information(measured, noise, further)
+        if self.lacking(known.lengths).any():
             return np.inf
-        return coverage_factor * _rms(self.information(steps, noise))
+        return coverage_factor * rms(known)
 
-    def share_of_noise(self, steps: Collection[int], noise: float) -> float:
+    def uncertainty(
+        self,
+        measured: Measured,
+        noise: float,
+        coverage_factor: float,
+        further: Sequence[int] = (),
+    ) -> float:
+        """Return :meth:`planned` as the solver will state it, ``further`` steps in their order.
+
+        With a zero per segment it allows for slips that these lengths would not show.
+        """
+        if not self.per_segment or not self.solvable(measured, further):
+            return self.planned(measured, noise, coverage_factor, further)
+        problem = self.posed(measured, noise, further)
+        try:
+            covariance = predicted(problem, self.scene.stations).angles.covariance
+        except ObservabilityError:
+            return np.inf  # enough lengths, in directions too much alike
+        about_mean = np.trace(covariance - covariance.mean(axis=0))
+        return coverage_factor * float(np.sqrt(about_mean / len(covariance)))
+
+    def posed(
+        self, measured: Measured, noise: float, further: Sequence[int] | Ints = ()
+    ) -> TracerProblem:
+        """Return the problem that the solver will have to solve, with made-up readings."""
+        lengths = self._known(measured, further)
+        order = np.concatenate(
+            [measured.time_order(), len(lengths) - len(further) + np.arange(len(further))]
+        )
+        problem = noisy_problem(
+            self._noisier(noise), lengths, one_zero=self.per_segment, seed=0,
+            slip=self.solver.slip_m, limits=self.solver,
+        )  # fmt: skip
+        return replace(problem, order=order)
+
+    def share_of_noise(self, measured: Measured, noise: float) -> float:
         """Return d ln(variance) / d ln(noise^2): how much of the mean variance the noise makes."""
-        low, high = (self.information(steps, noise * f).variances().mean() for f in (0.95, 1.05))
+        low, high = (
+            self.information(measured, noise * f).variances().mean() for f in (0.95, 1.05)
+        )
         return float(np.log(high / low) / (2.0 * np.log(1.05 / 0.95)))
 
-    def solvable(self, steps: Collection[int]) -> bool:
-        """Whether every station has enough lengths."""
-        return not self._lacking(steps).any()
+    def solvable(self, measured: Measured, further: Collection[int] = ()) -> bool:
+        """Whether every station has enough lengths, those of ``further`` steps included."""
+        return not self.lacking(self._known(measured, further)).any()
 
-    def lacking_in_words(self, steps: Collection[int]) -> str:
+    def lacking_in_words(self, measured: Measured) -> str:
         """Return which stations have too few lengths; empty when all have enough."""
-        found = np.bincount(self.position[list(steps)], minlength=len(self.plan.table_angles))
+        found = self._telling(self._known(measured))
         return ", ".join(
-            f"table position {position} has {found[position]} lengths of {STATION_MINIMUM} needed"
-            for position in np.flatnonzero(self._lacking(steps))
+            f"table position {position} has {found[position]} lengths of {self.minimum} needed"
+            for position in np.flatnonzero(found < self.minimum)
         )
-
-    def _lacking(self, steps: Collection[int]) -> Bools:
-        found = np.bincount(self.position[list(steps)], minlength=len(self.plan.table_angles))
-        return np.asarray(found < STATION_MINIMUM)
-
-    def first_sweep(self, uncertainty: float) -> list[int]:
-        """Return the steps that reach ``uncertainty`` (rad) with the planned noise, as a sweep."""
-        if uncertainty not in self._first:
-            every = np.ones(len(self.plan.steps), dtype=np.bool_)
-            wish = Wish(uncertainty, 1.0, COVERAGE_FACTOR)
-            steps = self.pick((), every, np.ones(len(every)), wish, sweep=True)
-            self._first[uncertainty] = self.as_sweep(steps, None)
-        return list(self._first[uncertainty])
-
-    def pick(
-        self, done: Collection[int], allowed: Bools, chance: Floats, wish: Wish, sweep: bool
-    ) -> list[int]:
-        """Return further steps that grant the wish, the best gain per time first.
-
-        ``allowed`` (k,): candidates; ``chance`` (k,): how probably the beam is free. ``sweep``:
-        all stations are visited anyway, so that a turn of the table costs nothing extra. Stops
-        short of the wish when no candidate helps.
-        """
-        chosen: list[int] = []
-        free = allowed.copy()
-        free[list(done)] = False
-        known = self.information(done, wish.noise)
-        visited = np.full(len(self.plan.table_angles), sweep)
-        shortlist = self._shortlist(known, np.flatnonzero(free), chance)
-        batch = 0
-        while len(shortlist):
-            missing = self._excess(known, wish)
-            lacking = self._lacking([*done, *chosen])
-            if missing <= 0.0 and not lacking.any():
-                break
-            needed = max(missing, 0.0) * max(len(done) + len(chosen), STATION_MINIMUM)
-            batch = batch or max(1, round(needed / ROUNDS))
-            batch = min(batch, MOST_PER_STATION * len(visited), max(1, round(0.5 * needed)))
-            batch = 1 if sweep else batch  # before anything moves there is time
-            value = self._value(known, shortlist, chance, visited)
-            if lacking.any():
-                value = value * lacking[self.position[shortlist]]
-                batch = len(visited)
-            elif not (value > LEAST_GAIN * known.mean_variance / self._dearest).any():
-                break
-            best = self._spread_out(shortlist, value, batch)
-            if not best:
-                break
-            chosen += best
-            visited[self.position[best]] = True
-            shortlist = shortlist[~np.isin(shortlist, best)]
-            known = self.information([*done, *chosen], wish.noise)
-        return chosen
 
     @property
-    def _dearest(self) -> float:
-        return self.costs.step_s + self.costs.turn_s
+    def stations(self) -> int:
+        """How many there are, one for each table position."""
+        return len(self.plan.table_angles)
 
-    def _excess(self, known: Information, wish: Wish) -> float:
-        """Return by which share the mean variance is too large."""
-        return float((wish.coverage_factor * _rms(known) / wish.uncertainty) ** 2 - 1.0)
+    def _telling(self, lengths: Lengths) -> Ints:
+        """Return how many ``lengths`` of each station are not alone with their zero."""
+        shared = np.bincount(lengths.segment)[lengths.segment] > 1
+        position = lengths.position[shared | (not self.per_segment)]
+        return np.bincount(position, minlength=self.stations)
 
-    def _shortlist(self, known: Information, candidates: Ints, chance: Floats) -> Ints:
-        """Return some candidates of each station: the best ones, and some of all directions."""
-        if len(candidates) <= SHORTLIST:
-            return candidates
-        share = SHORTLIST // (2 * len(self.plan.table_angles))
-        gains = known.gains(self._lengths(candidates)) * chance[candidates]
-        kept = []
-        for position in np.unique(self.position[candidates]):
-            here = np.flatnonzero(self.position[candidates] == position)
-            kept.append(here[np.argsort(-gains[here], kind="stable")[:share]])
-            kept.append(here[np.linspace(0, len(here) - 1, share).astype(np.int64)])
-        return np.asarray(candidates[np.unique(np.concatenate(kept))])
-
-    def _value(
-        self, known: Information, candidates: Ints, chance: Floats, visited: Bools
-    ) -> Floats:
-        """Return by how much the mean variance falls per second, (c,)."""
-        turn = np.where(visited[self.position[candidates]], 0.0, self.costs.turn_s)
-        gains = known.gains(self._lengths(candidates))
-        return np.asarray(gains * chance[candidates] / (self.costs.step_s + turn))
-
-    def _spread_out(self, candidates: Ints, value: Floats, count: int) -> list[int]:
-        """Return up to ``count`` of the best candidates, shared among the stations."""
-        order = np.argsort(-value, kind="stable")
-        order = order[value[order] > 0.0]
-        position = self.position[candidates[order]]
-        by_station = np.argsort(position, kind="stable")
-        sorted_position = position[by_station]
-        rank = np.empty(len(order), dtype=np.int64)
-        rank[by_station] = np.arange(len(order)) - np.searchsorted(
-            sorted_position, sorted_position
-        )
-        most = -(-count // len(self.plan.table_angles))
-        best: list[int] = candidates[order[rank < most][:count]].tolist()
-        return best
-
-    def instead(
-        self, position: int, done: Collection[int], allowed: Bools, chance: Floats, noise: float
-    ) -> int | None:
-        """Return the step at table ``position`` with the largest gain, None if there is none."""
-        free = allowed & (self.position == position)
-        free[list(done)] = False
-        candidates = np.flatnonzero(free)
-        if not len(candidates):
-            return None
-        gains = self.information(done, noise).gains(self._lengths(candidates))
-        return int(candidates[np.argmax(gains * chance[candidates])])
-
-    def as_sweep(self, steps: Collection[int], at: int | None) -> list[int]:
-        """Return ``steps`` station by station, from the end that is nearer to position ``at``."""
-        ordered = sorted(steps, key=lambda step: (self.position[step], step))
-        if not ordered or at is None:
-            return ordered
-        first, last = self.position[ordered[0]], self.position[ordered[-1]]
-        if abs(last - at) < abs(first - at):
-            return sorted(steps, key=lambda step: (-self.position[step], step))
-        return ordered
+    def lacking(self, lengths: Lengths) -> Bools:
+        """Return which stations (m,) have fewer ``lengths`` than it takes."""
+        return np.asarray(self._telling(lengths) < self.minimum)
 
     def noise(
-        self, observed: Mapping[int, Observation], significance: float, factor: float | None = None
-    ) -> tuple[LengthNoise, tuple[int, float] | None]:
-        """Return the noise of the lengths ``observed`` by step, and the most suspect step.
+        self, measured: Measured, significance: float, factor: float | None = None
+    ) -> tuple[LengthNoise, tuple[Observation, float] | None]:
+        """Return the noise of the ``measured`` lengths, and the most suspect one.
 
         That comes with its test value; None: no length is suspect. With a ``factor``
         that is known already only the tests are new. Stations with too few lengths take no part.
         """
-        lacking = self._lacking(list(observed))
-        steps = [step for step in sorted(observed) if not lacking[self.position[step]]]
-        if not steps:
+        lacking = self.lacking(self._known(measured))
+        every = measured.observations
+        kept = np.array([not lacking[o.table_position] for o in every], dtype=np.bool_)
+        observations = [o for o, takes_part in zip(every, kept, strict=True) if takes_part]
+        if not observations:
             return LengthNoise(1.0, 0.0, np.zeros(0), 0.0), None
-        kept = [observed[step] for step in steps]
-        position, target = self.position[steps], self.target[steps]
-        length = np.array([o.mean[0] for o in kept])
-        seen, own = np.unique(target, return_inverse=True)
-        places = _mean_places(np.array([o.probe_position for o in kept]), own, len(seen))
-        unit, y = _placed(self.scene.stations, position, places[own], length)
-        std = np.sqrt(self.scene.beams(position, target)[1])
-        run = np.array([o.run for o in kept])
-        design = _design(position, unit, run)
-        errors = np.zeros((len(steps), len(seen), 3))
-        errors[np.arange(len(steps)), own] = unit * self.scene.target_std[seen][own]
-        time = np.array([o.window_end_ns for o in kept], dtype=np.float64)
-        errors = errors.reshape(len(steps), -1) / std[:, None]
-        scaled = (design / std[:, None], errors, y / std, time - time[0])
-        found = estimate_noise(*scaled) if factor is None else judge_lengths(*scaled, factor)
-        suspect = suspect_length(scaled, found, significance)
-        return found, None if suspect is None else (steps[suspect[0]], suspect[1])
+        zero = measured.segments()[kept] if self.per_segment else None
+        rows = residual_rows(self.scene, observations, zero)
+        found = estimate_noise(*rows) if factor is None else judge_lengths(*rows, factor)
+        suspect = suspect_length(rows, found, significance)
+        return found, None if suspect is None else (observations[suspect[0]], suspect[1])
 
     def _noisier(self, factor: float) -> Scene:
         """Return the scene with ``factor`` times the noise; the last few are kept."""
@@ -267,57 +220,7 @@ class LengthExperiment:
             found.__dict__.update(motion=self.scene.motion, bearing=self.scene.bearing)
         return found
 
-    def _lengths(self, steps: Collection[int] | Ints) -> Lengths:
-        rows = np.fromiter(steps, dtype=np.int64, count=len(steps))
-        return Lengths.of(self.position[rows], self.target[rows], self.position[rows])
 
-
-def _rms(known: Information) -> float:
+def rms(known: Information) -> float:
+    """Return the root mean square of the standard deviations of the angles, rad."""
     return float(np.sqrt(known.variances().mean()))
-
-
-def _mean_places(reported: Floats, own: Ints, count: int) -> Floats:
-    """Return the mean reported place (count, 3) of each target."""
-    total = np.zeros((count, 3))
-    np.add.at(total, own, reported)
-    return np.asarray(total / np.bincount(own, minlength=count)[:, None])
-
-
-def _placed(
-    nominal: Floats, position: Ints, targets: Floats, length: Floats
-) -> tuple[Floats, Floats]:
-    """Return unit vectors (k, 3) and lengths less computed ones (k,), from stations in place.
-
-    Gauss-Newton on each station by its own lengths, targets (k, 3) being known.
-    """
-    ids, own = np.unique(position, return_inverse=True)
-    stations = nominal[ids].copy()
-    zeros = np.zeros(len(ids))
-    count = np.bincount(own)
-    for _ in range(PLACING_STEPS):
-        apart = stations[own] - targets
-        distance = np.linalg.norm(apart, axis=1)
-        unit = apart / distance[:, None]
-        y = length - distance + zeros[own]
-        rows = np.column_stack([unit, -np.ones(len(y))])
-        normal = np.zeros((len(ids), 4, 4))
-        np.add.at(normal, own, rows[:, :, None] * rows[:, None])
-        right = np.zeros((len(ids), 4))
-        np.add.at(right, own, rows * y[:, None])
-        normal += 1e-12 * count[:, None, None] * np.eye(4)
-        step = np.linalg.solve(normal, right[:, :, None])[:, :, 0]
-        stations, zeros = stations + step[:, :3], zeros + step[:, 3]
-    apart = stations[own] - targets
-    distance = np.linalg.norm(apart, axis=1)
-    return apart / distance[:, None], length - distance + zeros[own]
-
-
-def _design(position: Ints, unit: Floats, run: Ints) -> Floats:
-    """Return the columns of stations and their zeros, and of the zeros of later runs."""
-    ids, own = np.unique(position, return_inverse=True)
-    k, each = len(position), np.arange(len(position))
-    stations = np.zeros((k, len(ids), 4))
-    stations[each, own, :3] = unit
-    stations[each, own, 3] = -1.0
-    later: Sequence[Floats] = [(run == r).astype(np.float64)[:, None] for r in np.unique(run)[1:]]
-    return np.column_stack([stations.reshape(k, -1), *later])

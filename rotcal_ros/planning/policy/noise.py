@@ -17,7 +17,7 @@ would stop where it happens to be small: intervals that promise too much.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
@@ -26,9 +26,15 @@ from scipy.special import ndtr, ndtri, stdtrit
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COVERAGE_FACTOR
 
+Rows: TypeAlias = tuple[Floats, Floats, Floats, Floats]
+"""The arguments of :func:`estimate_noise`."""
 LEAST_SHARE: Final = 0.05
 """The estimate is not smaller than this share of the planned noise: that would be made up."""
 CHECKED: Final = 1e-6
+DOUBTFUL: Final = 3
+ALIKE: Final = 0.9
+"""Up to three lengths whose test values are so nearly the largest are looked at one by one: where
+few lengths check each other, an error shows in several."""
 MAX_ITERATIONS: Final = 100
 SETTLED: Final = 1e-10
 
@@ -113,21 +119,28 @@ def judge_lengths(
 
 
 def suspect_length(
-    rows: tuple[Floats, Floats, Floats, Floats], noise: LengthNoise, significance: float
+    rows: Rows, noise: LengthNoise, significance: float
 ) -> tuple[int, float] | None:
     """Return which of the lengths is the most suspect, and its test value; None: none is.
 
-    ``rows``: the arguments of :func:`estimate_noise`. The test is against the noise that the
+    The test is against the noise that the
     others show; ``significance``: probability of suspecting any when all are good.
     """
     tail = 1.0 - 0.5 * significance / len(noise.test_value)
-    worst = int(np.argmax(np.abs(noise.test_value)))
-    value, limit = float(noise.test_value[worst]), float(ndtri(tail))
-    if noise.dof > 1.0:
-        others = estimate_noise(*(np.delete(row, worst, axis=0) for row in rows))
-        value = float(judge_lengths(*rows, others.factor).test_value[worst])
+    size = np.abs(noise.test_value)
+    worst = int(np.argmax(size))
+    if noise.dof <= 1.0:
+        value = float(noise.test_value[worst])
+        return (worst, value) if abs(value) > ndtri(tail) else None
+    alike = [k for k in np.argsort(-size)[:DOUBTFUL].tolist() if size[k] >= ALIKE * size[worst]]
+    values = {}
+    for k in alike:
+        others = estimate_noise(*(np.delete(row, k, axis=0) for row in rows))
         limit = float(stdtrit(max(others.dof, 1.0), tail))
-    return (worst, value) if abs(value) > limit else None
+        value = float(judge_lengths(*rows, others.factor).test_value[k])
+        if abs(value) > limit:
+            values[k] = value
+    return max(values.items(), key=lambda item: abs(item[1]), default=None)
 
 
 def _restricted_likelihood(squares: Floats, spread: Floats) -> float:

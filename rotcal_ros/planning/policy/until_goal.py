@@ -7,7 +7,8 @@ is the set that reaches the goal with the planned noise. What is not known is le
   asks for (Stein's two stages, see :mod:`.noise`), where they pay most for their time;
 * blocked beams: a step that was given up is replaced by the best at the same station, and beams
   nearby are held to be blocked too until better is known;
-* suspect lengths are measured again; a length that is suspect twice is replaced by another target;
+* suspect lengths are measured again, then all lengths of their station; a length that stays
+  suspect is replaced by another target;
 * a drift: the first step and the middle step are measured again, to close the sweep.
 """
 
@@ -15,26 +16,31 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
-from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
-from rotcal_ros.planning.policy.lengths import LengthExperiment, Wish
+from rotcal_ros.planning.policy.closing import Closing
+from rotcal_ros.planning.policy.first_sweep import first_sweep
+from rotcal_ros.planning.policy.free_beams import FreeBeams
+from rotcal_ros.planning.policy.further import Wish, as_sweep, best_at, pick
+from rotcal_ros.planning.policy.lengths import LengthExperiment
 from rotcal_ros.planning.policy.noise import LengthNoise, student_factor
-from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE
+from rotcal_ros.planning.policy.suspects import Suspects
+from rotcal_ros.units import ARCSEC
 
 PLANNED_FACTOR: Final = student_factor(math.inf)
-RESERVE: Final = 0.9
-"""The first sweep aims so far below the goal: a few lengths more then save turns of the table."""
-BLOCKED_WIDTH: Final = 15.0 * DEGREE
-"""A beam so near to a blocked one is as likely blocked as free."""
-TINY: Final = 1e-6
+RESERVE: Final = 0.75
+"""The first sweep aims so far below the goal: a few lengths more show the noise better, and save
+the turns of the table that further sweeps would take."""
+RESERVE_PER_SEGMENT: Final = 0.8
+"""The same with one zero per segment: fewer unknowns leave more of the noise to be seen."""
+NEARLY: Final = 1.02
+"""The order of the steps changes what the solver allows for slips by no more."""
+NOWHERE: Final = Standing(0)
 POOR_CHANCE: Final = 0.5
 """A planned step with a smaller chance gives way to a better one at the same station."""
 UNKNOWN: Final = 1e-3
@@ -56,8 +62,8 @@ class UntilGoal:
     """Chooses among the steps of ``experiment`` until ``limits`` are met.
 
     ``again``: steps that a resumed plan measures again first; ``earlier`` is what the earlier runs
-    observed, ``given_up`` the steps that they gave up. The noise of a resumed plan is estimated
-    when its first sweep is complete, from all lengths there are then.
+    observed, ``given_up`` the steps that they gave up. A resumed policy goes through that in the
+    order of time, and is then where the earlier ones ended.
     """
 
     def __init__(
@@ -70,59 +76,72 @@ class UntilGoal:
         given_up: Iterable[int] = (),
     ) -> None:
         self._experiment, self._limits = experiment, limits
-        self._lengths: dict[int, Observation] = {o.step: o for o in earlier}
-        count = len(experiment.plan.steps)
-        self._allowed = np.ones(count, dtype=np.bool_)
-        self._from_blocked, self._from_free = np.full(count, np.pi), np.full(count, np.pi)
-        """Angles (k,) of every beam to the nearest that was blocked, and free, rad."""
+        self._measured = experiment.nothing
+        self._beams = FreeBeams(experiment.directions)
         self._at: int | None = None
-        self._estimated = False
+        self._first_stage: set[int] = set()
+        """The steps whose lengths have told the noise, once they have."""
+        self._spoiled = False
+        """Whether one of them has become suspect since."""
         self._stated = (1.0, PLANNED_FACTOR)
         """Factor of the noise and coverage factor, as they are known now."""
-        self._asked_again: set[int] = set()
-        self._closing: dict[int, float] = {}
-        self._drift = ""
-        self._queue: deque[tuple[int, str]] = deque(
-            (step, "done step, measured again to join the runs") for step in again
-        )
-        for step in given_up:
-            self._block(step)
-        first = self._first_sweep()
-        left = [s for s in first if s not in self._lengths and self._allowed[s]]
-        self._queue += ((step, "first sweep") for step in left)
+        self._suspects = Suspects()
+        self._closing = Closing()
+        self._queue = deque((step, "first sweep") for step in self._first_sweep())
+        self._go_through(earlier, set(given_up))
+        joining = [(step, "done step, measured again to join the runs") for step in again]
+        self._queue.extendleft(reversed(joining))
+
+    def _go_through(self, earlier: Iterable[Observation], given_up: set[int]) -> None:
+        """Follow the earlier runs, whose choices are found again from what they observed."""
+        for seen in sorted(earlier, key=lambda o: (o.run, o.window_end_ns, o.attempt)):
+            while (step := self._next().step) != seen.step and step in given_up:
+                self.note(Outcome(step, None))
+                given_up.remove(step)
+            self.note(Outcome(seen.step, seen))
+        for step in sorted(given_up):
+            self.note(Outcome(step, None))
 
     def _first_sweep(self) -> list[int]:
         """Return the steps of the first sweep, with the reserve where there are enough."""
         goal = self._limits.uncertainty
-        first = self._experiment.first_sweep(RESERVE * goal)
-        reached = self._experiment.uncertainty(first, 1.0, PLANNED_FACTOR) <= RESERVE * goal
-        return first if reached else self._experiment.first_sweep(goal)
+        reserve = RESERVE_PER_SEGMENT if self._experiment.per_segment else RESERVE
+        first = first_sweep(self._experiment, reserve * goal)
+        nothing = self._experiment.nothing
+        found = self._experiment.uncertainty(nothing, 1.0, PLANNED_FACTOR, first)
+        reached = found <= NEARLY * reserve * goal
+        return first if reached else first_sweep(self._experiment, goal)
 
     def choose(self) -> Choice:
         """Return the next step, or why nothing more is measured."""
+        found = self._next()
+        return Choice(found.step, found.reason, self._standing())
+
+    def _next(self) -> Choice:
+        """Return the choice without its standing."""
         stop = ""
         while not self._queue and not stop:
             stop = self._plan_further()
         if stop:
-            return Choice(None, stop + self._drift, self._standing())
+            return Choice(None, stop + self._closing.in_words(), NOWHERE)
         step, reason = self._queue[0]
-        if step not in self._lengths and self._chance[step] < POOR_CHANCE:
+        if step not in self._measured and self._beams.chance[step] < POOR_CHANCE:
             step, reason = self._queue[0] = self._better_than(step, reason)
-        return Choice(step, reason, self._standing())
+        return Choice(step, reason, NOWHERE)
 
     def note(self, outcome: Outcome) -> None:
         """Take notice of a length, or of a step that was given up."""
         step = outcome.step
-        if self._queue and self._queue[0][0] == step:
-            self._queue.popleft()
+        queued = next((entry for entry in self._queue if entry[0] == step), None)
+        if queued is not None:
+            self._queue.remove(queued)
         self._at = int(self._experiment.position[step])
         if outcome.observation is not None:
-            self._from_free = np.minimum(self._from_free, self._angles_from(step))
-            if math.isnan(self._closing.get(step, 0.0)):
-                self._close(step, outcome.observation)
-            self._lengths[step] = outcome.observation
-        elif step not in self._lengths:
-            self._block(step)
+            self._beams.note_free(step)
+            self._closing.note(outcome.observation, self._measured)
+            self._measured.add(outcome.observation)
+        elif step not in self._measured:
+            self._beams.note_blocked(step)
             self._replace(step, f"step {step} was given up: another target in its place")
 
     @property
@@ -132,89 +151,83 @@ class UntilGoal:
 
     def _standing(self) -> Standing:
         noise, factor = self._stated
-        now = self._experiment.uncertainty(self._lengths, noise, factor)
+        now = self._experiment.uncertainty(self._measured, noise, factor)
         known = now if now < UNKNOWN else math.nan
         return Standing(len(self._queue), known, self._limits.uncertainty)
 
     def _plan_further(self) -> str:
         """Queue what is needed next; return why nothing is."""
-        known = self._stated[0] if self._estimated else None
-        significance = self._limits.significance
-        noise, suspect = self._experiment.noise(self._lengths, significance, known)
-        if suspect is not None:
+        if self._spoiled:
+            self._spoiled = False
+            first = self._measured.only(self._first_stage)
+            self._state(self._experiment.noise(first, self._limits.significance)[0])
+        known = self._stated[0] if self._first_stage else None
+        noise, suspect = self._experiment.noise(self._measured, self._limits.significance, known)
+        if suspect is not None and self._suspects.single(self._measured):
             self._measure_again(*suspect)
             return ""
         if self._drifts(noise):
             return ""
-        if not self._estimated and noise.dof > 0.0 and self._experiment.solvable(self._lengths):
-            self._estimated = True
-            share = self._experiment.share_of_noise(self._lengths, noise.factor)
-            self._stated = (noise.factor, student_factor(noise.dof / share**2))
+        if not self._first_stage and self._experiment.solvable(self._measured):
+            self._first_stage = self._measured.steps if noise.dof > 0.0 else set()
+            self._state(noise)
         factor, student = self._stated
         goal = self._limits.uncertainty
-        now = self._experiment.uncertainty(self._lengths, factor, student)
+        now = self._experiment.uncertainty(self._measured, factor, student)
         learnt = f"noise {factor:.3g} times the planned (k = {student:.3g})"
         if now <= goal:
             return f"goal reached: {_in_words(now)} <= {_in_words(goal)}, {learnt}"
-        wish = Wish(goal, factor, student)
-        more = self._experiment.pick(self._lengths, self._allowed, self._chance, wish, False)
+        more = self._further(factor, student, now)
         if not more:
-            lacking = self._experiment.lacking_in_words(self._lengths)
+            lacking = self._experiment.lacking_in_words(self._measured)
             worse = lacking or f"{_in_words(now)} > {_in_words(goal)}"
             return f"no further step helps: {worse}, {learnt}"
         why = f"{learnt}: {len(more)} more lengths to {_in_words(goal)}"
-        self._queue += ((step, why) for step in self._experiment.as_sweep(more, self._at))
+        self._queue += ((step, why) for step in as_sweep(self._experiment, more, self._at))
         return ""
 
-    def _measure_again(self, step: int, value: float) -> None:
-        """Queue a suspect length again, or another target for it when it was suspect before."""
-        why = f"the length of step {step} is suspect ({value:+.1f} standard deviations)"
-        if step not in self._asked_again:
-            self._asked_again.add(step)
-            self._queue.append((step, f"{why}: measured again"))
-            return
-        del self._lengths[step]
-        self._allowed[step] = False
-        self._replace(step, f"{why} once more: another target in its place")
+    def _further(self, factor: float, student: float, now: float) -> list[int]:
+        """Return the steps that are lacking for the goal; ``now``: the uncertainty that there is.
+
+        They are planned to first order, and so for as much less as the solver allows for slips.
+        """
+        planned = self._experiment.planned(self._measured, factor, student)
+        margin = planned / now if math.isfinite(now) else 1.0
+        wish = Wish(margin * self._limits.uncertainty, factor, student)
+        beams = self._beams
+        return pick(self._experiment, self._measured, beams.allowed, beams.chance, wish)
+
+    def _state(self, noise: LengthNoise) -> None:
+        """State the noise from now on as the first stage tells it, if it does."""
+        if noise.dof > 0.0:
+            share = self._experiment.share_of_noise(self._measured, noise.factor)
+            self._stated = (noise.factor, student_factor(noise.dof / share**2))
+
+    def _measure_again(self, suspect: Observation, value: float) -> None:
+        """Queue what a suspect length asks for: the same again, or another target."""
+        self._spoiled = bool(self._first_stage)
+        again, why = self._suspects.again(suspect, value, self._measured)
+        self._queue.extend((step, why) for step in again)
+        if not again:
+            self._measured.drop(suspect)
+            self._beams.allowed[suspect.step] = False
+            self._replace(suspect.step, why)
 
     def _drifts(self, noise: LengthNoise) -> bool:
         """Queue steps that close a sweep that drifts; False: it does not, or is closed already."""
         limit = normal_isf(0.5 * self._limits.significance)
-        if self._closing or abs(noise.drift_value) <= limit:
+        if self._closing.begun or abs(noise.drift_value) <= limit:
             return False
-        by_time = sorted(self._lengths, key=lambda step: self._lengths[step].window_end_ns)
         why = f"the lengths drift with time ({noise.drift_value:+.1f} standard deviations)"
-        for step in (by_time[0], by_time[len(by_time) // 2]):
-            self._closing[step] = math.nan
-            self._queue.append((step, f"{why}: measured again to close the sweep"))
+        self._queue.extend(
+            (step, f"{why}: measured again to close the sweep")
+            for step in self._closing.begin(self._measured)
+        )
         return True
-
-    def _close(self, step: int, observation: Observation) -> None:
-        change = observation.mean[0] - self._lengths[step].mean[0]
-        self._closing[step] = change
-        known = (f"{s} by {c / MICROMETRE:+.2f} um" for s, c in self._closing.items() if c == c)
-        self._drift = f"; closed: step {', '.join(known)}"
-
-    def _block(self, step: int) -> None:
-        """Hold a beam for blocked, and those near to it in direction for probably so."""
-        self._from_blocked = np.minimum(self._from_blocked, self._angles_from(step))
-        self._allowed[step] = False
-
-    def _angles_from(self, step: int) -> Floats:
-        directions = self._experiment.directions
-        cosine = np.clip(directions @ directions[step], -1.0, 1.0)
-        return np.asarray(np.arccos(cosine), dtype=np.float64)
-
-    @property
-    def _chance(self) -> Floats:
-        """How probably each beam (k,) is free: less near a blocked one, more near free ones."""
-        blocked = np.maximum(self._from_blocked, TINY)
-        near = 0.5 ** ((blocked / BLOCKED_WIDTH) ** 2)
-        return np.asarray(1.0 - near * np.minimum(1.0, self._from_free / blocked))
 
     def _better_than(self, step: int, reason: str) -> tuple[int, str]:
         """Return a step at the same station with a better chance, or ``step`` itself."""
-        found, chance = self._instead(step), self._chance
+        found, chance = self._instead(step), self._beams.chance
         if found is None or chance[found] <= chance[step]:
             return step, reason
         return found, f"the beam of step {step} is probably blocked: another target in its place"
@@ -225,10 +238,13 @@ class UntilGoal:
             self._queue.appendleft((found, why))
 
     def _instead(self, step: int) -> int | None:
-        planned: Collection[int] = {*self._lengths, *(other for other, _ in self._queue)}
+        queued = [other for other, _ in self._queue]
         place = int(self._experiment.position[step])
         noise, _ = self._stated
-        return self._experiment.instead(place, planned, self._allowed, self._chance, noise)
+        beams = self._beams
+        return best_at(
+            self._experiment, place, self._measured, queued, beams.allowed, beams.chance, noise
+        )
 
 
 def _in_words(uncertainty: float) -> str:

@@ -19,6 +19,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
 from rotcal_ros.planning.check_rule import CheckRule
+from rotcal_ros.planning.tracer_design.depth import LEAST_DEPTH, least_depth
 from rotcal_ros.planning.tracer_design.information import Information, error_motion_angles
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
 
@@ -26,9 +27,6 @@ LEAST_REDUNDANCY: Final = 0.25
 """Below it an error of one length would hardly show in its residual."""
 SHARPNESS: Final = 4
 """Power by which an angle with a large variance counts more than others in the search."""
-LEAST_DEPTH: Final = 0.1
-"""Of the targets of a station, across the plane they lie nearest to, as a share of their extent:
-in a plane they could not tell the tracer from its mirror image."""
 UNCHECKED: Final = 20.0
 """How much a lack of redundancy or depth counts in the search, beside the variances."""
 BETTER: Final = 1e-3
@@ -111,7 +109,7 @@ class _Search:
         if n < STATION_MINIMUM:
             raise PlanError(f"{n} possible targets: at least {STATION_MINIMUM} are needed")
         every = self.all_to(list(range(n)))
-        if self.depth(every) < LEAST_DEPTH:
+        if least_depth(self.scene, every) < LEAST_DEPTH:
             raise PlanError(
                 "the possible targets lie nearly in one plane, in which the tracer has a mirror "
                 "image: offer some at other heights"
@@ -152,26 +150,13 @@ class _Search:
         known = self.known(self.all_to(targets))
         mean = float((known.variances() ** SHARPNESS).mean() ** (1.0 / SHARPNESS))
         unchecked = max(self.least_redundancy - float(_redundancy(known).min()), 0.0)
-        flat = max(LEAST_DEPTH - self.depth(known.lengths), 0.0)
+        flat = max(LEAST_DEPTH - least_depth(self.scene, known.lengths), 0.0)
         return mean * (1.0 + UNCHECKED * (unchecked + flat))
-
-    def depth(self, lengths: Lengths) -> float:
-        """Return the smallest depth of the targets of any station, as a share of their extent."""
-        m, target = len(self.scene.stations), self.scene.targets[lengths.target]
-        count = np.bincount(lengths.position, minlength=m)[:, None]
-        mean = np.zeros((m, 3))
-        np.add.at(mean, lengths.position, target)
-        off = target - (mean / count)[lengths.position]
-        spread = np.zeros((m, 3, 3))
-        np.add.at(spread, lengths.position, off[:, :, None] * off[:, None])
-        values = np.linalg.eigvalsh(spread)
-        tiny = np.finfo(np.float64).tiny
-        return float(np.sqrt(np.maximum(values[:, 0], 0.0) / (values[:, 2] + tiny)).min())
 
     def met(self, known: Information) -> bool:
         """Whether the lengths of ``known`` do all that is asked."""
         count = np.bincount(known.lengths.position, minlength=len(self.scene.stations))
-        if count.min() < STATION_MINIMUM or self.depth(known.lengths) < LEAST_DEPTH:
+        if count.min() < STATION_MINIMUM or least_depth(self.scene, known.lengths) < LEAST_DEPTH:
             return False
         std = np.sqrt(known.variances())
         if self.rule.assurance(std, self.expected_std) < 1.0 - self.rule.false_alarm:

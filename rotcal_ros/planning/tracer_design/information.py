@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.methods.tracer.uncertainty import error_motion_covariance
+from rotcal_ros.methods.tracer.error_motion import error_motion_covariance
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene, Which
 
 NOMINAL_STD: Final = 0.02

@@ -6,7 +6,7 @@ is not broken, all lengths share one unknown zero.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer.angles import TableMotion, bearing_jacobian, table_motion
+from rotcal_ros.methods.tracer.circle_prior import circle_contrasts
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
 """Some of the lengths, by index or mask."""
@@ -61,6 +62,10 @@ class Scene:
         for name, value in {**values, "target_std": std}.items():
             object.__setattr__(self, name, value)
 
+    def with_targets(self, which: Which) -> Scene:
+        """Return the scene with those targets only."""
+        return replace(self, targets=self.targets[which], target_std=self.target_std[which])
+
     @cached_property
     def motion(self) -> TableMotion:
         """Plane and circle of the nominal stations."""
@@ -84,20 +89,9 @@ class Scene:
         Centre, radius and axis of the circle are unknown: m - 3 contrasts of the radial and as
         many of the axial distances remain.
         """
-        m = len(self.stations)
-        if self.circle_std is None or m <= 3:
-            return np.zeros((3 * m, 3 * m))
-        motion, plane = self.motion, self.motion.plane
-        outward = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
-        ones = np.ones(m)
-        contrasts = []
-        for absorbed, direction in (
-            (np.column_stack([outward, ones]), outward @ plane.basis()),
-            (np.column_stack([motion.in_plane, ones]), np.tile(plane.normal, (m, 1))),
-        ):
-            free = np.linalg.qr(absorbed, mode="complete")[0][:, 3:]
-            contrasts.append((free.T[:, :, None] * direction).reshape(m - 3, 3 * m))
-        rows = np.vstack(contrasts) / self.circle_std
+        if self.circle_std is None:
+            return np.zeros((self.stations.size, self.stations.size))
+        rows = circle_contrasts(self.stations).slope / self.circle_std
         return np.asarray(rows.T @ rows, dtype=np.float64)
 
 

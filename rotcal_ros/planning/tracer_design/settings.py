@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.methods.tracer.settings import TracerLimits, TracerSolverSettings
 from rotcal_ros.planning.table_angles import TableAngleSettings
+from rotcal_ros.protection import TOLERABLE
 from rotcal_ros.settings import setting
 
 Triple = tuple[float, float, float]
@@ -90,6 +92,12 @@ class TracerDesignSettings(TableAngleSettings):
     circle_std_m: float | None = setting(
         None, doc="m, by which stations may leave one circle; absent: not assumed", minimum=1e-9
     )
+    slip_m: float = setting(
+        TracerSolverSettings().slip_m,
+        doc="m, as in solver, with one zero: a fringe that may slip unseen is in U; 0: none does",
+        minimum=0.0,
+        maximum=1e-5,
+    )
     repeats: int = setting(1, doc="how often a pair may be measured", minimum=1, maximum=1000)
     min_redundancy: float = setting(
         0.25, doc="least redundancy of every length", minimum=0.0, maximum=0.9
@@ -106,12 +114,19 @@ class TracerDesignSettings(TableAngleSettings):
     checked: bool = setting(
         True, doc="every length is checked by others; false: the plain minimum"
     )
-    exchanges: int = setting(200, doc="how long each search for fewer lengths lasts", minimum=1)
-    starts: int = setting(4, doc="searches, of which the best counts", minimum=1, maximum=100)
+    exchanges: int = setting(600, doc="how long each search for fewer lengths lasts", minimum=1)
+    starts: int = setting(3, doc="searches, of which the best counts", minimum=1, maximum=100)
     seed: int = setting(0, doc="of the search", minimum=0)
-    length_s: float = setting(5.0, doc="s, at every length, motions apart", minimum=0.0)
+    max_unseen: float = setting(
+        TOLERABLE,
+        doc="largest error of an unseen drift or knock in the order, in standard uncertainties",
+        minimum=0.01,
+    )
+    length_s: float = setting(5.0, doc="s, at every length, turns apart", minimum=0.0)
     rotation_s: float = setting(10.0, doc="s, for one turn of the table", minimum=0.0)
-    machine_speed_m_s: float = setting(0.2, doc="m/s, of the reflector", minimum=1e-6)
+    machine_speed_m_s: float | None = setting(
+        None, doc="m/s, of the reflector; absent: its ways are in length_s", minimum=1e-6
+    )
     machine_acceleration_m_s2: float = setting(0.5, doc="m/s^2, of the reflector", minimum=1e-6)
 
     def __post_init__(self) -> None:
@@ -126,6 +141,11 @@ class TracerDesignSettings(TableAngleSettings):
             raise ConfigurationError(
                 f"volume_min_m {self.volume_min_m} lies beyond volume_max_m {self.volume_max_m}"
             )
+
+    @property
+    def limits(self) -> TracerLimits:
+        """The solver's limits that a plan counts on."""
+        return TracerLimits(rejection_significance=self.rejection_significance)
 
     @property
     def largest_arcsec(self) -> float:

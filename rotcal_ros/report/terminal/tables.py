@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 
 from rotcal_ros.components import unit_of
-from rotcal_ros.evaluation.compare import Comparison
-from rotcal_ros.evaluation.component_groups import Group
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
-from rotcal_ros.evaluation.propagated import Propagated
-from rotcal_ros.evaluation.quick_check import QuickCheck
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
+
+if TYPE_CHECKING:  # a result is printed without what compares and combines
+    from rotcal_ros.evaluation.compare import Comparison
+    from rotcal_ros.evaluation.component_groups import Group
+    from rotcal_ros.evaluation.propagated import Propagated
+    from rotcal_ros.evaluation.quick_check import QuickCheck
 
 
 def print_result(result: Result) -> None:

@@ -8,8 +8,7 @@ import pytest
 from rotcal_ros.methods.tracer import TracerProblem, solve
 from rotcal_ros.methods.tracer.adjustment import StationCovariance
 from rotcal_ros.methods.tracer.angles import bearing_jacobian, table_motion
-from rotcal_ros.methods.tracer.error_motion import error_motion_of
-from rotcal_ros.methods.tracer.uncertainty import error_motion_covariance
+from rotcal_ros.methods.tracer.error_motion import error_motion_covariance, error_motion_of
 
 ARCSEC = np.pi / 648000
 RADIUS, HEIGHT = 0.1, 0.25

@@ -249,7 +249,7 @@ def test_blocked_station_is_left_out_and_said():
     assert result.angles.tolist() == np.delete(SCENE.angles, 4).tolist()
     assert result.details["station_ids"].tolist() == [0, 1, 2, 3, 5, 6, 7, 8, 9, 10]
     assert len(result.rejected) == 3
-    assert "station 4 has 3 usable lengths, 5 are needed" in result.rejected[0].why
+    assert "station 4 has 3 usable lengths, 4 are needed" in result.rejected[0].why
     assert result.verdict == "suspect"
     assert np.isnan(result.residuals.residual[~result.residuals.used]).all()
     assert json.loads(result.to_json())["verdict"] == "suspect"

@@ -130,7 +130,7 @@ def test_what_the_verdict_rests_on_is_counted():
     length[1, 3] += 1e-4
     length[4, 7] -= 1e-4
     position, target = np.divmod(np.arange(9 * 24), 24)
-    keep = (position != 6) | (target < 4)
+    keep = (position != 6) | (target < 3)
     rows = {
         "position": np.append(position[keep], 0),
         "target": np.append(target[keep], 0),
@@ -138,19 +138,19 @@ def test_what_the_verdict_rests_on_is_counted():
     }
     solution = adjust(scene.problem(**rows, error_motion_std=1e-7))
     evidence = solution.evidence
-    assert evidence.n_lengths == 8 * 24 + 4
-    assert evidence.n_rejected == 6
+    assert evidence.n_lengths == 8 * 24 + 3
+    assert evidence.n_rejected == 5
     assert evidence.missing == (6,)
     assert evidence.unchecked == 0
     assert not evidence.mirror_ambiguous
     assert solution.positions.tolist() == [0, 1, 2, 3, 4, 5, 7, 8]
     assert evidence.radial_rms == pytest.approx(np.sqrt(np.mean(solution.motion.radial**2)))
-    assert len(solution.rejected) == 7
+    assert len(solution.rejected) == 6
     result = solve(scene.problem(**rows))
-    assert result.n_observations == 8 * 24 + 5
+    assert result.n_observations == 8 * 24 + 4
     assert [r.index for r in result.rejected] == sorted(solution.rejected)
     fewer = [r.why for r in result.rejected if "usable lengths" in r.why]
-    assert fewer == ["station 6 has 4 usable lengths, 5 are needed"] * 4
+    assert fewer == ["station 6 has 3 usable lengths, 4 are needed"] * 3
     used = result.residuals.used
     assert used.sum() == 8 * 24 - 2
     gone = ~used
@@ -168,8 +168,8 @@ def test_repeated_runs_have_no_closures():
     assert adjust(scene.problem(repeated_runs=True)).evidence.closures == ()
 
 
-@pytest.mark.parametrize("count", [4, 5])
-def test_a_station_keeps_five_lengths(count):
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_station_keeps_four_lengths(count):
     scene = simulate(3, angles=arc(9), n=24, layout=low_ring, length_std=0.0)
     position, target = np.divmod(np.arange(9 * 24), 24)
     keep = (position != 6) | (target % 5 == 0) & (target < 5 * count)
@@ -177,8 +177,8 @@ def test_a_station_keeps_five_lengths(count):
     grid, absent = arrange(scene.problem(**rows, length=scene.length.ravel()[keep]))
     unfit = absent.unfit
     assert absent.repeated == absent.spare == {}
-    assert len(grid.position_ids) == 9 - (count < 5)
-    assert len(unfit) == (count if count < 5 else 0)
+    assert len(grid.position_ids) == 9 - (count < 4)
+    assert len(unfit) == (count if count < 4 else 0)
 
 
 @pytest.mark.parametrize("count", [3, 4])

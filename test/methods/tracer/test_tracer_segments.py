@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from segment_scene import LENGTH_STD, Dense, measure
-from tracer_scene import paper_block
+from tracer_scene import low_ring, paper_block
 
-from rotcal_ros.errors import ConfigurationError, ObservabilityError
+from rotcal_ros.errors import ConfigurationError, DataError, ObservabilityError
 from rotcal_ros.methods.tracer import TracerProblem, solve
 from rotcal_ros.methods.tracer.prediction import predicted
 from rotcal_ros.methods.tracer.solution import adjust
@@ -38,7 +38,8 @@ def test_solution_and_covariance_are_those_of_dense_least_squares(datum, by_targ
     run = measure(by_target=by_target)
     k = np.arange(140)
     segment = np.select([k < 33, k < 90], [4, 9], 7)
-    problem = run.problem(np.select([k < 33, k < 90], [0.8, 0.3], 1.1), segment, datum=datum)
+    zero = np.select([k < 33, k < 90], [0.8, 0.3], 1.1)
+    problem = run.problem(zero, segment, datum=datum, slip=0.0)
     solution = adjust(problem)
     assert solution.noise.estimated is False
     dense = Dense(problem)
@@ -106,6 +107,30 @@ def test_neither_the_order_of_rows_nor_the_size_of_a_break_changes_the_result():
     assert np.abs(difference).max() < 1e-4 * first.std["ECC"].max()
 
 
+def level_ring(n, rng):
+    """Targets in one plane, as the best plans have them."""
+    return np.column_stack([low_ring(n, rng)[:, :2], np.full(n, 0.29)])
+
+
+@pytest.mark.parametrize("by_target", [True, False])
+def test_few_lengths_to_level_targets_with_breaks_find_their_start(by_target):
+    for seed in range(8):
+        run = measure(seed, n=16, kept=7, by_target=by_target, layout=level_ring)
+        segment = np.searchsorted(
+            np.sort(np.random.default_rng(seed).integers(1, 49, 3)), range(49)
+        )
+        result = solve(run.problem(0.5 + 1e-3 * segment, segment))
+        assert np.abs(result.details["stations"] - run.stations).max() < 2e-5
+        assert "all targets lie in one plane" in result.warnings[-1]
+        assert result.verdict == "ok"
+
+
+def test_stations_that_turn_the_other_way_are_recognised():
+    run = measure()
+    with pytest.raises(DataError, match="negate the table angles"):
+        solve(run.problem(0.5, 0, table_angles=-run.angles))
+
+
 def test_an_outlier_is_rejected_and_the_trials_spread_as_stated():
     run = measure()
     problem = run.problem(0.5, np.arange(140) // 50)
@@ -145,6 +170,8 @@ def test_segments_need_the_joint_variant_and_lengths_enough():
     run = measure()
     with pytest.raises(ConfigurationError, match="choose the variant 'joint', or a zero per st"):
         run.problem(0.5, 0, variant="station")
+    with pytest.raises(ConfigurationError, match=r"slip is -1\.0, expected zero or more"):
+        run.problem(0.5, 0, slip=-1.0)
     with pytest.raises(ConfigurationError, match="zero_walk_std is for a zero per segment"):
         run.problem(0.5, None, zero_walk_std=1e-8)
     with pytest.raises(ObservabilityError, match="0 stations"):
@@ -158,7 +185,7 @@ def wandered(run, seed, std=5e-8, **options):
 
 def test_a_zero_that_wanders_is_that_of_dense_least_squares():
     run = measure()
-    problem = wandered(run, 2, zero_walk_std=5e-8)
+    problem = wandered(run, 2, zero_walk_std=5e-8, slip=0.0)
     solution = adjust(problem)
     dense = Dense(problem, walk=5e-8)
     at = dense.solve(run.stations)
@@ -186,6 +213,7 @@ def test_a_slip_is_found_where_it_is_and_a_break_is_told_from_none():
     result = solve(run.problem(0.5 + 316e-9 * (k >= 160), 0))
     assert result.verdict == "suspect"
     assert "the zero of segment 0 jumps by -3" in result.warnings[0]
+    assert "as much as -1 fringe(s), a counter that slipped; it was" in result.warnings[0]
     first, second = result.details["segments"]
     assert first["lengths"] + second["lengths"] == 280
     assert abs(first["lengths"] - 160) < 20

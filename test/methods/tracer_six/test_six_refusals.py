@@ -93,7 +93,7 @@ def test_a_different_repetition_is_refused_by_place_and_position():
     ("change", "error", "text"),
     [
         ({"datum": "fixed"}, ConfigurationError, "datum 'fixed' is unknown"),
-        ({"zero": "segments"}, DataError, "segment is missing"),
+        ({"zero": "per_segment"}, DataError, "segment is missing"),
         ({"segment": np.zeros(120, dtype=int)}, DataError, "segment is given"),
         ({"tilt_std": 0.0}, ConfigurationError, "tilt_std is 0"),
         ({"scatter_rotation_std": -1.0}, ConfigurationError, "scatter_rotation_std is -1"),

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
-from six_coverage import coverage
-from six_scene import scene
+from six_coverage import KINDS, TWELVE, coverage
+from six_linear import Linear, linear_coverage
+from six_scene import good_targets, on_circle, scene
 
+from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.tracer_six import SixProblem, solve
 from rotcal_ros.methods.tracer_six.scatter import enlargement, stated
 from rotcal_ros.methods.tracer_six.solution import adjust
@@ -23,6 +25,54 @@ def test_intervals_hold_with_scatter_that_is_estimated():
     assert (found.share > 0.92).all()
     ignored = coverage(15, (1e-7, 5e-7), seed=2, ignored=True)
     assert ignored.share.mean() < 0.85
+
+
+@pytest.fixture(scope="module")
+def once():
+    return Linear()
+
+
+@pytest.fixture(scope="module")
+def twice():
+    return Linear(good_targets()[TWELVE], arrivals=2)
+
+
+def test_intervals_hold_where_the_estimate_has_nothing_to_find(once, twice):
+    """Uncertainties (um, urad) of the same lengths with the scatter known to be none beside."""
+    found = linear_coverage(once, 200, (0.0, 0.0), seed=6)
+    assert (found.share > 0.94).all()
+    assert (found.share < 0.98).all()
+    assert (found.std < 1.22 * 0.5e-6 * np.array([0.078, 0.080, 0.072, 0.650, 0.653, 0.554])).all()
+    found = linear_coverage(twice, 40, (0.0, 0.0), seed=7)
+    assert (found.std < 1.03 * 0.5e-6 * np.array([0.076, 0.082, 0.072, 0.653, 0.652, 0.555])).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_intervals_hold_whatever_scatters(once, kind):
+    found = linear_coverage(once, 400, KINDS[kind], seed=8)
+    assert (found.share > 0.92).all()
+
+
+def test_intervals_hold_with_two_arrivals(twice):
+    found = linear_coverage(twice, 80, KINDS["turns"], seed=9)
+    assert (found.share > 0.92).all()
+
+
+def test_first_order_gives_what_the_solver_does(once):
+    quiet = {"noise": 0.0, "mounted": 0.0, "curves": (0.0, 0.0)}
+    result = solve(SixProblem(**scene(np.random.default_rng(1), **quiet).rows))
+    _, std = once.solved(np.zeros(72), np.zeros(33))
+    np.testing.assert_allclose(list(result.std.values()), std, rtol=1e-4)
+
+
+def test_turns_that_no_distance_shows():
+    """Places that face each other: turns of the table change no distance between them."""
+    opposite = on_circle(2, spacing_deg=180.0)
+    rows = scene(np.random.default_rng(4), places=opposite, mounted=0.0, curves=(0.0, 0.0)).rows
+    found = solve(SixProblem(**rows, tilt_std=1e-4))
+    assert found.std["EXC"].max() < 3e-7
+    with pytest.raises(ObservabilityError, match="state scatter_translation_std and"):
+        solve(SixProblem(**rows, tilt_std=1e-4, scatter_translation_std=1e-7))
 
 
 @pytest.mark.parametrize(("arrivals", "n_contrasts"), [(1, 33), (2, 141)])
@@ -57,4 +107,4 @@ def test_a_stated_scatter_is_believed_until_the_places_contradict_it():
 
 def test_known_scatter_needs_no_enlargement_and_a_wide_posterior_does():
     variance, slope = np.ones(2), np.array([[1.0, 0.5], [0.0, 0.0]])
-    assert enlargement(stated(1.0, 0.0), variance, slope).tolist() == [1.0, 1.0]
+    assert enlargement(stated(1.0, 0.0), (1.0, 0.0), variance, slope).tolist() == [1.0, 1.0]

@@ -37,7 +37,7 @@ def curves(result):
     return np.array([result.deviations[name] for name in COMPONENTS])
 
 
-@pytest.mark.parametrize("zero", ["per_run", "per_station", "segments"])
+@pytest.mark.parametrize("zero", ["per_run", "per_station", "per_segment"])
 def test_same_minimum_as_scipy(zero):
     truth = scene(
         np.random.default_rng(1), m=7, zero="per_station" if zero == "per_station" else "per_run"
@@ -46,7 +46,7 @@ def test_same_minimum_as_scipy(zero):
     number = rows["place"]
     if zero == "per_station":
         number = rows["place"] * 7 + rows["position"]
-    if zero == "segments":  # two beams broke, one of them in the middle of a station
+    if zero == "per_segment":  # two beams broke, one of them in the middle of a station
         number = 2 * rows["place"] + (rows["position"] * 24 + rows["target"] >= 60)
         rows["segment"] = number + 5
     problem = SixProblem(**rows, **KNOWN)

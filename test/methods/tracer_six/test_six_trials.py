@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from six_scene import good_targets, scene
+from six_scene import good_targets, on_circle, scene
 
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.tracer_six import SixProblem, six_trials, solve
@@ -19,3 +19,16 @@ def test_trials_scatter_as_stated(known):
     assert np.abs(drawn.mean(axis=0) - curves).max() < 5.0 * std.max() / np.sqrt(120)
     ratio = (drawn.std(axis=0) / std).reshape(6, 5)
     assert ratio.mean(axis=1) == pytest.approx(np.ones(6), abs=0.15)
+
+
+def test_trials_hold_what_is_stated_about_the_tilts():
+    """Two places: what the lengths do not tell of the tilts is the prior's."""
+    known = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0, "tilt_std": 1e-5}
+    rows = scene(np.random.default_rng(1), good_targets()[:14], on_circle(2), m=5).rows
+    problem = SixProblem(**rows, **known)
+    result = solve(problem)
+    drawn = six_trials(problem)(np.random.default_rng(2), 150)
+    std = np.concatenate([result.std[name] for name in COMPONENTS])
+    ratio = (drawn.std(axis=0) / std).reshape(6, 5)
+    assert ratio.mean(axis=1) == pytest.approx(np.ones(6), abs=0.15)
+    assert std[15:25].max() > 4e-6

@@ -1,6 +1,6 @@
-"""Draw three_methods.svg: one simulated table by four methods; print how often they agree.
+"""Draw methods_compared.svg: one simulated table by four methods; print how often they agree.
 
-usage: make_three_methods.py [RUNS]
+usage: make_methods_compared.py [RUNS]
 """
 
 import sys
@@ -54,7 +54,7 @@ def main() -> None:
     """Draw the first run, then print the rates of as many as asked for."""
     curves = measure(1)
     figure = curves_and_errors(curves, compare_all(curves), "ECC")
-    Path(__file__).with_name("three_methods.svg").write_text(figure, encoding="utf-8")
+    Path(__file__).with_name("methods_compared.svg").write_text(figure, encoding="utf-8")
     if len(sys.argv) > 1:
         rates(int(sys.argv[1]))
 

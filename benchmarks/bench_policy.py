@@ -1,0 +1,120 @@
+"""Choosing the next length among ten thousand, against inverting for every candidate.
+
+Both know the lengths of a first sweep and look for the one that lowers the mean variance of the
+angles most. The opponent adds each candidate's row to the normal matrix of all unknowns (stations,
+zeros and the targets in use) and inverts it.
+"""
+
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from racing import Row
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+import policy_figures as figures
+
+from rotcal_ros.planning.policy.first_sweep import first_sweep
+from rotcal_ros.planning.policy.further import best_at
+from rotcal_ros.planning.policy.lengths import LengthExperiment
+from rotcal_ros.planning.policy.measured import Measured
+from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal
+
+SPACING_M = 0.105
+SECTOR_DEG = 30.0
+LOOSE_STD = 0.02  # m, of stations and zeros before anything is measured
+
+
+class Inverting:
+    """The mean variance of the angles by a full inverse."""
+
+    def __init__(self, of: LengthExperiment, known: Measured) -> None:
+        self.of, self.m = of, len(of.plan.table_angles)
+        own = np.array([o.step for o in known.observations])
+        self.in_use = np.unique(of.target[own])
+        bearing = of.scene.bearing - of.scene.bearing.mean(axis=0)
+        self.turn = np.zeros((self.m, 4 * self.m + 3 * len(self.in_use) + 3))
+        self.turn[:, : 3 * self.m] = bearing
+        prior = np.full(self.turn.shape[1], figures.TARGET_STD**-2)
+        prior[: 4 * self.m] = LOOSE_STD**-2
+        self.normal = np.diag(prior)
+        for step in own:
+            self.normal += self.square(step)
+
+    def square(self, step: int) -> np.ndarray:
+        """Return the information of one length; a target not in use comes last."""
+        j, i = self.of.position[step], self.of.target[step]
+        slot = np.flatnonzero(self.in_use == i)
+        place = 4 * self.m + 3 * (slot[0] if len(slot) else len(self.in_use))
+        row = np.zeros(self.turn.shape[1])
+        row[3 * j : 3 * j + 3] = self.of.directions[step]
+        row[3 * self.m + j] = -1.0
+        row[place : place + 3] = -self.of.directions[step]
+        return np.outer(row, row) / figures.PLANNED_STD**2
+
+    def best(self, candidates: np.ndarray) -> int:
+        """Return the best of the candidates, one inverse for each."""
+        variances = []
+        for step in candidates:
+            covariance = np.linalg.inv(self.normal + self.square(step))
+            variances.append((self.turn @ covariance * self.turn).sum())
+        return int(candidates[np.argmin(variances)])
+
+
+def best_of_all(of: LengthExperiment) -> Row:
+    """One choice among all candidates; ``difference`` is that of the steps chosen."""
+    cell = figures.Cell(of, np.random.default_rng(1), figures.PLANNED_STD)
+    for step in first_sweep(of, 0.75 * figures.GOAL):
+        cell.measure(step)
+    every = np.ones(len(of.plan.steps), dtype=np.bool_)
+    ours_s = np.inf
+    for _ in range(20):
+        begun = time.perf_counter()
+        ours = best_at(of, None, cell.measured, (), every, np.ones(len(every)), 1.0)
+        ours_s = min(ours_s, time.perf_counter() - begun)
+    left = np.setdiff1d(np.arange(len(every)), list(cell.measured.steps))
+    inverting = Inverting(of, cell.measured)
+    begun = time.perf_counter()
+    theirs = inverting.best(left)
+    theirs_s = time.perf_counter() - begun
+    name = f"best of {len(left)} lengths"
+    return Row(name, ours_s, theirs_s, theirs_s / ours_s, float(abs(ours - theirs)))
+
+
+def slowest_choice(of: LengthExperiment) -> Row:
+    """The slowest choice of a calibration, beams blocked and the noise twice the planned.
+
+    In seconds of the processor; the best of some times that the same calibration was followed.
+    """
+    slowest = [max(seconds_of_choices(of)) for _ in range(5)]
+    name = f"slowest choice, {len(of.plan.steps)} candidates"
+    return Row(name, min(slowest), None, None, None)
+
+
+def seconds_of_choices(of: LengthExperiment) -> Iterator[float]:
+    """Follow the policy and yield the processor time of each choice."""
+    away = -of.directions
+    azimuth = np.degrees(np.arctan2(away[:, 1], away[:, 0]))
+    cell = figures.Cell(of, np.random.default_rng(1), 2.0 * figures.PLANNED_STD)
+    cell.blocked = np.abs(azimuth) < SECTOR_DEG
+    policy, going = UntilGoal(of, Limits(figures.GOAL)), True
+    while going:
+        begun = time.thread_time()
+        choice = policy.choose()
+        yield time.thread_time() - begun
+        going = choice.step is not None
+        if choice.step is not None:
+            policy.note(cell.measure(choice.step))
+
+
+def rows() -> Iterator[Row]:
+    """Yield one measurement each."""
+    of = figures.experiment(SPACING_M)
+    yield best_of_all(of)
+    yield slowest_choice(of)

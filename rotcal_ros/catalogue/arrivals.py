@@ -1,0 +1,48 @@
+"""Plans that come to an angle more than once: their arrivals, and trials about their mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.catalogue.method import Trials
+from rotcal_ros.methods.arrivals import Arrivals, mean_from_first, repeatability_std
+from rotcal_ros.observations import Approach
+from rotcal_ros.planning.visits import visits
+from rotcal_ros.results import Result
+
+
+def arrivals_of(angles: Sequence[float], runs: int, *, bidirectional: bool) -> Arrivals:
+    """Return the arrivals of all table positions of :func:`visits` at ``angles`` (rad)."""
+    every = visits(len(angles), runs, bidirectional)
+    return Arrivals(
+        targets=np.array(angles),
+        target=np.array([visit.target for visit in every]),
+        run=np.array([visit.run for visit in every]),
+        upward=np.array([visit.approach is Approach.POSITIVE for visit in every]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RepeatedTrials:
+    """Trials of all arrivals, with their repeatability (rad), as mean curves."""
+
+    arrivals: Trials
+    mean: Floats
+    repeatability_std: float
+
+    @classmethod
+    def of(cls, prepared: Trials, result: Result, arrivals: Arrivals) -> RepeatedTrials:
+        """Return the trials ``prepared`` for the ``result`` of all ``arrivals`` as mean curves."""
+        ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+        scatter = repeatability_std(ecc, covariance, arrivals)
+        return cls(prepared, mean_from_first(arrivals), scatter)
+
+    def __call__(self, rng: np.random.Generator, count: int) -> Floats:
+        """Return the mean deviations (count, k) in rad."""
+        values = self.arrivals(rng, count)
+        values = values + self.repeatability_std * rng.standard_normal(values.shape)
+        return np.asarray(values @ self.mean.T, dtype=np.float64)

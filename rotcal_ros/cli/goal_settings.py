@@ -1,0 +1,58 @@
+"""What plans of a laser tracer start from: volume, what is in the way, noise; from all sources."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rotcal_ros.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from rotcal_ros.catalogue.configuration import Configuration
+    from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
+
+
+def goal_settings(
+    pattern: Configuration | None, goal: Path | None, changes: Iterable[str]
+) -> TracerDesignSettings:
+    """Return the settings: of the pattern, then of the file, then ``changes`` as NAME=VALUE.
+
+    Raises ConfigurationError, with the place, for those that there are not.
+    """
+    import yaml
+
+    from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
+    from rotcal_ros.settings import load
+
+    values = {} if pattern is None else _of_pattern(pattern)
+    if goal is not None:
+        try:
+            values.update(yaml.safe_load(goal.read_text()) or {})
+        except (OSError, ValueError, yaml.YAMLError) as error:
+            raise ConfigurationError(f"{goal}: no settings by name: {error}") from error
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals:
+            raise ConfigurationError(f"{change}: expected NAME=VALUE")
+        values[name.strip()] = yaml.safe_load(value)
+    return load(TracerDesignSettings, values, "goal" if goal is None else str(goal))
+
+
+def _of_pattern(pattern: Configuration) -> dict[str, Any]:
+    """Return what a configuration of the method tells of a goal's settings."""
+    from rotcal_ros.planning.tracer_design.settings import PER_STATION, SHARED
+
+    plan, solver, simulation = pattern.plan, pattern.solver, pattern.simulation
+    angles = ("table_start_deg", "table_step_deg", "table_positions", "table_angles_deg")
+    noise = ("length_std_m", "length_std_relative", "rejection_significance", "slip_m")
+    return {
+        **{name: getattr(plan, name) for name in angles},
+        **{name: getattr(solver, name) for name in noise},
+        "target_std_m": (solver.target_std_m,) * 3,
+        "error_motion_std_m": solver.error_motion_std_m or 0.0,
+        "circle_std_m": solver.circle_std_m,
+        "zero": SHARED if solver.zero == "per_segment" else PER_STATION,
+        "mount_m": simulation.tracer.mount_m,
+        "axis_m": simulation.table.axis_offset_m[:2],
+    }

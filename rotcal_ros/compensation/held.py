@@ -1,0 +1,80 @@
+"""The table that a controller holds, from its own files, as its own rule applies it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.controller import Controller, Rule
+from rotcal_ros.compensation.journal import contents_hash
+from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
+from rotcal_ros.curves.interpolation import TURN
+from rotcal_ros.errors import DataError
+from rotcal_ros.in_force import NONE
+from rotcal_ros.observations import Approach
+from rotcal_ros.units import DEGREE
+
+
+@dataclass(frozen=True, eq=False)
+class HeldTable:
+    """What a controller adds to its commands, exactly: the file's rows by the control's rule.
+
+    ``in_force`` is the hash of the files. ``angles`` (n,), ``period`` and ``reference_angle``
+    (rad) are as in a :class:`CompensationTable`; ``first`` (rad) is where the travel begins.
+    """
+
+    in_force: str
+    rule: Rule
+    angles: Floats
+    period: float
+    reference_angle: float
+    first: float
+
+    def correction(self, angle: Floats, approach: Approach) -> Floats:
+        """Return the correction (rad) at ``angle`` (rad), that of a circle in the first turn."""
+        if self.period:
+            angle = self.first + np.mod(angle, self.period)
+        return self.rule.correction(angle, approach)
+
+    def slope(self, angle: Floats, approach: Approach) -> Floats:
+        """Return the derivative of the correction, over a thousandth of the widest gap."""
+        half = 0.5e-3 * float(np.max(np.diff(self.angles)))
+        ends = (self.correction(angle + x, approach) for x in (half, -half))
+        return np.subtract(*ends) / (2.0 * half)
+
+
+def in_force_of(files: Mapping[str, str]) -> str:
+    """Return the SHA-256 of a controller's own ``files``, without side files; "none" for none."""
+    own = of_the_controller(files)
+    return contents_hash(own) if own else NONE
+
+
+def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
+    """Return the table in ``files``, which hold its side file too.
+
+    Raises DataError when they do not tell where the rows are, BagError when they are damaged.
+    """
+    side = [text for name, text in files.items() if name.endswith(PROVENANCE)]
+    try:
+        known = json.loads(side[0])
+        angles = np.array(known["row_angles_deg"], dtype=np.float64) * DEGREE
+        period = TURN if known["closed"] else 0.0
+        reference = float(known["reference_angle_deg"]) * DEGREE
+    except (IndexError, ValueError, TypeError, KeyError) as error:
+        raise DataError(
+            "the rows of the table in force are not known: its side file "
+            f"(*{PROVENANCE}) is missing, damaged or of an earlier version; measure without a "
+            "table and replace it"
+        ) from error
+    return HeldTable(
+        in_force=in_force_of(files),
+        rule=controller.read(of_the_controller(files)),
+        angles=angles,
+        period=period,
+        reference_angle=reference,
+        first=controller.travel[0] if period else 0.0,
+    )

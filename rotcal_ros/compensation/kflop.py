@@ -1,0 +1,116 @@
+"""Dynomotion KFLOP with KMotionCNC: a linear correction table for one axis.
+
+The number of points, their distance, where they begin, then ``index,angle``: the angle that has
+to be commanded so that the axis gets to begin + index x distance. Linear between the points, the
+same in both directions. The table does not know that an axis is round: the rows are repeated for
+every turn of the travel. Sources: ``Kflop.facts``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.controller import Controller, Facts
+from rotcal_ros.compensation.parsing import integer, number, numbers, only_file
+from rotcal_ros.compensation.rows import (
+    columns_deg,
+    even_interval_deg,
+    every_turn,
+    fixed,
+    mean_deg,
+)
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.curves.interpolation import TURN
+from rotcal_ros.errors import BagError
+from rotcal_ros.observations import Approach
+from rotcal_ros.settings import setting
+from rotcal_ros.units import DEGREE
+
+DECIMALS: Final = 9
+PLACES: Final = 6
+
+
+@dataclass(frozen=True, eq=False)
+class CommandedTable:
+    """Angles (n,) where the axis is to be, and those that get it there, in degrees."""
+
+    angles_deg: Floats
+    commanded_deg: Floats
+
+    def correction(self, angle: Floats, approach: Approach) -> Floats:
+        """Return the radians that are added to the command at ``angle`` (rad, not wrapped).
+
+        The same in both directions. Beyond the table the end row is held here; what the control
+        does there is not documented, and nothing is proven there.
+        """
+        added = self.commanded_deg - self.angles_deg
+        at = np.asarray(angle) / DEGREE
+        return np.asarray(np.interp(at, self.angles_deg, added) * DEGREE, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Kflop(Controller):
+    """Dynomotion KFLOP or Kogna: the rows are written for every turn of the travel."""
+
+    facts = Facts(
+        title="Dynomotion KFLOP",
+        sign="value = the angle to be commanded, which is the wanted one -(actual - commanded)",
+        wrap="none: rows repeated for each turn",
+        unit="degrees, 9 decimals",
+        source="Dynomotion Wiki, Linear Table Correction (06/2024); Dynomotion Forum, topic 1870",
+    )
+    position_resolution = 10.0**-PLACES * DEGREE
+    one_direction = True
+    unverified = (
+        "the two columns of a point: read off a user's table in the maker's forum",
+        "what the control does beyond the table: keep the travel inside",
+    )
+
+    first_turn: int = setting(0, doc="turn that the table begins with; 1 is 360 .. 720 deg")
+    turns: int = setting(1, doc="number of turns that the table covers", minimum=1)
+
+    def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
+        """Return the table; ConfigurationError for an arc or uneven rows."""
+        spacing = even_interval_deg(table, "KFLOP", 10.0**-PLACES)
+        angles, added = every_turn(
+            self.first_turn, self.turns, columns_deg(table)[0], mean_deg(table)
+        )
+        head = [str(len(angles)), fixed(spacing, PLACES), fixed(360.0 * self.first_turn, PLACES)]
+        lines = [f"{k},{fixed(value, DECIMALS)}" for k, value in enumerate(angles + added)]
+        return {f"{stem}.txt": "\n".join([*head, *lines]) + "\n"}
+
+    def read(self, files: Mapping[str, str]) -> CommandedTable:
+        """Read the table back; BagError unless it has all points, and covers the travel."""
+        name, text = only_file(files, ".txt")
+        head, lines = text.splitlines()[:3], text.splitlines()[3:]
+        if len(head) < 3 or len(lines) < 3:
+            raise BagError(f"{name}: expected number, distance and begin, and at least 3 points")
+        count = integer(head[0], f"{name}, line 1")
+        spacing, begin = (number(head[k], f"{name}, line {k + 1}") for k in (1, 2))
+        index, commanded = numbers(name, lines, 2, ",").T
+        if count != len(lines) or not np.array_equal(index, np.arange(count)):
+            raise BagError(f"{name}: {len(lines)} points, expected {count}: 0, 1, .. {count - 1}")
+        first, last = (end / DEGREE for end in self.travel)
+        if begin != first or abs(begin + spacing * (count - 1) - last) > 1e-3:
+            raise BagError(
+                f"{name}: {count} points every {spacing:g} deg from {begin:g}, expected "
+                f"{first:g} .. {last:g} deg"
+            )
+        return CommandedTable(begin + spacing * index, commanded)
+
+    def resolution(self, table: CompensationTable) -> float:
+        """Return the last decimal, in rad."""
+        return 10.0**-DECIMALS * DEGREE
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """First and last angle (rad) of the turns that are written."""
+        return self.first_turn * TURN, (self.first_turn + self.turns) * TURN
+
+
+CONTROLLER: Final = Kflop

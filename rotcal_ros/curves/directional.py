@@ -1,0 +1,161 @@
+"""The positioning of an axis for approaches from either side, one curve with one covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.curves.interpolation import SAME_ANGLE
+from rotcal_ros.curves.measured import MeasuredCurve, measured_curve, merging, period_of
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.results import Directions, Result
+
+COMPONENT: Final = "ECC"
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionalCurve:
+    """ECC (n,) rad at ascending angles (n,) rad, for both sides of the approach.
+
+    ``covariance`` (2 n, 2 n) is that of ``forward``, then ``reverse``. ``period`` is as in
+    :class:`MeasuredCurve`. Where one side alone was measured, ``both`` is False and the reverse
+    curve repeats the forward one; ``notes`` say in words what to know of the two.
+    """
+
+    angles: Floats
+    forward: Floats
+    reverse: Floats
+    covariance: Floats
+    period: float
+    both: bool
+    notes: tuple[str, ...] = ()
+
+    @property
+    def forward_covariance(self) -> Floats:
+        """The covariance (n, n) of the forward curve."""
+        n = len(self.angles)
+        return self.covariance[:n, :n]
+
+    @property
+    def reverse_covariance(self) -> Floats:
+        """The covariance (n, n) of the reverse curve."""
+        n = len(self.angles)
+        return self.covariance[n:, n:]
+
+    @property
+    def stacked(self) -> Floats:
+        """Both curves (2 n,), in the order of the covariance."""
+        return np.concatenate([self.forward, self.reverse])
+
+
+def directional_curve(result: Result, reverse: Result | None = None) -> DirectionalCurve:
+    """Return what ``result`` knows of both sides, or it with an independent ``reverse`` result.
+
+    Positions that coincide after a turn are averaged, as by :func:`measured_curve`. Results of
+    earlier versions hold repeated runs of both sides without their covariance, see
+    :func:`directions_of_runs`. Raises DataError when the curves do not close or are at other
+    angles, ConfigurationError when both sides are known already and ``reverse`` comes on top.
+    """
+    own = _own(result)
+    if reverse is None:
+        return _single(result) if own is None else _merged(result, own)
+    if own is not None or _own(reverse) is not None:
+        raise ConfigurationError(
+            f"a result ({result.method}) holds both directions already: leave out the second "
+            "result of the reverse direction, or give two results of one direction each"
+        )
+    return _independent(measured_curve(result), measured_curve(reverse))
+
+
+def directions_of_runs(result: Result) -> Directions | None:
+    """Return both directions from the repeated runs of a result, None where it has none.
+
+    Their joint covariance is not among the runs. The mean and the reversal are taken for
+    independent, and the reversal for as uncertain as if nothing that all arrivals share were in
+    the uncertainty of the mean: n arrivals from each side leave N / (2 n) in a mean, twice that in
+    its difference from the first, and 2 N / n in the reversal. That is an upper bound.
+    """
+    runs = result.runs
+    if runs is None or runs.forward is None or runs.reverse is None:
+        return None
+    at = np.flatnonzero(np.isin(runs.targets, result.angles))
+    forward, reverse = (_row_means(side[at]) for side in (runs.forward, runs.reverse))
+    if len(at) != len(result.angles) or not np.any(np.isfinite(forward + reverse)):
+        return None
+    both = np.isfinite(forward) & np.isfinite(reverse)
+    if np.count_nonzero(both) < 2:
+        return None
+    half = (forward - reverse)[both] / 2.0
+    mean = result.deviations[COMPONENT][both]
+    covariance = result.covariance[COMPONENT][np.ix_(both, both)]
+    own = np.eye(len(half)) * np.max(np.diag(covariance)) / 2.0
+    blocks = [[covariance + own, covariance - own], [covariance - own, covariance + own]]
+    return Directions(result.angles[both], mean + half, mean - half, np.block(blocks))
+
+
+def _own(result: Result) -> Directions | None:
+    return result.directions.get(COMPONENT) or directions_of_runs(result)
+
+
+def _row_means(table: Floats) -> Floats:
+    """Return the mean of what there is in each row (k, n), NaN for a row of nothing."""
+    there = np.isfinite(table)
+    count = there.sum(axis=1)
+    total = np.where(there, table, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _single(result: Result) -> DirectionalCurve:
+    curve = measured_curve(result)
+    return DirectionalCurve(
+        angles=curve.angles,
+        forward=curve.deviation,
+        reverse=curve.deviation,
+        covariance=np.tile(curve.covariance, (2, 2)),
+        period=curve.period,
+        both=False,
+    )
+
+
+def _merged(result: Result, own: Directions) -> DirectionalCurve:
+    """Return both directions of one result, checked for closure and averaged like its mean."""
+    k, period = len(own.angles), period_of(own.angles)
+    for values, part in ((own.forward, slice(k)), (own.reverse, slice(k, None))):
+        side = MeasuredCurve(own.angles, values, own.covariance[part, part], period)
+        angles, merge = merging(side, COMPONENT)
+    twice = np.kron(np.eye(2), merge)
+    missing = len(result.angles) - k
+    note = (
+        f"{missing} of {len(result.angles)} angles were reached from one side only and are left "
+        "out: the table holds both directions at the others"
+    )
+    return DirectionalCurve(
+        angles=angles,
+        forward=merge @ own.forward,
+        reverse=merge @ own.reverse,
+        covariance=twice @ own.covariance @ twice.T,
+        period=period,
+        both=True,
+        notes=(note,) if missing else (),
+    )
+
+
+def _independent(forward: MeasuredCurve, backward: MeasuredCurve) -> DirectionalCurve:
+    same = len(backward.angles) == len(forward.angles)
+    if not same or np.max(np.abs(backward.angles - forward.angles)) > SAME_ANGLE:
+        raise DataError(
+            f"the reverse run has {len(backward.angles)} angles that are not the "
+            f"{len(forward.angles)} of the forward run: measure both directions at the same angles"
+        )
+    nothing = np.zeros_like(forward.covariance)
+    return DirectionalCurve(
+        angles=forward.angles,
+        forward=forward.deviation,
+        reverse=backward.deviation,
+        covariance=np.block([[forward.covariance, nothing], [nothing, backward.covariance]]),
+        period=forward.period,
+        both=True,
+    )

@@ -1,0 +1,53 @@
+"""Which table a controller held while it was measured: a hash, none, or not known."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Final
+
+from rotcal_ros.errors import ConfigurationError
+
+UNKNOWN: Final = "unknown"
+NONE: Final = "none"
+
+
+def check_in_force(state: str) -> str:
+    """Return ``state``; ConfigurationError unless it is a SHA-256, "none" or "unknown"."""
+    if state in (UNKNOWN, NONE) or re.fullmatch(r"[0-9a-f]{64}", state):
+        return state
+    raise ConfigurationError(
+        f"table in force {state!r}: expected the SHA-256 of the controller's files (64 digits, "
+        f"contents_sha256 of the side file), '{NONE}' or '{UNKNOWN}'"
+    )
+
+
+def agreed(states: Iterable[str]) -> str:
+    """Return what all ``states`` that are known agree on; else it is unknown."""
+    known = set(states) - {UNKNOWN, ""}
+    return known.pop() if len(known) == 1 else UNKNOWN
+
+
+def contradiction(states: Iterable[str]) -> str:
+    """Return in words how ``states`` contradict each other; empty when they do not."""
+    known = sorted(set(states) - {UNKNOWN, ""})
+    if len(known) < 2:
+        return ""
+    return (
+        f"more than one table was in force ({', '.join(s[:12] for s in known)}): which is "
+        f"{UNKNOWN}"
+    )
+
+
+def known_hash(state: str) -> bool:
+    """Return whether ``state`` names a table."""
+    return state not in (UNKNOWN, NONE, "")
+
+
+def in_words(state: str) -> str:
+    """Return what was in force during a measurement, for people."""
+    if known_hash(state):
+        return f"measured on top of the table {state[:12]}: the deviations are what it leaves"
+    if state == NONE:
+        return "measured with no table in force: the deviations are the whole"
+    return "not known which table was in force: the whole deviation, or what a table leaves"

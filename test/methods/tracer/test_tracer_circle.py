@@ -1,0 +1,179 @@
+"""Stations on a stated circle: covariance, coverage, and what contradicts the statement."""
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.geometry.rotations import rotation_from_vector
+from rotcal_ros.methods.tracer import TracerProblem, solve, tracer_trials
+from rotcal_ros.methods.tracer.circle_prior import circle_contrasts, contrast_count
+from rotcal_ros.methods.tracer.prediction import predicted
+from rotcal_ros.planning.tracer_design.information import Information
+from rotcal_ros.planning.tracer_design.scene import Lengths, Scene, on_table
+
+SCRIPT = Path(__file__).parents[3] / "scripts" / "circle_coverage.py"
+SPEC = importlib.util.spec_from_file_location("circle_coverage", SCRIPT)
+simulated = importlib.util.module_from_spec(SPEC)
+sys.modules[SPEC.name] = simulated
+SPEC.loader.exec_module(simulated)
+
+ANGLES = np.radians(-145.0 + 30.0 * np.arange(11))
+STATIONS = on_table((0.0569, -0.0318, 0.1225), ANGLES, (1e-4, -2e-4))
+ONE_ZERO, ALONG, PER_STATION, ROSETTE = simulated.CASES
+
+
+def planned(one_zero, circle_std=7e-8, each=4):
+    """A plan of ``each`` lengths per station, and its problem with exact lengths."""
+    targets = np.random.default_rng(9).uniform([-0.6, -0.5, 0.17], [0.6, 0.5, 1.0], (18, 3))
+    position = np.repeat(np.arange(11), each)
+    target = (7 * np.arange(11 * each) + position) % 18
+    segment = np.zeros_like(position) if one_zero else position
+    scene = Scene(STATIONS, ANGLES, targets, 1e-6, 2e-7, 1e-7, circle_std, 3e-8)
+    distance = np.linalg.norm(STATIONS[position] - targets[target], axis=1)
+    problem = TracerProblem(
+        position, target, distance, np.hypot(2e-7, 1e-7 * distance), targets, 1e-6, ANGLES,
+        error_motion_std=3e-8, circle_std=circle_std, segment=segment if one_zero else None,
+        slip=0.0,
+    )  # fmt: skip
+    return scene, Lengths.of(position, target, segment), problem
+
+
+@pytest.mark.parametrize(("one_zero", "each"), [(True, 2), (True, 6), (False, 3), (False, 6)])
+def test_what_is_planned_is_what_is_stated(one_zero, each):
+    scene, lengths, problem = planned(one_zero, each=each)
+    known = Information(scene, lengths, 1 if one_zero else 11)
+    wanted = known.cumulative_covariance()
+    exact = predicted(problem, STATIONS)
+    assert np.abs(exact.angles.covariance - wanted).max() < 1e-6 * np.abs(wanted).max()
+    beams = known.beams(lengths)
+    assert exact.redundancy == pytest.approx(1.0 - beams.spread / beams.variance, abs=1e-6)
+    rng = np.random.default_rng(each + 20)
+    noisy = replace(
+        problem,
+        length=problem.length - 0.3 + 2e-7 * rng.standard_normal(len(lengths)),
+        targets=problem.targets + 1e-6 * rng.standard_normal((18, 3)),
+    )
+    result = solve(noisy)  # without start values
+    assert result.verdict == "ok"
+    assert np.abs(result.covariance["ECC"] - wanted).max() < 1e-3 * np.abs(wanted).max()
+
+
+def test_the_circle_is_six_more_unknowns():
+    """Radial and axial distances as rows of their own, with centre, radius and axis unknown."""
+    _, lengths, problem = planned(one_zero=True)
+    count, n = len(lengths), len(problem.targets)
+    apart = STATIONS[lengths.position] - problem.targets[lengths.target]
+    unit = apart / np.linalg.norm(apart, axis=1)[:, None]
+    size = 33 + 1 + 3 * n + 6
+    rows = np.zeros((count, size))
+    for axis in range(3):
+        rows[np.arange(count), 3 * lengths.position + axis] = unit[:, axis]
+        rows[np.arange(count), 34 + 3 * lengths.target + axis] = -unit[:, axis]
+    rows[:, 33] = -1.0
+    rows /= problem.length_std[:, None]
+    prior = np.eye(size)[34 : 34 + 3 * n] / 1e-6
+    flat = STATIONS[:, :2] - [1e-4, -2e-4]
+    outward = flat / np.linalg.norm(flat, axis=1)[:, None]
+    round_ = np.zeros((22, size))
+    j = np.arange(11)
+    for axis in range(2):
+        round_[j, 3 * j + axis] = outward[:, axis]
+        round_[j, size - 6 + axis] = -outward[:, axis]
+        round_[11 + j, size - 2 + axis] = -flat[:, axis]
+    round_[j, size - 4] = -1.0
+    round_[11 + j, 3 * j + 2] = 1.0
+    round_[11 + j, size - 3] = -1.0
+    whole = np.vstack([rows, prior, round_ / 7e-8])
+    scale = 1.0 / np.linalg.norm(whole, axis=0)
+    upper = np.linalg.qr(whole * scale, mode="r")
+    covariance = np.linalg.inv(upper) * scale[:, None]
+    covariance = (covariance @ covariance.T)[:33, :33]
+    found = predicted(problem, STATIONS).stations
+    assert np.abs(found.total - covariance).max() < 1e-6 * np.abs(covariance).max()
+    assert found.circle.diagonal().max() > 0.0
+
+
+def test_contrasts_do_not_feel_where_the_circle_is():
+    flat = np.column_stack([np.cos(ANGLES), np.sin(ANGLES), np.zeros(11)])
+    leaning = 0.07 * flat @ rotation_from_vector(np.array([3e-5, -2e-5, 0.0])).T
+    value, slope = circle_contrasts(leaning + np.array([0.3, -0.1, 0.12]))
+    assert slope.shape == (contrast_count(11), 33) == (16, 33)
+    assert np.abs(value).max() < 1e-15
+    assert contrast_count(3) == contrast_count(2) == 0
+    rosette = (np.cos(2 * ANGLES)[:, None] * flat).ravel()
+    around = np.column_stack([-flat[:, 1], flat[:, 0], np.zeros(11)]).ravel()
+    assert np.abs(slope @ flat.ravel()).max() < 1e-4  # the radius; the axis leans
+    assert np.abs(slope @ around).max() < 1e-4
+    assert np.linalg.norm(slope @ rosette) > 2.0
+
+
+@pytest.mark.parametrize("case", [ONE_ZERO, ALONG, PER_STATION], ids=lambda case: case.name)
+def test_intervals_hold_the_truth(case):
+    hits = []
+    for seed in range(24):
+        problem, truth = simulated.measured(case, 6, seed)
+        result = solve(problem)
+        error = np.abs(result.deviations["ECC"] - truth)[1:]
+        hits.append(np.mean(error <= 1.96 * result.std["ECC"][1:]))
+    assert 0.91 < np.mean(hits) < 0.99
+
+
+def test_what_is_left_out_along_the_circle_is_as_stated_across_it():
+    result = solve(simulated.measured(ALONG, 8, 1)[0])
+    assert result.details["error_motion"]["used"] == simulated.CIRCLE_STD
+    assert result.details["budget"]["error_motion"].max() > 1.5e-6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rosette_is_no_circle(seed):
+    problem, truth = simulated.measured(ROSETTE, 8, seed)
+    result = solve(problem)
+    assert result.verdict == "suspect"
+    assert any("the stated circle_std of 7e-08 m does not hold" in w for w in result.warnings)
+    circle = result.details["circle_prior"]
+    assert (circle["stated"], circle["dof"]) == (7e-8, 16)
+    assert 5e-7 < circle["used"] < 3e-6
+    assert circle["probability"] < 1e-6
+    error = np.abs(result.deviations["ECC"] - truth)[1:] / result.std["ECC"][1:]
+    assert error.max() < 4.0
+    open_ = solve(replace(problem, circle_std=None, error_motion_std=None))
+    assert open_.verdict == "ok"
+
+
+def test_an_outlier_is_not_blamed_on_the_circle():
+    problem, _ = simulated.measured(ONE_ZERO, 8, 2)
+    length = problem.length.copy()
+    length[20] += 2e-5
+    result = solve(replace(problem, length=length))
+    assert [r.index for r in result.rejected] == [20]
+    assert result.verdict == "ok"
+    assert result.details["circle_prior"]["used"] == 7e-8
+
+
+def test_a_circle_that_nothing_checks_is_believed_and_named():
+    problem, _ = simulated.measured(PER_STATION, 3, 0)
+    result = solve(problem)
+    assert result.details["circle_prior"]["redundancy"] < 0.01
+    assert any("is believed, not measured" in text for text in result.warnings)
+
+
+@pytest.mark.parametrize("datum", ["prior", "free"])
+def test_trials_scatter_as_stated(datum):
+    problem = replace(simulated.measured(ONE_ZERO, 20, 3)[0], datum=datum)
+    result = solve(problem)
+    trials = tracer_trials(problem)(np.random.default_rng(0), 3000)
+    assert trials.std(axis=0)[1:] == pytest.approx(result.std["ECC"][1:], rel=0.06)
+    assert solve(replace(problem, circle_std=None)).std["ECC"].max() > result.std["ECC"].max()
+
+
+def test_stations_that_are_solved_alone_know_no_circle():
+    problem, _ = simulated.measured(PER_STATION, 8, 0)
+    with pytest.raises(ConfigurationError, match="a stated circle ties all stations together"):
+        replace(problem, variant="station")
+    with pytest.raises(ConfigurationError, match="circle_std is 0"):
+        replace(problem, circle_std=0.0)

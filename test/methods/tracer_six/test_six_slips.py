@@ -1,0 +1,81 @@
+"""A fringe that the counter slips in the midst of a run, and nobody says so."""
+
+import numpy as np
+import pytest
+from six_coverage import TWELVE
+from six_scene import good_targets, scene
+
+from rotcal_ros.components import COMPONENTS
+from rotcal_ros.methods.tracer_six import SixProblem, solve
+from rotcal_ros.methods.tracer_six.solution import adjust
+from rotcal_ros.protection import TOLERABLE
+
+FRINGE = 0.3164e-6
+M, N = 5, 12
+PER_ROUND = M * N
+
+
+def measured(seed, at=None, arrivals=2, place=1, **options):
+    """Return truth and problem; length ``at`` of a place and all after it are a fringe longer.
+
+    With two arrivals the table goes round twice from each place.
+    """
+    made = scene(np.random.default_rng(seed), good_targets()[TWELVE], m=M, arrivals=arrivals)
+    rows = dict(made.rows)
+    time = rows["arrival"] * PER_ROUND + rows["position"] * N + rows["target"]
+    if at is not None:
+        rows["length"] = rows["length"] + FRINGE * ((rows["place"] == place) & (time >= at))
+    order = rows["place"] * arrivals * PER_ROUND + time
+    return made.truth, SixProblem(**rows, order=order, **options)
+
+
+def slip_of(result):
+    return next((p for p in result.protections if p.effect == "slip"), None)
+
+
+def test_a_slip_between_two_rounds_is_found_named_and_does_no_harm():
+    truth, problem = measured(1, at=PER_ROUND)
+    result = solve(problem)
+    assert result.verdict == "suspect"
+    assert "the zero of place 1 jumps by +" in result.warnings[0]
+    assert "as much as +1 fringe(s), a counter that slipped" in result.warnings[0]
+    for name, curve in zip(COMPONENTS, truth, strict=True):
+        assert np.abs((result.deviations[name] - curve) / result.std[name]).max() < 4.0, name
+
+
+def test_a_counter_that_does_not_slip_is_not_asked():
+    ignored = solve(measured(1, at=PER_ROUND, slip=0.0)[1])
+    assert slip_of(ignored) is None
+    assert ignored.details["slips"] is None
+    assert not any("jumps by" in text for text in ignored.warnings)
+
+
+def test_slips_are_found_as_often_as_is_stated():
+    rng = np.random.default_rng(7)
+    found, stated, inside = [], [], []
+    for seed in range(20):
+        truth, problem = measured(seed, int(rng.integers(2 * PER_ROUND)), place=seed % 3)
+        solution = adjust(problem)
+        curves = np.array(list(solution.deviations().values()))
+        std = np.sqrt(np.einsum("ajaj->aj", solution.covariance))
+        found.append(len(solution.jumps) > 0)
+        stated.append(solution.slips.found)
+        inside.append((np.abs(curves - truth) < 1.96 * std).mean())
+    expected, error = np.mean(stated), np.sqrt(np.mean(stated) * (1.0 - np.mean(stated)) / 20)
+    assert np.mean(found) == pytest.approx(expected, abs=3.0 * error)
+    assert expected > 0.7
+    assert np.mean(inside) > 0.9
+
+
+def test_no_jump_is_seen_where_there_is_none():
+    assert sum(len(adjust(measured(seed)[1]).jumps) for seed in range(8)) <= 1
+
+
+def test_one_round_shows_little_and_the_verdict_says_so():
+    """A place whose lengths have grown looks as if it rose, and three places have a plane."""
+    once, twice = (solve(measured(3, arrivals=arrivals)[1]) for arrivals in (1, 2))
+    assert once.details["slips"]["found"] < 0.3 < 0.7 < twice.details["slips"]["found"]
+    assert slip_of(once).treatment == "not protected"
+    assert slip_of(once).error > TOLERABLE
+    assert "plan.arrivals" in slip_of(once).why
+    assert "slip" in once.unprotected

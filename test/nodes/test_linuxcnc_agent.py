@@ -1,0 +1,75 @@
+"""The agent beside LinuxCNC, with a stand-in for its modules: which axis moves, and when not."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from rotcal_ros.nodes.linuxcnc_agent import Machine
+
+
+class Program:
+    """Four joints X, Y, Z and A that go at once to where an MDI command sends A."""
+
+    INTERP_IDLE, INTERP_READING, MODE_MDI, MODE_AUTO, STATE_ON = 1, 2, 3, 2, 4
+    error = RuntimeError
+
+    def __init__(self):
+        self.positions, self.commands = [7.0, 8.0, 9.0, 30.0], []
+        self.interp_state, self.task_mode = self.INTERP_IDLE, self.MODE_AUTO
+        self.velocity, self.homed = 0.0, [1, 1, 1, 1]
+
+    def stat(self):
+        return SimpleNamespace(
+            poll=lambda: None,
+            joints=4,
+            homed=(*self.homed, *[0] * 12),
+            task_state=self.STATE_ON,
+            task_mode=self.task_mode,
+            interp_state=self.interp_state,
+            file="part.ngc",
+            inpos=True,
+            queue=0,
+            joint=[{"velocity": v} for v in (self.velocity, 0.0, 0.0, 0.0)],
+            joint_position=self.positions,
+        )
+
+    def command(self):
+        return SimpleNamespace(
+            mode=lambda mode: self.commands.append(f"mode {mode}"),
+            mdi=self._mdi,
+            wait_complete=lambda _seconds: 1,
+        )
+
+    def _mdi(self, text):
+        self.commands.append(text)
+        self.positions[3] = float(text.rpartition("A")[2])
+
+
+@pytest.mark.parametrize(
+    ("angle", "side", "moves"),
+    [(40.0, 1, [40.0]), (20.0, 1, [18.0, 20.0]), (40.0, -1, [42.0, 40.0]), (10.0, 0, [10.0])],
+)
+def test_the_named_axis_moves_in_machine_coordinates_from_the_wanted_side(angle, side, moves):
+    program = Program()
+    Machine(program, "A", 3).move({"angle_deg": angle, "side": side})
+    assert program.commands == ["mode 3", *(f"G53 G90 G0 A{move:.9f}" for move in moves)]
+
+
+@pytest.mark.parametrize(
+    ("work", "why"),
+    [({"interp_state": Program.INTERP_READING}, "runs a program"), ({"velocity": 0.1}, "moves")],
+)
+def test_an_order_that_finds_the_machine_at_work_is_not_carried_out(work, why):
+    program = Program()
+    vars(program).update(work)
+    with pytest.raises(RuntimeError, match=f"{why}.*: the order for A was not carried out"):
+        Machine(program, "A", 3).move({"angle_deg": 40.0})
+    assert program.commands == []
+
+
+@pytest.mark.parametrize("joint", [3, 4])
+def test_every_joint_has_to_be_homed_and_the_table_has_to_be_one(joint):
+    program = Program()
+    program.homed[0] = joint - 3
+    with pytest.raises(SystemExit, match="not homed" if joint == 3 else "no joint 4"):
+        Machine(program, "A", joint).take()

@@ -1,0 +1,60 @@
+"""Which table was in force, as bag and configuration tell it: known, unknown, contradictory."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.in_force import agreed, check_in_force, contradiction
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.results import Result
+
+BAG = Path(__file__).parents[2] / "examples" / "data" / "ball_plate_bag"
+ONE, OTHER = "a" * 64, "b" * 64
+
+
+@pytest.mark.parametrize(
+    ("states", "expected"),
+    [
+        ((), "unknown"),
+        (("unknown", ""), "unknown"),
+        (("unknown", "none"), "none"),
+        ((ONE, ONE, "unknown"), ONE),
+        ((ONE, "none"), "unknown"),
+        ((ONE, OTHER), "unknown"),
+    ],
+)
+def test_only_what_all_agree_on_is_known(states, expected):
+    assert agreed(states) == expected
+    assert bool(contradiction(states)) == (len(set(states) - {"unknown", ""}) > 1)
+
+
+def test_a_bag_without_this_knowledge_reads_as_unknown_and_keeps_its_bits():
+    recording = read_recording(BAG)
+    assert recording.announced == frozenset()
+    plain = recording.solve()
+    assert plain.measured_on == "unknown"
+    assert "measured_on" not in plain.to_dict()
+    known = replace(recording, announced=frozenset({ONE})).solve()
+    assert known.measured_on == ONE
+    assert Result.from_dict(known.to_dict()).measured_on == ONE
+    assert {k: v for k, v in known.to_dict().items() if k != "measured_on"} == plain.to_dict()
+    both = replace(recording, announced=frozenset({ONE, "none"}))
+    assert both.solve().measured_on == "unknown"
+    assert any("more than one table was in force" in text for text in both.warnings())
+
+
+@pytest.mark.parametrize("state", ["", "yes", "A" * 64, "a" * 63])
+def test_a_misspelt_state_is_refused(state):
+    with pytest.raises(ConfigurationError, match="expected the SHA-256"):
+        check_in_force(state)
+    with pytest.raises(ConfigurationError):
+        CellSettings(table_in_force=state)
+
+
+def test_a_damaged_result_is_refused():
+    data = read_recording(BAG).solve().to_dict()
+    with pytest.raises((DataError, ConfigurationError), match="table in force"):
+        Result.from_dict({**data, "measured_on": "yes"})
