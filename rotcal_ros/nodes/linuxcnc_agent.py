@@ -56,7 +56,9 @@ class Machine:
     def take(self) -> None:
         """Go over to commands; ends the program when the machine is not ready for them."""
         lx = self._linuxcnc
-        self.stat.poll()
+        # LinuxCNC that has just been started says at first that it has no joints at all.
+        deadline = time.monotonic() + START_TIMEOUT_S
+        self._wait(lambda: self.stat.joints > 0, deadline, "machine with joints")
         if self._joint >= self.stat.joints:
             sys.exit(f"LinuxCNC has {self.stat.joints} joints and no joint {self._joint}")
         if self.stat.task_state != lx.STATE_ON or not self._all_homed():
@@ -94,7 +96,7 @@ class Machine:
         self.command.wait_complete(START_TIMEOUT_S)
 
     def _all_homed(self) -> bool:
-        return all(self.stat.homed[: self.stat.joints])
+        return self.stat.joints > 0 and all(self.stat.homed[: self.stat.joints])
 
     def _wait(self, done: Any, deadline: float, what: str) -> None:
         while True:

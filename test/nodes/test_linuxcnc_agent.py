@@ -17,11 +17,11 @@ class Program:
         self.positions, self.commands = [7.0, 8.0, 9.0, 30.0], []
         self.interp_state, self.task_mode = self.INTERP_IDLE, self.MODE_AUTO
         self.velocity, self.homed = 0.0, [1, 1, 1, 1]
+        self.early_polls = 0
 
     def stat(self):
-        return SimpleNamespace(
-            poll=lambda: None,
-            joints=4,
+        stat = SimpleNamespace(
+            joints=0 if self.early_polls else 4,
             homed=(*self.homed, *[0] * 12),
             task_state=self.STATE_ON,
             task_mode=self.task_mode,
@@ -32,6 +32,13 @@ class Program:
             joint=[{"velocity": v} for v in (self.velocity, 0.0, 0.0, 0.0)],
             joint_position=self.positions,
         )
+
+        def poll():
+            self.early_polls = max(self.early_polls - 1, 0)
+            stat.joints = 0 if self.early_polls else 4
+
+        stat.poll = poll
+        return stat
 
     def command(self):
         return SimpleNamespace(
@@ -73,3 +80,10 @@ def test_every_joint_has_to_be_homed_and_the_table_has_to_be_one(joint):
     program.homed[0] = joint - 3
     with pytest.raises(SystemExit, match="not homed" if joint == 3 else "no joint 4"):
         Machine(program, "A", joint).take()
+
+
+def test_a_linuxcnc_that_has_just_been_started_is_waited_for():
+    program = Program()
+    program.early_polls = 3
+    Machine(program, "A", 3).take()
+    assert program.commands == ["mode 3"]
