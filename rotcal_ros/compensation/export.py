@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.compensation.controller import Controller
+from rotcal_ros.compensation.controller import Controller, Lag
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held import in_force_of
 from rotcal_ros.compensation.quality import ResidualBudget, residual_budget
@@ -106,7 +106,7 @@ def prepare_export(
     rule = controller.read(files)
     lag = controller.lag(rule, rows)
     residual = residual_budget(shifted, rows, controller, rule, lag)
-    _refuse_harm(residual, controller.facts.title)
+    _refuse_harm(residual, lag, controller.facts.title)
     warnings = (*_warnings(table, controller), *lag.notes)
     side = {
         **_origin(table, now, sources or {}),
@@ -168,7 +168,7 @@ def _refuse_unverified(controller: Controller) -> None:
         )
 
 
-def _refuse_harm(residual: ResidualBudget, title: str) -> None:
+def _refuse_harm(residual: ResidualBudget, lag: Lag, title: str) -> None:
     """Refuse a file that leaves more than it promised, or more than there was."""
     if residual.simulated > residual.stated * (1.0 + 1e-9) + 1e-14:
         raise DataError(
@@ -177,10 +177,11 @@ def _refuse_harm(residual: ResidualBudget, title: str) -> None:
             f"{residual.stated / ARCSEC:.4g}: nothing was written"
         )
     if residual.simulated > residual.before + 1e-14:
+        coarse = "the control's resolution or the spacing is too coarse for it"
         raise DataError(
             f"{title}: the table would leave {residual.simulated / ARCSEC:.4g} arcsec of a "
-            f"deviation of {residual.before / ARCSEC:.4g}: the control's resolution or the "
-            "spacing is too coarse for it; nothing was written"
+            f"deviation of {residual.before / ARCSEC:.4g}: {'; '.join(lag.notes) or coarse}; "
+            "nothing was written"
         )
 
 

@@ -100,6 +100,7 @@ class LinuxCnc(Controller):
     feed_deg_s: float = setting(
         0.0, doc="deg/s, fastest programmed feed; 0: MAX_VELOCITY", minimum=0.0
     )
+    home_deg: float = setting(0.0, doc="deg, HOME of the joint, where the trim begins with 0")
 
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the table and the two ini lines that must go with it.
@@ -163,6 +164,7 @@ class LinuxCnc(Controller):
             max_acceleration_deg_s2=self.max_acceleration_deg_s2 or joint.acceleration,
             max_velocity_deg_s=self.max_velocity_deg_s or joint.velocity,
             servo_period_ns=self.servo_period_ns or joint.servo_period_ns,
+            home_deg=self.home_deg or joint.home_deg,
         )
 
     def lag(self, rule: Rule, table: CompensationTable) -> Lag:
@@ -179,7 +181,7 @@ class LinuxCnc(Controller):
         start = self.first_turn * TURN if table.closed else 0.0
         up, down = (rule.correction(start + angles, approach) for approach in DIRECTIONS)
         feed = (self.feed_deg_s or self.max_velocity_deg_s) * DEGREE
-        return lag(following, angles, up, down, feed, table.closed)
+        return lag(following, angles, up, down, feed, table.closed, self.home_deg * DEGREE)
 
     def not_in_use(self, axis: str, files: Mapping[str, str], folder: Path) -> tuple[str, ...]:
         """Return why the machine of ``machine_ini`` would not use the table as it is meant."""

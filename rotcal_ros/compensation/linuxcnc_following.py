@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Floats
+from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.compensation.controller import Lag
+from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.units import ARCSEC, DEGREE
 
 EDGE: Final = 0.01
@@ -70,13 +71,25 @@ class Following:
         ``forward`` and ``reverse`` (n,) rad are the trims at close angles that ascend; with
         ``closed`` the last is beside the first.
         """
-        away = self._left(forward, reverse, closed)
-        return max(away, self._left(reverse[::-1], forward[::-1], closed))
+        rows = np.arange(len(forward))
+        away = self._left(forward, reverse, rows, closed)
+        return max(away, self._left(reverse[::-1], forward[::-1], rows, closed))
 
-    def _left(self, wanted: Floats, held: Floats, closed: bool) -> float:
-        """Return it for moves in the order of the rows that begin with the trim ``held``."""
+    def left_after_homing(
+        self, forward: Floats, reverse: Floats, home: int, closed: bool
+    ) -> float:
+        """Return the most (rad) that stays in slow moves from row ``home``, where the trim is 0.
+
+        The other arguments are those of :meth:`left_standing`.
+        """
+        none, back = np.zeros_like(forward), len(forward) - 1 - home
+        away = self._left(forward, none, np.array([home]), closed)
+        return max(away, self._left(reverse[::-1], none, np.array([back]), closed))
+
+    def _left(self, wanted: Floats, held: Floats, rows: Ints, closed: bool) -> float:
+        """Return it for moves over ascending rows from ``rows``, with the trim ``held``."""
         count, worst = len(wanted), 0.0
-        start = np.flatnonzero(self.stands(wanted - held))
+        start = rows[self.stands(wanted[rows] - held[rows])]
         for ahead in range(count):
             at = start + ahead
             start, at = (start, at % count) if closed else (start[at < count], at[at < count])
@@ -125,20 +138,27 @@ def lag(
     reverse: Floats,
     feed: float,
     closed: bool,
+    home: float = 0.0,
 ) -> Lag:
     """Return what stays of the trims ``forward`` and ``reverse`` (n,) rad at close ``angles``.
 
     ``feed`` (rad/s) is the fastest at which the axis comes to a place that matters; 0: not known.
+    ``home`` (rad) is the angle at which the axis is homed; there the trim begins with 0.
     """
     steepest = float(max(np.max(np.abs(np.gradient(t, angles))) for t in (forward, reverse)))
     standing = following.left_standing(forward, reverse, closed)
+    row = int(np.argmin(np.abs(angles - (home % TURN if closed else home))))
+    at_first = following.left_after_homing(forward, reverse, row, closed)
     behind = following.behind(steepest, feed)
     notes = []
     if standing:
         notes.append(_standing_note(following, standing, forward - reverse))
+    if at_first:
+        notes.append(_homing_note(following, at_first, angles[row]))
     if behind:
         notes.append(_behind_note(following, steepest, feed, behind))
-    return Lag(following.in_motion * (1.0 + EDGE) if notes else 0.0, standing, tuple(notes))
+    bound = following.in_motion * (1.0 + EDGE) if notes else 0.0
+    return Lag(bound, max(standing, at_first), tuple(notes))
 
 
 def _standing_note(following: Following, standing: float, reversal: Floats) -> str:
@@ -149,6 +169,16 @@ def _standing_note(following: Following, standing: float, reversal: Floats) -> s
         f"arcsec, and its trim stands still for those of {low:.3g} to {high:.3g} (1/4 to 1/2 of "
         f"MAX_ACCELERATION times the square of the servo period): up to {standing / ARCSEC:.3g} "
         "arcsec stay. Another MAX_ACCELERATION or servo period moves this band away"
+    )
+
+
+def _homing_note(following: Following, standing: float, home: float) -> str:
+    low, high = np.array([following.at_once, following.in_motion]) / ARCSEC
+    return (
+        f"the trim is 0 when the axis has been homed, at {home / DEGREE:.6g} deg, and stands "
+        f"still for changes of {low:.3g} to {high:.3g} arcsec: up to {standing / ARCSEC:.3g} "
+        "arcsec stay until the axis has come to where the table asks for less or for more. "
+        "Choose the home angle as the reference of the table"
     )
 
 

@@ -76,6 +76,11 @@ class Joint:
         return self.ini.number(self.section, "MAX_VELOCITY", 1.0)
 
     @property
+    def home_deg(self) -> float:
+        """HOME, where the joint stands when it has been homed; LinuxCNC takes 0 without one."""
+        return self.ini.number(self.section, "HOME", 0.0)
+
+    @property
     def servo_period_ns(self) -> int:
         """SERVO_PERIOD of the motion controller."""
         return int(self.ini.number("EMCMOT", "SERVO_PERIOD", SERVO_PERIOD_NS))

@@ -72,6 +72,17 @@ def test_what_stays_after_a_reversal_is_that_of_the_worst_place():
     assert FAST.left_standing(forward, np.full(361, 37 * ARCSEC), closed=True) == 0.0
 
 
+def test_after_homing_the_trim_waits_at_zero_until_it_may_move():
+    """A ramp of 1 arcsec per row, homed in several places; the dead band is 18 to 36 arcsec."""
+    ramp = np.arange(61.0) * ARCSEC
+    stays = {10: 0.0, 25: 36.0, 50: 0.0}  # upwards it is left at 36, downwards at 18
+    for home, left in stays.items():
+        found = FAST.left_after_homing(ramp, ramp, home, closed=False)
+        assert found / ARCSEC == pytest.approx(left)
+    flat = np.full(61, 25.0) * ARCSEC
+    assert FAST.left_after_homing(flat, 0.0 * flat, 3, closed=True) == pytest.approx(flat[0])
+
+
 @pytest.mark.parametrize(
     ("reversal", "acceleration"), [(25.0, 20000.0), (5.0, 3600.0), (25.0, 16000.0)]
 )

@@ -146,27 +146,34 @@ def test_a_machine_that_is_off_is_not_switched_on_by_the_driver(axis):
     assert "switch it on and home it first" in run.stderr
 
 
+def exported_for(axis, forward_arcsec, reverse_arcsec, reference):
+    """Write a table of 36 rows for the machine of ``axis`` and let this take it."""
+    columns = {
+        "correction_forward": forward_arcsec * ARCSEC,
+        "correction_reverse": reverse_arcsec * ARCSEC,
+        "angles": np.arange(36) * 10 * DEGREE,
+        "std": np.full(36, 0.1 * ARCSEC),
+    }
+    made = prepare_export(
+        replace(table(), **columns, reference_angle=reference * DEGREE),
+        "linuxcnc",
+        now=datetime(2024, 1, 1, tzinfo=timezone.utc),
+        settings={"machine_ini": str(axis.ini)},
+    )
+    axis.take(made)
+    return made
+
+
 ZONES_ARCSEC = {(20, 70): 10.0, (120, 200): 25.0, (250, 340): 50.0}
 """Reversals below, within and above the dead band of 18 to 36 arcsec of this machine."""
 
 
 def test_a_reversal_in_the_dead_band_of_the_real_trim_stays_as_stated(tmp_path):
     axis = Axis(tmp_path / "axis", limits=(0, 360))
-    angles = np.arange(36) * 10 * DEGREE
     reverse = np.zeros(36)
     for (first, last), arcsec in ZONES_ARCSEC.items():
-        reverse[first // 10 : last // 10 + 1] = arcsec * ARCSEC
-    constant = replace(
-        table(), angles=angles, correction_forward=np.zeros(36), correction_reverse=reverse,
-        std=np.full(36, 0.1 * ARCSEC),
-    )  # fmt: skip
-    made = prepare_export(
-        constant,
-        "linuxcnc",
-        now=datetime(2024, 1, 1, tzinfo=timezone.utc),
-        settings={"machine_ini": str(axis.ini)},
-    )
-    axis.take(made)
+        reverse[first // 10 : last // 10 + 1] = arcsec
+    made = exported_for(axis, np.zeros(36), reverse, reference=0)
     left = []
     with Running(axis) as running:
         for (first, last), arcsec in ZONES_ARCSEC.items():
@@ -179,3 +186,18 @@ def test_a_reversal_in_the_dead_band_of_the_real_trim_stays_as_stated(tmp_path):
     assert 25.0 < made.residual.simulated / ARCSEC < made.residual.stated / ARCSEC < 60.0
     assert made.residual.following == pytest.approx(36.0 * ARCSEC, rel=0.011)
     assert any("stands still for those of 18 to 36" in warning for warning in made.warnings)
+
+
+def test_the_trim_of_a_homed_machine_stays_at_zero_as_stated(tmp_path):
+    """Homed at 0, where a table with its reference elsewhere asks for one in the dead band."""
+    axis = Axis(tmp_path / "axis", limits=(0, 360))
+    column = np.full(36, 25.0)
+    column[10:16], column[20] = 60.0, 0.0
+    made = exported_for(axis, column, column, reference=200)
+    with Running(axis) as running:
+        trims = [(running.go(at, 0)["motor_deg"] - at) * 3600 for at in (30.0, 80.0, 130.0, 30.0)]
+        assert running.errors == []
+    assert trims == pytest.approx([0.0, 0.0, 60.0, 25.0], abs=0.004)
+    assert 25.0 < made.residual.simulated / ARCSEC < 41.0
+    assert made.residual.stated > made.residual.simulated
+    assert any("has been homed, at 0 deg" in warning for warning in made.warnings)
