@@ -1,20 +1,41 @@
 """Fixtures for all tests."""
 
+import itertools
+import os
 import signal
 
 import pytest
 
-from rotcal_ros.sessions.domains import free_domain
+from rotcal_ros.sessions import domains
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Started in the background by a shell: the processes under test would never hear Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+if worker := os.environ.get("PYTEST_XDIST_WORKER"):
+    # Of workers side by side each has its own share of the domains: they start at the same time.
+    count = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    first = count * os.getpid() + int(worker.removeprefix("gw"))
+    domains._turn = itertools.count(first, count)
+
+
 def pytest_addoption(parser):
     parser.addoption(
         "--live", choices=("only", "never"), help="tests that start ROS 2 nodes or LinuxCNC"
     )
+
+
+LIVE = ("ros", "linuxcnc")
+"""Marks of tests that start nodes or LinuxCNC."""
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave files without a live test unread where those alone are wanted."""
+    if config.getoption("--live") != "only" or collection_path.suffix != ".py":
+        return None
+    text = collection_path.read_text(encoding="utf-8")
+    return None if any(f"mark.{name}" in text for name in LIVE) else True
 
 
 def pytest_collection_modifyitems(config, items):
@@ -24,7 +45,7 @@ def pytest_collection_modifyitems(config, items):
         return
     halves = {"only": [], "never": []}
     for item in items:
-        live = any(item.get_closest_marker(name) for name in ("ros", "linuxcnc"))
+        live = any(item.get_closest_marker(name) for name in LIVE)
         halves["only" if live else "never"].append(item)
     items[:] = halves.pop(wanted)
     config.hook.pytest_deselected(items=next(iter(halves.values())))
@@ -34,5 +55,5 @@ def pytest_collection_modifyitems(config, items):
 def _own_domain(request, monkeypatch):
     """Give each test marked ``ros`` a domain of its own, on this machine only."""
     if request.node.get_closest_marker("ros"):
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domains.free_domain()))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

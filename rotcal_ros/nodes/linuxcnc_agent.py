@@ -10,8 +10,9 @@ steady rate ``{"stamp_ns", "angle_deg", "motor_deg", "actual_deg", "errors"}``: 
 the joint, the motor's command, the value of the pin ``--actual`` (null without one) and what
 LinuxCNC complained about. Standard input takes
 ``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there in machine coordinates from
-below (1), from above (-1), or from anywhere (0). An order that finds the machine at work is not
-carried out. The end of standard input ends the program.
+below (1), from above (-1), or from anywhere (0). An order that repeats the last one moves
+nothing; one that finds the machine at work is not carried out. The end of standard input ends the
+program.
 
 ``--busy`` asks only whether the machine is at work: exit code 0 if not, also when LinuxCNC does
 not run; 1 and the reason on standard output if so.
@@ -30,6 +31,8 @@ from typing import Any
 
 START_TIMEOUT_S = 30.0
 MOVE_TIMEOUT_S = 120.0
+STANDS_DEG = 1e-6
+"""So far from its commanded angle an axis at rest has not moved."""
 
 
 class Machine:
@@ -38,6 +41,7 @@ class Machine:
     def __init__(self, linuxcnc: Any, axis: str, joint: int) -> None:
         self._linuxcnc, self._axis, self._joint = linuxcnc, axis, joint
         self.command, self.stat = linuxcnc.command(), linuxcnc.stat()
+        self._reached: tuple[float, float] | None = None
 
     def start(self) -> None:
         """Switch on and home all joints."""
@@ -78,18 +82,27 @@ class Machine:
         )
 
     def move(self, order: dict[str, float]) -> None:
-        """Carry out one order, with the overshoot of its side; RuntimeError: other work."""
+        """Carry out one order, with the overshoot of its side; RuntimeError: other work.
+
+        An order that repeats the last one moves nothing while the axis still stands there: the
+        many targets of one table position are measured at one arrival.
+        """
         if work := work_of(self._linuxcnc):
             raise RuntimeError(f"{work}: the order for {self._axis} was not carried out")
         self.stat.poll()
         if self.stat.task_mode != self._linuxcnc.MODE_MDI:
             self._command_mode()
+            self._reached = None  # by hand it may have come back from another side
         angle = order["angle_deg"]
         ahead = angle - self.stat.joint_position[self._joint]
         side, beyond = order.get("side", 0), order.get("overshoot_deg", 2.0)
+        if self._reached == (angle, side) and abs(ahead) < STANDS_DEG:
+            return
+        self._reached = None
         if side and ahead * side <= 0.0:
             self.go(angle - side * beyond)
         self.go(angle)
+        self._reached = angle, side
 
     def _command_mode(self) -> None:
         self.command.mode(self._linuxcnc.MODE_MDI)

@@ -130,7 +130,7 @@ def runs():
     cell, noise = paper_cell(), TrackerNoise()
     deviations, truth = table(17)
     points = []
-    for _ in range(RUNS // 20):  # tilts are shared by twenty runs: the simulation is not vectorised
+    for _ in range(RUNS // 20):  # tilts are shared by twenty runs: simulated one by one
         deviations[:, 3:5] = rng.normal(0.0, ARCSEC, (17, 2))
         exact = measure(cell, deviations)
         points.append(add_noise(exact.xyz, noise, rng, 20))
