@@ -129,7 +129,7 @@ def test_the_error_and_the_play_of_a_real_axis_are_measured_and_removed(
         "std of the table / arcsec": made.residual.std / ARCSEC,
     }
     for name, value in figures.items():
-        record_property(name, value)
+        record_property(name, float(value))  # workers of the tests send plain numbers only
     (tmp_path / "figures.json").write_text(json.dumps(figures, indent=1))
     assert np.max(np.abs(left)) < made.residual.stated + 4 * made.residual.std
     assert np.ptp(left) < np.ptp(there_was) / SMALLER
