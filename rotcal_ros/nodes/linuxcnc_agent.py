@@ -1,8 +1,7 @@
 """Speaks with a running LinuxCNC for the driver node, in JSON lines.
 
-LinuxCNC's Python modules belong to the system's own Python and not to the one that ROS runs
-on; this file is therefore a program of its own, run by /usr/bin/python3, and imports nothing of
-rotcal_ros.
+LinuxCNC's modules belong to the system's own Python and not to the one that ROS runs on: this
+file is a program of its own, run by /usr/bin/python3, and imports nothing of rotcal_ros.
 
 The table is ``--axis`` with its ``--joint``, one among all axes of the machine. The machine must
 be on and homed; ``--start`` lets the program do both. It says ``{"event": "ready"}``, then at a
@@ -10,8 +9,8 @@ steady rate ``{"stamp_ns", "angle_deg", "motor_deg", "actual_deg", "errors"}``: 
 the joint, the motor's command, the value of the pin ``--actual`` (null without one) and what
 LinuxCNC complained about. Standard input takes
 ``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there in machine coordinates from
-below (1), from above (-1), or from anywhere (0). An order that finds the machine at work is not
-carried out. The end of standard input ends the program.
+below (1), from above (-1), or from anywhere (0). The same order again moves nothing; one that
+finds the machine at work is not carried out. The end of standard input ends the program.
 
 ``--busy`` asks only whether the machine is at work: exit code 0 if not, also when LinuxCNC does
 not run; 1 and the reason on standard output if so.
@@ -30,6 +29,7 @@ from typing import Any
 
 START_TIMEOUT_S = 30.0
 MOVE_TIMEOUT_S = 120.0
+STANDS_DEG = 1e-6
 
 
 class Machine:
@@ -38,6 +38,7 @@ class Machine:
     def __init__(self, linuxcnc: Any, axis: str, joint: int) -> None:
         self._linuxcnc, self._axis, self._joint = linuxcnc, axis, joint
         self.command, self.stat = linuxcnc.command(), linuxcnc.stat()
+        self._reached: tuple[float, float] | None = None
 
     def start(self) -> None:
         """Switch on and home all joints."""
@@ -87,11 +88,16 @@ class Machine:
         angle = order["angle_deg"]
         ahead = angle - self.stat.joint_position[self._joint]
         side, beyond = order.get("side", 0), order.get("overshoot_deg", 2.0)
+        if self._reached == (angle, side) and abs(ahead) < STANDS_DEG:
+            return  # one arrival for all targets of a table position
+        self._reached = None
         if side and ahead * side <= 0.0:
             self.go(angle - side * beyond)
         self.go(angle)
+        self._reached = angle, side
 
     def _command_mode(self) -> None:
+        self._reached = None  # by hand the axis may have come back from another side
         self.command.mode(self._linuxcnc.MODE_MDI)
         self.command.wait_complete(START_TIMEOUT_S)
 
@@ -157,7 +163,6 @@ def main() -> None:
     parser.add_argument("--busy", action="store_true", help="tell whether it is at work, and end")
     arguments = parser.parse_args()
     os.environ["INI_FILE_NAME"] = arguments.ini
-
     import linuxcnc
 
     if arguments.busy:
@@ -173,8 +178,7 @@ def main() -> None:
     if arguments.start:
         machine.start()
     machine.take()
-    errors: list[str] = []
-    orders: queue.Queue[dict[str, float]] = queue.Queue()
+    orders, errors = queue.Queue[dict[str, float]](), list[str]()
     threading.Thread(target=obey, args=(machine, orders, errors), daemon=True).start()
     listener = threading.Thread(target=listen, args=(orders,), daemon=True)
     listener.start()
@@ -184,15 +188,9 @@ def main() -> None:
             errors.append(str(complaint[1]).strip())
         pins = ("pos-fb", "motor-pos-cmd")
         angle, motor = (hal.get_value(f"joint.{arguments.joint}.{pin}") for pin in pins)
-        say(
-            {
-                "stamp_ns": time.time_ns(),
-                "angle_deg": angle,
-                "motor_deg": motor,
-                "actual_deg": hal.get_value(arguments.actual) if arguments.actual else None,
-                "errors": errors[:],
-            }
-        )
+        state = {"stamp_ns": time.time_ns(), "angle_deg": angle, "motor_deg": motor}
+        actual = hal.get_value(arguments.actual) if arguments.actual else None
+        say({**state, "actual_deg": actual, "errors": errors[:]})
         errors.clear()
         time.sleep(1.0 / arguments.rate)
     component.exit()

@@ -46,7 +46,7 @@ def test_noise_follows_the_seed_and_the_undisturbed_result_agrees_with_the_truth
     first, again, other = (prepared.measured({}, seed) for seed in (5, 5, 6))
     assert first.observations == again.observations
     assert first.observations != other.observations
-    squares, doubts, runs = [], 0, 40
+    squares, doubts, runs = [], 0, 20
     for seed in range(runs):
         measured = prepared.measured({}, seed)
         result = prepared.solve(measured.observations)
@@ -55,7 +55,7 @@ def test_noise_follows_the_seed_and_the_undisturbed_result_agrees_with_the_truth
             known = result.std[component] > 0.0
             off = result.deviations[component] - measured.truth[component]
             squares.append(np.mean((off[known] / result.std[component][known]) ** 2))
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.35)
     assert doubts <= 2
 
 

@@ -37,17 +37,11 @@ def test_folded_beam_obeys_the_law_of_reflection():
     mirror, frame = cell.mirror, cell.mirror.frame()
     place = direct[0]
 
-    def length(u, v):
-        height = mirror.sag * (u**2 + v**2) + mirror.twist * u * v
-        glass = np.array(mirror.centre) + frame @ [
-            u * mirror.width / 2, v * mirror.height / 2, height,
-        ]  # fmt: skip
-        seen = station.seen(glass)
-        return np.linalg.norm(seen) + np.linalg.norm(place - seen)
-
-    grid = np.linspace(-0.6, 0.6, 241)
-    lengths = np.array([[length(u, v) for v in grid] for u in grid])
-    best = lengths.min()
+    u, v = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-0.6, 0.6, 241)] * 2))
+    height = mirror.sag * (u**2 + v**2) + mirror.twist * u * v
+    local = np.column_stack([u * mirror.width / 2, v * mirror.height / 2, height])
+    seen = station.seen(np.array(mirror.centre) + local @ frame.T)
+    best = np.min(np.linalg.norm(seen, axis=1) + np.linalg.norm(place - seen, axis=1))
     assert np.linalg.norm(mirrored[0]) == pytest.approx(best, abs=2e-7)
 
 

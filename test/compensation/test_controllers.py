@@ -62,7 +62,7 @@ def deviation_curves(draw):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     curve=deviation_curves(),
     rows=st.sampled_from([36, 40, 72, 80]),

@@ -58,19 +58,19 @@ def test_equals_dense_least_squares_with_all_offsets_as_unknowns():
     )
 
 
-def test_coverage_of_a_thousand_combinations():
+def test_coverage_of_many_combinations():
     rng = np.random.default_rng(2)
     grid = np.arange(12) * TAU / 12
     aim = truth(grid) - truth(grid).mean()
     inside, consistent, squares = [], 0, []
-    for _ in range(1000):
+    for _ in range(400):
         found = combined(*(c[2] for c in three(rng)))
         inside.append(np.abs(found.deviations["ECC"] - aim) <= 1.96 * found.std["ECC"])
         consistent += found.verdict == "ok"
         squares.append(found.details["consistency"]["ECC"]["chi2"])
     assert 0.93 < np.mean(inside) < 0.97
-    assert consistent >= 980
-    assert np.mean(squares) == pytest.approx(16.0, abs=0.6)
+    assert consistent >= 388  # 99 %, less four standard deviations
+    assert np.mean(squares) == pytest.approx(16.0, abs=0.95)
     assert stats.kstest(squares, "chi2", args=(16,)).pvalue > 1e-3
 
 
@@ -83,7 +83,7 @@ def test_enlarged_uncertainties_hold_what_the_stated_ones_do_not(way, factor, ex
     grid = np.arange(12) * TAU / 12
     aim = truth(grid) - truth(grid).mean()
     stated, enlarged = [], []
-    for _ in range(200):
+    for _ in range(100):
         results = [
             result_of(r.angles, r.deviations["ECC"], factor**2 * r.covariance["ECC"])
             for _, _, r in three(rng, extra=extra * ARCSEC)
@@ -199,7 +199,7 @@ def test_coverage_and_chi_square_of_pairs():
     rng = np.random.default_rng(9)
     grid = np.arange(8) * TAU / 8
     inside, squares, errors = [], [], []
-    for _ in range(1000):
+    for _ in range(400):
         aim, first = plate(grid, rng)
         found = combined(first, plate(grid, rng)[1], plate(grid, rng)[1])
         both = np.append(found.deviations["EXC"], found.deviations["EYC"])
@@ -208,7 +208,7 @@ def test_coverage_and_chi_square_of_pairs():
         errors.append((both - aim) / std)
         squares.append(found.details["consistency"]["EXC, EYC"]["chi2"])
     assert 0.93 < np.mean(inside) < 0.97
-    assert np.std(errors) == pytest.approx(1.0, abs=0.03)
+    assert np.std(errors) == pytest.approx(1.0, abs=0.05)
     assert stats.kstest(squares, "chi2", args=(2 * (16 - 4),)).pvalue > 1e-3
 
 

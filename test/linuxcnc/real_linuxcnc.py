@@ -56,7 +56,7 @@ MAX_VELOCITY = {velocity}
 MAX_ACCELERATION = {acceleration}
 [JOINT_{number}]
 TYPE = {kind}
-HOME = 0.0
+HOME = {home}
 HOME_SEQUENCE = 0
 MIN_LIMIT = {limits[0]}
 MAX_LIMIT = {limits[1]}
@@ -66,8 +66,12 @@ FERROR = 5.0
 MIN_FERROR = 5.0
 
 """
-LINEAR = {"kind": "LINEAR", "limits": (-100, 100), "velocity": 100, "acceleration": 1000}
-TABLE = {"kind": "ANGULAR", "limits": (-1e6, 1e6), "velocity": 2000, "acceleration": 20000}
+LINEAR = {
+    "kind": "LINEAR", "limits": (-100, 100), "velocity": 100, "acceleration": 1000, "home": 0
+}  # fmt: skip
+TABLE = {
+    "kind": "ANGULAR", "limits": (-1e6, 1e6), "velocity": 2000, "acceleration": 20000, "home": 0
+}  # fmt: skip
 OFFSET = "5224\t10.0\n"
 """The work offset of A: positions of the table are machine coordinates all the same."""
 

@@ -98,15 +98,15 @@ def table_gauge(grid):
 
 def test_trials_know_an_estimated_drift():
     problem, _ = measured(12, list(range(12)), 0, drift=1)
-    trials = plate_trials(problem)(np.random.default_rng(1), 150)
-    spread = trials.reshape(150, 6, 12).std(axis=0).mean(axis=1)
+    trials = plate_trials(problem)(np.random.default_rng(1), 60)
+    spread = trials.reshape(60, 6, 12).std(axis=0).mean(axis=1)
     stated = np.array([solve(problem).std[name].mean() for name in COMPONENTS])
     np.testing.assert_allclose(spread / stated, 1.0, atol=0.08)
 
 
 def test_estimated_drift_keeps_its_intervals():
     inside = total = 0
-    for seed in range(30):
+    for seed in range(15):
         problem, truth = measured(
             36, DEMO_PLATE, seed, drift=1,
             displaced=lambda i, _: drifted(len(i), [2e-6, -1e-6, 1e-6]),

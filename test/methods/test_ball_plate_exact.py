@@ -89,7 +89,7 @@ def test_stated_uncertainties_hold_far_from_the_axis():
     exact = plate.problem(sigma=SIGMA)
     rng = np.random.default_rng(1)
     square, stated = dict.fromkeys(COMPONENTS, 0.0), {}
-    runs = 250
+    runs = 80
     for _ in range(runs):
         noise = SIGMA * rng.normal(size=exact.centres.shape)
         result = solve(replace(exact, centres=exact.centres + noise))
@@ -97,5 +97,5 @@ def test_stated_uncertainties_hold_far_from_the_axis():
             error = result.deviations[name] - plate.true(name)
             square[name] += np.mean(error**2) / runs
             stated[name] = np.mean(result.std[name] ** 2)
-    for name in COMPONENTS:  # 250 runs of 24 positions know a standard deviation to 1 %
-        assert np.sqrt(square[name] / stated[name]) == pytest.approx(1.0, abs=0.03), name
+    for name in COMPONENTS:  # 80 runs of 24 positions know a standard deviation to 1.6 %
+        assert np.sqrt(square[name] / stated[name]) == pytest.approx(1.0, abs=0.05), name

@@ -34,7 +34,7 @@ def noisy(problem, rng):
 def test_one_bad_centre_is_never_called_a_knock(exact, order, size):
     problem = numbered(exact, order)
     rng = np.random.default_rng(3)
-    for row in range(int(size > 1e-5), len(problem.centres), 4):
+    for row in range(int(size > 1e-5), len(problem.centres), 11):
         centres = noisy(problem, rng)
         away = rng.normal(size=3)
         centres[row] += size * away / np.linalg.norm(away)
@@ -46,7 +46,7 @@ def test_one_bad_centre_is_never_called_a_knock(exact, order, size):
 def test_two_bad_centres_at_one_table_position_are_no_knock(exact):
     problem = numbered(exact, "table_once")
     rng = np.random.default_rng(4)
-    for position in range(GRID):
+    for position in range(0, GRID, 2):
         centres = noisy(problem, rng)
         there = np.flatnonzero(problem.position == position)[[4, 7]]
         centres[there] += 2e-6 * rng.normal(size=(2, 3))
@@ -77,7 +77,7 @@ def found(exact, order, moments, size):
 
 
 def test_a_knock_between_cmm_positions_is_found_as_before(exact):
-    moments = range(30, 260, 5)
+    moments = range(30, 260, 9)
     assert found(exact, "probe_rests", moments, 3e-7) > 0.9
     assert found(exact, "probe_rests", moments, 3e-6) > 0.95
 

@@ -40,22 +40,22 @@ def covered(plate, exact, axes, runs, **stated):
 
 @pytest.mark.parametrize("axes", [(1, 1, 1), (1, 1, 2), (1, 1, 0.5), (2, 1, 1), (1, 0.5, 2)])
 def test_intervals_hold_for_all_six_components(plate, exact, axes):
-    share = covered(plate, exact, axes, 80)
-    assert all(0.93 < value < 0.97 for value in share.values()), share
+    share = covered(plate, exact, axes, 40)
+    assert all(0.92 < value < 0.98 for value in share.values()), share
 
 
 def test_intervals_hold_where_the_statement_is_wrong_in_one_axis(plate, exact):
-    share = covered(plate, exact, (1, 1, 2), 60, sigma=SIGMA)
-    assert all(0.93 < value < 0.97 for value in share.values()), share
+    share = covered(plate, exact, (1, 1, 2), 40, sigma=SIGMA)
+    assert all(0.92 < value < 0.98 for value in share.values()), share
 
 
 def test_each_axis_is_estimated_without_bias(exact):
-    rng, square, runs = np.random.default_rng(5), np.zeros(3), 40
+    rng, square, runs = np.random.default_rng(5), np.zeros(3), 20
     for _ in range(runs):
         noise = np.array([3.0, 2.0, 1.0]) * SIGMA * rng.normal(size=exact.centres.shape)
         result = solve(replace(exact, centres=exact.centres + noise))
         square += np.square(result.details["axis_noise"]["estimated"]) / runs
-    np.testing.assert_allclose(np.sqrt(square) / SIGMA, [3.0, 2.0, 1.0], rtol=0.03)
+    np.testing.assert_allclose(np.sqrt(square) / SIGMA, [3.0, 2.0, 1.0], rtol=0.045)
 
 
 @pytest.mark.parametrize(
@@ -76,11 +76,11 @@ def test_the_noisier_axis_is_named_with_its_factor(exact, axes, text):
 
 def test_equal_noise_is_rarely_called_unequal(exact):
     rng, called = np.random.default_rng(8), 0
-    for _ in range(100):
+    for _ in range(60):
         noise = SIGMA * rng.normal(size=exact.centres.shape)
         result = solve(replace(exact, centres=exact.centres + noise, sigma=SIGMA))
         called += not result.details["axis_noise"]["equal"]
-    assert called <= 2  # two tests of 0.1 %
+    assert called <= 1  # two tests of 0.1 %
 
 
 def test_a_statement_is_tested_axis_by_axis(exact):
@@ -149,9 +149,9 @@ def test_groups_know_their_axes():
     plate = ExactPlate(24, [0, 2, 4, 8, 14, 20], seed=6)
     exact = plate.problem(separate_groups=True)
     for axes in ((1, 1, 2), (2, 1, 1)):
-        share = covered(plate, exact, axes, 30)
+        share = covered(plate, exact, axes, 15)
         # frames are turned from group to group: of x and y the larger one is stated for both
-        assert all(value > 0.92 for value in share.values()), (axes, share)
+        assert all(value > 0.9 for value in share.values()), (axes, share)
 
 
 @pytest.mark.parametrize("sizes", [{}, REAL])

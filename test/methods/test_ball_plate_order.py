@@ -43,7 +43,7 @@ def test_a_knock_between_two_stops_is_never_a_bare_ok(share):
     plan = plan_measurement(36, DEMO_PLATE)
     stops = np.flatnonzero(np.diff(plan.position)) + 1
     moment = stops[int(share * len(stops))]
-    for seed in range(25):
+    for seed in range(10):
         problem, _ = measured(
             36, DEMO_PLATE, seed, displaced=lambda i, j: knocked(36, i, j, moment)
         )
@@ -58,7 +58,7 @@ def test_a_knock_between_two_stops_is_never_a_bare_ok(share):
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_drift_of_a_micrometre_is_seen_or_does_no_harm(order, axis):
     amount = np.eye(3)[axis] * 1e-6
-    for seed in range(25):
+    for seed in range(8):
         problem, _ = measured(
             36, DEMO_PLATE, seed, ORDERS[order], displaced=lambda i, _: drifted(len(i), amount)
         )

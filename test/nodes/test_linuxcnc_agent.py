@@ -36,16 +36,21 @@ class Program:
         def poll():
             self.early_polls = max(self.early_polls - 1, 0)
             stat.joints = 0 if self.early_polls else 4
+            stat.task_mode = self.task_mode
 
         stat.poll = poll
         return stat
 
     def command(self):
         return SimpleNamespace(
-            mode=lambda mode: self.commands.append(f"mode {mode}"),
+            mode=self._mode,
             mdi=self._mdi,
             wait_complete=lambda _seconds: 1,
         )
+
+    def _mode(self, mode):
+        self.commands.append(f"mode {mode}")
+        self.task_mode = mode
 
     def _mdi(self, text):
         self.commands.append(text)
@@ -60,6 +65,31 @@ def test_the_named_axis_moves_in_machine_coordinates_from_the_wanted_side(angle,
     program = Program()
     Machine(program, "A", 3).move({"angle_deg": angle, "side": side})
     assert program.commands == ["mode 3", *(f"G53 G90 G0 A{move:.9f}" for move in moves)]
+
+
+def moved_by(machine, program, *orders):
+    program.commands.clear()
+    for angle, side in orders:
+        machine.move({"angle_deg": angle, "side": side})
+    return [float(text.rpartition("A")[2]) for text in program.commands if "A" in text]
+
+
+def test_an_order_that_repeats_the_last_one_moves_nothing():
+    program = Program()
+    machine = Machine(program, "A", 3)
+    assert moved_by(machine, program, (40.0, 1), (40.0, 1)) == [40.0]
+    assert moved_by(machine, program, (40.0, -1), (40.0, -1)) == [42.0, 40.0]
+    assert moved_by(machine, program, (40.0, 1)) == [38.0, 40.0]
+
+
+def test_after_somebody_else_has_moved_it_the_axis_arrives_again():
+    program = Program()
+    machine = Machine(program, "A", 3)
+    machine.move({"angle_deg": 40.0, "side": 1})
+    program.positions[3] = 41.0
+    assert moved_by(machine, program, (40.0, 1)) == [38.0, 40.0]
+    program.task_mode = 1  # by hand, and back to where it was
+    assert moved_by(machine, program, (40.0, 1)) == [38.0, 40.0]
 
 
 @pytest.mark.parametrize(

@@ -35,11 +35,8 @@ def mounted(tmp_path):
     subprocess.run(["umount", "--lazy", str(folder)], capture_output=True)
 
 
-@pytest.mark.parametrize(
-    "change", ["recorder.writer.split_bytes=150000", "recorder.writer.split_duration_s=0.7"]
-)
-def test_a_split_session_is_one_to_the_solver(cell, change):
-    live = cell(change)
+def test_a_split_session_is_one_to_the_solver(cell):
+    live = cell("recorder.writer.split_bytes=150000")
     outcome = live.calibrate()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     files = bag_files(live.bag)

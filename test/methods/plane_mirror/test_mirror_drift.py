@@ -15,7 +15,7 @@ from rotcal_ros.methods.plane_mirror.prepare import prepare
 from rotcal_ros.observations import PointKind
 
 WAYS = ("stitching", "registration", "joint")
-RUNS = 1000
+RUNS = 600
 CREEPS = {
     "azimuth": Creep(azimuth=3.0 * ARCSEC),
     "range": Creep(range=5e-6),
@@ -125,7 +125,7 @@ def test_a_large_drift_makes_the_result_suspect_unless_nests_show_its_course():
 
 def test_without_drift_false_alarms_are_as_rare_as_stated():
     found = campaign()
-    points = found.noisy(np.random.default_rng(11), 300)
+    points = found.noisy(np.random.default_rng(11), 150)
     drifts = [find_drift(found.problem(p)) for p in points]
     chances = np.array([[s.probability(1e-3) for s in d.stations] for d in drifts]).ravel()
     for level in (0.5, 0.05, 0.01):
@@ -135,8 +135,8 @@ def test_without_drift_false_alarms_are_as_rare_as_stated():
     squares = sum(s.chi_square for d in drifts for s in d.stations)
     dof = sum(s.dof for d in drifts for s in d.stations)
     assert abs(squares / dof - 1.0) < 5.0 * np.sqrt(2.0 / dof)
-    verdicts = [solve(found.problem(p)).verdict for p in points[:60]]
-    assert verdicts.count("ok") >= 59
+    verdicts = [solve(found.problem(p)).verdict for p in points[:25]]
+    assert verdicts.count("ok") >= 24
 
 
 def test_the_drift_costs_little_and_closing_nests_pay_for_it():

@@ -1,4 +1,4 @@
-"""The stated uncertainty is the true one: 1000 seeded runs per variant."""
+"""The stated uncertainty is the true one: 300 seeded runs per variant."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from tracer_scene import arc, low_ring, paper_block, simulate
 
 from rotcal_ros.methods.tracer import solve
 
-RUNS = 1000
+RUNS = 300
 CASES = {
     "station": {"variant": "station", "target_std": 1e-6},
     "joint_prior": {"variant": "joint", "datum": "prior", "target_std": 1e-6},
@@ -33,8 +33,9 @@ def test_95_percent_intervals_hold_the_truth(case):
         chi2[run] = result.sigma0**2
         verdicts.append(result.verdict)
     for hits in (inside, adjacent_inside):
-        assert 0.93 <= hits.mean() <= 0.97
-        assert (hits.mean(axis=0) >= 0.93).all()
-        assert (hits.mean(axis=0) <= 0.97).all()
-    assert chi2.mean() == pytest.approx(1.0, abs=0.03)
-    assert verdicts.count("ok") > 0.98 * RUNS
+        assert 0.925 <= hits.mean() <= 0.975
+        # of one angle: three standard deviations of a binomial of 300 are 0.038
+        assert (hits.mean(axis=0) >= 0.91).all()
+        assert (hits.mean(axis=0) <= 0.99).all()
+    assert chi2.mean() == pytest.approx(1.0, abs=0.05)
+    assert verdicts.count("ok") >= 0.97 * RUNS

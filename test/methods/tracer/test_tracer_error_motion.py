@@ -81,8 +81,8 @@ def test_a_zero_that_was_stated_is_believed_until_the_circle_speaks():
 @pytest.mark.parametrize("m", [5, 12])
 @pytest.mark.parametrize("motion_std", [3e-7, 3e-6])
 def test_95_percent_of_the_deviations_lie_inside(m, motion_std):
-    """Only stations and their noise: 1000 circles, as many estimates of their error motion."""
-    rng, noise, runs = np.random.default_rng(m), 2e-7, 1000
+    """Only stations and their noise: 400 circles, as many estimates of their error motion."""
+    rng, noise, runs = np.random.default_rng(m), 2e-7, 400
     angles = 2 * np.pi * np.arange(m) / m
     true = np.stack([RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, 0.2)], axis=1)
     known = StationCovariance(
@@ -99,9 +99,9 @@ def test_95_percent_of_the_deviations_lie_inside(m, motion_std):
         seen = bearing - bearing[0]
         std = np.sqrt(np.einsum("ia,ia->i", seen @ total, seen))[1:]
         hits.append(np.abs(found.cumulative[1:]) <= 1.96 * std)
-    assert np.mean(hits) >= 0.93
+    assert np.mean(hits) >= 0.92
     if m > 5 or motion_std > 5 * noise:  # two residuals cannot tell so little from more
-        assert np.mean(hits) <= 0.97
+        assert np.mean(hits) <= 0.98
 
 
 def test_without_any_error_motion_little_is_added():

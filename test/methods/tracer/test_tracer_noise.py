@@ -18,7 +18,10 @@ from rotcal_ros.results import Result
 ARCSEC = np.pi / 648000
 LENGTH, TARGET = 2e-7, 1e-6
 """What is stated, m."""
-ABOUT = (0.93, 0.97)
+RUNS, BARE = 250, 60
+"""Runs of each case, and those of them that are solved without rejection too."""
+ABOUT = (0.92, 0.98)
+"""Six angles of a run err together: a share of 250 runs scatters by 0.8 to 1.4 %."""
 KEEP_ALL = TracerLimits(rejection_significance=1e-12, noise_significance=1e-300)
 """As if there were no rejection and no second thought about the noise."""
 
@@ -87,13 +90,13 @@ CASES = {
 def run(case, variant, seed):
     """Return which intervals hold the truth, the mean squared error, and that without rejection.
 
-    The last for the first hundred seeds alone, else NaN.
+    The last for the first ``BARE`` seeds alone, else NaN.
     """
     problem, deviation, _ = measured(seed, variant=variant, **CASES[case])
     solution = adjust(problem)
     found = solution.motion.cumulative - deviation
     bare = np.nan
-    if seed < 100:
+    if seed < BARE:
         plain = adjust(measured(seed, variant=variant, settings=KEEP_ALL, **CASES[case])[0])
         bare = np.mean((plain.motion.cumulative - deviation) ** 2)
     return (np.abs(found) <= 1.96 * solution.angles.std)[1:], np.mean(found**2), bare
@@ -103,10 +106,10 @@ def run(case, variant, seed):
 @pytest.mark.parametrize("variant", ["joint", "station"])
 @pytest.mark.parametrize("case", CASES)
 def test_95_percent_intervals_hold_whatever_was_stated(case, variant):
-    runs = (run(case, variant, seed) for seed in range(1000))
+    runs = (run(case, variant, seed) for seed in range(RUNS))
     hits, error, bare = (np.array(column) for column in zip(*runs, strict=True))
     assert ABOUT[0] <= np.mean(hits) <= ABOUT[1]
-    assert np.mean(error[:100]) <= 1.05 * np.mean(bare[:100])  # never worse than without rejection
+    assert np.mean(error[:BARE]) <= 1.05 * np.mean(bare[:BARE])  # not worse for rejecting
 
 
 @pytest.mark.parametrize("variant", ["joint", "station"])
