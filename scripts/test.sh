@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # All tests: those without live nodes side by side on all cores, each file in one worker, so that what
-# its tests share is made once. Then the live ones: cells one at a time, because they beat, stream and
-# record in real time, and beside them what needs little processor time.
+# its tests share is made once. Then the live ones, one at a time, because whole cells beat, stream
+# and record in real time.
 #
 # usage: scripts/test.sh [arguments of pytest]
 set -uo pipefail
@@ -10,24 +10,16 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 NONE_SELECTED=5
 result=$NONE_SELECTED
 
-# Of the parts some may be empty; the first failure is what the whole says.
-take() {
-    if [[ $result == 0 || $result == "$NONE_SELECTED" ]] && [[ $1 != "$NONE_SELECTED" ]]; then
-        result=$1
+run() {
+    .venv/bin/python -m pytest "$@"
+    local code=$?
+    # Of the two halves one may be empty; the first failure is what the whole says.
+    if [[ $result == 0 || $result == "$NONE_SELECTED" ]] && [[ $code != "$NONE_SELECTED" ]]; then
+        result=$code
     fi
 }
 
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
-.venv/bin/python -m pytest --live never -n auto --dist loadfile --no-loadscope-reorder "$@"
-take $?
-
-shown=$(mktemp)
-trap 'rm -f "$shown"' EXIT
-.venv/bin/python -m pytest --live beside "$@" >"$shown" 2>&1 &
-beside=$!
-.venv/bin/python -m pytest --live cells "$@"
-take $?
-wait "$beside"
-take $?
-cat "$shown"
+run --live never -n auto --dist loadfile --no-loadscope-reorder "$@"
+run --live only "$@"
 exit "$result"
