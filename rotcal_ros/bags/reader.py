@@ -18,6 +18,9 @@ from rotcal_ros.errors import BagError
 Progress = Callable[[int, int], None]
 """Called with the bytes done and the bytes in all."""
 
+SUFFIXES: Final = (".mcap", ".db3")
+"""The endings of storage files."""
+
 _NUMBER: Final = re.compile(r"(.*?)_?(\d+)$")
 _HASH_BYTES: Final = 1 << 20
 
@@ -32,13 +35,15 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     if path.is_file():
         scan_file(path)
         return (path,)
-    for suffix in (".mcap", ".db3"):
+    for suffix in SUFFIXES:
         files = sorted((f for f in path.iterdir() if f.suffix == suffix), key=_order)
         if files:
             return tuple(files)
     if any(f.name.endswith((".mcap.zstd", ".db3.zstd")) for f in path.iterdir()):
         raise BagError(f"the files in {path} are compressed as a whole; unpack them: zstd -d FILE")
-    raise BagError(f"{path} is no bag: there is no .mcap or .db3 file in the folder")
+    inside = sorted(f.parent for ending in SUFFIXES for f in path.glob(f"*/*{ending}"))
+    hint = f"; did you mean {inside[0]}?" if inside else ""
+    raise BagError(f"{path} is no bag: there is no .mcap or .db3 file in the folder{hint}")
 
 
 def scan_file(path: Path) -> Scan:
@@ -46,7 +51,10 @@ def scan_file(path: Path) -> Scan:
     if path.suffix == ".mcap":
         return McapScan(path)
     if path.suffix != ".db3":
-        raise BagError(f"{path} is no bag: expected a folder or a file ending in .mcap or .db3")
+        raise BagError(
+            f"{path} is no bag: expected a folder or a file ending in .mcap or .db3 (a plain "
+            "table ends in .csv)"
+        )
     # rosbags' reader takes a while to load, and few bags need it.
     from rotcal_ros.bags.sqlite_scan import SqliteScan
 

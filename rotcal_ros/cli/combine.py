@@ -51,7 +51,7 @@ def command(
     from rotcal_ros.recordings.sources import read_measured, read_text
 
     faces = None if polygon is None else read_reference(read_text(polygon), str(polygon))
-    if faces is not None and not any(source.suffix == ".csv" for source in sources):
+    if faces is not None and not any(source.suffix.lower() == ".csv" for source in sources):
         raise click.UsageError("--polygon belongs to a reference table (.csv), none is given")
     combined = combine([read_measured(source, faces) for source in sources], enlarge)
     result = combined.result

@@ -72,7 +72,7 @@ def _read(
     from rotcal_ros.recordings.sources import read_curve, read_text
 
     faces = None if polygon is None else read_reference(read_text(polygon), str(polygon))
-    if faces is not None and not any(source.suffix == ".csv" for source in sources):
+    if faces is not None and not any(source.suffix.lower() == ".csv" for source in sources):
         raise click.UsageError("--polygon belongs to a reference table (.csv), none is given")
     return {str(source): read_curve(source, component, faces) for source in sources}
 

@@ -49,6 +49,17 @@ class LazyGroup(click.Group):
         command: click.Command = import_module(f"rotcal_ros.cli.{name}").command
         return command
 
+    def resolve_command(
+        self, context: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the verb; a misspelt one fails with the name that was probably meant."""
+        name = args[0]
+        if name not in VERBS and not name.startswith("-"):
+            from rotcal_ros.plugins import nearest
+
+            context.fail(f"no verb {name!r}{nearest(name, VERBS)}")
+        return super().resolve_command(context, args)
+
     def format_commands(self, _context: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the list of verbs from :data:`VERBS`, without importing any of them."""
         with formatter.section("Verbs"):

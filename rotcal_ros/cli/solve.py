@@ -64,7 +64,7 @@ def command(
     combinations and compared with the first one. The exit code is 0 for the verdict ok and 1
     for suspect or failed.
     """
-    if source.suffix == ".csv":
+    if source.suffix.lower() == ".csv":
         data: Recording | Measurements = _read_table(source, setup, targets)
     else:
         data = _read_bag(source, setup, taken_from, namespace)

@@ -81,7 +81,7 @@ def _read(source: Path, setup: Path | None, targets: Path | None) -> Measurement
     from rotcal_ros.catalogue.measurements import PlannedMeasurements, read_measurements
     from rotcal_ros.catalogue.setup_file import read_setup
 
-    if source.suffix == ".csv":
+    if source.suffix.lower() == ".csv":
         if setup is None:
             raise click.UsageError("a table needs its set-up: --setup SETUP.yaml")
         return read_measurements(source, read_setup(setup), targets)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -22,7 +24,7 @@ from rotcal_ros.catalogue.configuration import (
     parse_configuration,
 )
 from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
-from rotcal_ros.errors import BagError, RotcalError
+from rotcal_ros.errors import BagError, ConfigurationError, DataError, RotcalError
 from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
@@ -100,7 +102,7 @@ class Recording:
             key: replace(o, segment=again[key].segment) if o.segment < 0 and key in again else o
             for key, o in live.items()
         }
-        newest = {run: 0 for run, _ in again}
+        newest: defaultdict[int, int] = defaultdict(int)
         for (run, _), observation in live.items():
             newest[run] = max(newest[run], observation.window_end_ns)
         further = {key: o for key, o in again.items() if key not in live}
@@ -144,7 +146,8 @@ def read_recording(
     """Read a bag and capture its observations again, or take the recorded ones.
 
     Without ``configuration`` the one in the bag is used: the attachment, else the text on the
-    ``plan`` topic. Raises BagError when the bag cannot be read or holds no configuration.
+    ``plan`` topic. Raises BagError when the bag cannot be read or holds no configuration, and
+    DataError when it was recorded with another method than that of ``configuration``.
     Memory does not grow with the size of the bag.
     """
     files = bag_files(path)
@@ -164,6 +167,9 @@ def read_recording(
     verdicts = tuple(scan.verdict() for scan in found.scans)
     if not any(verdict.messages for verdict in verdicts):
         raise BagError(f"the bag {path} holds no messages")
+    attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
+    attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
+    _require_its_method(configuration, (attached, *found.planned), path)
     return Recording(
         calibration=calibration,
         source=source,
@@ -173,7 +179,7 @@ def read_recording(
         counts=feeder.counts if source == "streams" else {},
         broken={c.topic: d.broken for c, d in found.decoders.items() if d.broken},
         sha256={file.name: sha256_of(file) for file in files},
-        attachments={n: a.data for scan in found.scans for n, a in scan.attachments.items()},
+        attachments=attachments,
         choices=tuple(found.choices),
         announced=frozenset(found.announced),
     )
@@ -184,6 +190,7 @@ class _Found:
     """What the files of a bag hold beside the streams."""
 
     recorded: list[Observation] = field(default_factory=list)
+    planned: list[str] = field(default_factory=list)
     choices: list[RecordedChoice] = field(default_factory=list)
     announced: set[str] = field(default_factory=set)
     scans: list[Scan] = field(default_factory=list)
@@ -209,6 +216,8 @@ def _read(
         for part in parts:
             if part.role == names.OBSERVATION:
                 found.recorded += (records.observation(m) for _, m in part.messages(block))
+            elif part.role == names.PLAN:
+                found.planned += (message.configuration for _, message in part.messages(block))
             elif part.role == names.STEP_CHOICE:
                 found.choices += (RecordedChoice.of(m) for _, m in part.messages(block))
             elif part.role == names.TABLE_IN_FORCE:
@@ -230,6 +239,19 @@ def find_configuration(files: tuple[Path, ...], topics: Topics) -> Configuration
         f"attachment {names.CONFIGURATION} nor a message on the topic {names.PLAN}; "
         "give the set-up (--setup)"
     )
+
+
+def _require_its_method(configuration: Configuration, recorded: Iterable[str], path: Path) -> None:
+    """Refuse a set-up of another method than that of the configurations ``recorded`` in a bag."""
+    for text in recorded:
+        with suppress(ConfigurationError):
+            method = parse_configuration(text, names.CONFIGURATION, OFFLINE_GROUPS).method.name
+            if method != configuration.method.name:
+                raise DataError(
+                    f"{path} was recorded with the method {method}, but {configuration.source} "
+                    f"sets up {configuration.method.name}: give the set-up that belongs to it, "
+                    "or none, then the one in the bag is taken"
+                )
 
 
 def _as_planned(

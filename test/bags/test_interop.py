@@ -181,3 +181,15 @@ def test_bag_of_something_else_holds_no_configuration(simulated_run: Run, tmp_pa
     write_mcap(tmp_path / "theirs.mcap", simulated_run)
     with pytest.raises(BagError, match="holds no configuration"):
         read_recording(tmp_path / "theirs.mcap")
+
+
+def test_a_folder_around_a_bag_and_a_file_that_is_none_get_a_hint(tmp_path):
+    (tmp_path / "run" / "bag").mkdir(parents=True)
+    with pytest.raises(BagError, match=r"no \.mcap or \.db3 file in the folder$"):
+        bag_files(tmp_path / "run")
+    (tmp_path / "run" / "bag" / "bag_0.mcap").write_bytes(b"")
+    with pytest.raises(BagError, match=r"did you mean .*run/bag"):
+        bag_files(tmp_path / "run")
+    (tmp_path / "table.xlsx").write_bytes(b"PK")
+    with pytest.raises(BagError, match=r"a plain table ends in \.csv"):
+        bag_files(tmp_path / "table.xlsx")

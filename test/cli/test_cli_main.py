@@ -58,6 +58,21 @@ def test_help_lists_every_verb_and_loads_none():
         assert any(line.startswith(f"  {name} ") for line in help_)
 
 
+@pytest.mark.parametrize(
+    ("typed", "hint"),
+    [
+        ("slove", "did you mean 'solve'"),
+        ("reproces", "did you mean 'reprocess'"),
+        ("xyz", "known: run"),
+    ],
+)
+def test_a_misspelt_verb_gets_the_nearest_name(typed, hint):
+    result = run(typed, "--json")
+    assert result.exit_code == 2
+    assert f"no verb '{typed}'" in result.stderr
+    assert hint in result.stderr
+
+
 def test_version():
     result = run("--version")
     assert result.exit_code == 0

@@ -18,10 +18,13 @@ from rotcal_ros.bags.verdict import losses_in_words, session_losses
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.catalogue.configuration import parse_configuration
-from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.catalogue.setup_file import read_setup
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.observations import LengthStatus, Observation, TracerSample
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.topics import Topics
+
+GOLDEN = Path(__file__).parents[1] / "golden"
 
 
 def test_streams_give_the_live_observations_to_the_last_bit(
@@ -52,6 +55,25 @@ def test_given_configuration_wins(run_bag: Path) -> None:
     recording = read_recording(run_bag, configuration=parse_configuration(text))
     assert {o.n_samples for o in recording.observations} == {20}
     assert not recording.same_as_recorded
+    assert any("differ from those captured live" in text for text in recording.warnings())
+
+
+@pytest.mark.parametrize("method", ["tracer", "ball_plate", "plane_mirror"])
+@pytest.mark.parametrize("other", ["tracer", "ball_plate", "plane_mirror", "tracer_six"])
+def test_the_set_up_of_another_method_is_refused(method: str, other: str) -> None:
+    given = read_setup(GOLDEN / other / "table" / "setup.yaml")
+    if method == other:
+        assert read_recording(GOLDEN / method / "bag", configuration=given).observations
+        return
+    with pytest.raises(DataError, match=f"was recorded with .*{method}.* sets up {other}"):
+        read_recording(GOLDEN / method / "bag", configuration=given)
+
+
+def test_what_another_set_up_does_not_find_again_differs_and_nothing_breaks(run_bag: Path) -> None:
+    """A set-up whose capture never sees the table at rest: no observation, and no traceback."""
+    text = CONFIGURATION.replace("window_samples: 30", "window_samples: 30000")
+    recording = read_recording(run_bag, configuration=parse_configuration(text))
+    assert not [o for o in recording.observations if o.accepted]
     assert any("differ from those captured live" in text for text in recording.warnings())
 
 
