@@ -144,20 +144,28 @@ class _Search:
             self.best = Optimum(self.weight.copy(), count, self.bound, slopes)
         elif self.best is not None:
             self.best = replace(self.best, bound=self.bound)
-        fresh = (self.weight == 0.0) & (slopes > NEARLY * slopes.max())
+        level = slopes[self.weight < self.cap].max(initial=0.0)
+        fresh = (self.weight == 0.0) & (slopes > NEARLY * level)
         self.weight[fresh] = 1e-3 * self.weight.max()
         self.rounds += 1
 
     def step(self) -> None:
-        """One multiplicative step on the candidates in use, scaled towards the goal."""
+        """One multiplicative step on the candidates in use, scaled towards the goal.
+
+        Those that are measured as often as may be have slopes above the others: what is equal at
+        the optimum, and what can be scaled, are the slopes and weights of the rest.
+        """
         used: Bools = self.weight > 0.0
         information = self._information(self.weight)
         weight = self.weight[used]
         slopes = information.slopes(self.candidates[used])
-        felt = float(weight @ slopes)
+        rest = np.where(weight < self.cap, weight, 0.0)
+        if not rest.any():
+            rest = weight
+        felt = float(rest @ slopes)
         scaling = (information.mean_variance - self.goal) / felt
         scaling = 1.0 + min(max(scaling, -LARGEST_SCALING), LARGEST_SCALING)
-        weight = scaling * weight * (slopes * weight.sum() / felt) ** POWER
+        weight = scaling * weight * (slopes * rest.sum() / felt) ** POWER
         weight = np.minimum(weight, self.cap)
         pruned = PRUNED if self.rounds > 4 else 1e-3 * PRUNED
         weight[weight < pruned * weight.max()] = 0.0
