@@ -23,9 +23,11 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.errors import PlanError
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
+from rotcal_ros.units import ARCSEC
 
 Progress = Callable[[int, int], None]
 
@@ -125,9 +127,10 @@ class _Search:
         ceiling = self._information(np.full(len(candidates), min(most, 1e6)))
         if ceiling.mean_variance > goal:
             raise PlanError(
-                f"out of reach: all {len(candidates)} candidates together leave a standard "
-                f"uncertainty of {np.sqrt(ceiling.mean_variance):.3g} rad, wanted is "
-                f"{np.sqrt(goal):.3g} rad: widen the volume, allow low targets, or allow repeats"
+                f"out of reach: all {len(candidates)} candidates together leave U(ECC) "
+                f"{_expanded_arcsec(ceiling.mean_variance):.3g} arcsec (k = 2, rms), wanted of "
+                f"them is {_expanded_arcsec(goal):.3g}: widen the volume, allow low targets, or "
+                "allow repeats"
             )
         self.cap = most
         start = 4.0 * scene.stations.size / len(candidates)
@@ -186,3 +189,7 @@ class _Search:
         used = weight > 0.0
         lengths = self.candidates[used].weighing(weight[used])
         return Information(self.scene, lengths, self.segments)
+
+
+def _expanded_arcsec(variance: float) -> float:
+    return COVERAGE_FACTOR * float(np.sqrt(variance)) / ARCSEC
