@@ -56,12 +56,22 @@ def points(name: str, settings: TracerDesignSettings) -> list[Point]:
     return found
 
 
+def fewest(found: list[Point]) -> list[Point]:
+    """Return the points by U without those that another beats in both U and lengths."""
+    kept: list[Point] = []
+    for point in sorted(found, key=lambda point: (point.reached, point.lengths)):
+        if not kept or point.lengths < kept[-1].lengths:
+            kept.append(point)
+    return kept
+
+
 @styled
 def drawn(curves: dict[str, list[Point]]) -> str:
     """Return the drawing of plans and bounds by name."""
     [ax] = grid(height=4.2)
     colours = (BLUE, GREEN, ORANGE, RED)
-    for (name, found), colour in zip(curves.items(), colours, strict=True):
+    for (name, planned), colour in zip(curves.items(), colours, strict=True):
+        found = fewest(planned)
         ax.plot(
             [point.reached for point in found], [point.lengths for point in found],
             "o-", color=colour, markersize=4, linewidth=1.3, label=name,
