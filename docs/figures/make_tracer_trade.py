@@ -1,7 +1,7 @@
 """Draw tracer_trade.svg: lengths against U(ECC), of plans and of what no plan can beat.
 
 For each wanted uncertainty the goals of config/ are planned as 'rotcal plan tracer' does it, in
-one search; all figures are printed as well. Takes a minute or two.
+one search; all figures are printed as well. Takes two minutes of processor time.
 """
 
 import sys
@@ -80,7 +80,7 @@ def drawn(curves: dict[str, list[Point]]) -> str:
     bounded(ax, curves[BLOCK], RED, "no plan in the block below")
     ax.plot(*PAPER, "D", color=GREY, markersize=6, label="the paper's plan")
     ax.set(
-        xscale="log", yscale="log", xlim=(0.55, 2.1), ylim=(6, 1100),
+        xscale="log", yscale="log", xlim=(0.5, 2.1), ylim=(5, 1100),
         xlabel="U(ECC), k = 2, rms over the angles [arcsec]", ylabel="lengths",
     )  # fmt: skip
     for axis, ticks in (
