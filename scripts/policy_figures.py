@@ -5,7 +5,7 @@
 Every run measures with a tracer of its own place, targets and noise, by the policy itself, with
 nominal geometry from the plan alone; lengths are exact distances with noise. At the end the
 deviations are estimated by generalised least squares, written here and not in the package, and
-compared with the uncertainty that the policy states. All in docs/planning.md.
+compared with the uncertainty that the policy states. All in docs/policy.md.
 """
 
 from __future__ import annotations

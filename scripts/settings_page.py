@@ -13,6 +13,7 @@ from typing import Any
 
 from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.catalogue.configuration import GROUPS, SHARED_GROUPS, settings_classes
+from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 from rotcal_ros.settings import Declaration, declarations
 
 PAGE = Path(__file__).parents[1] / "docs" / "settings.md"
@@ -26,6 +27,10 @@ Lists hold values of the kind that is named.
 On the command line: `--set GROUP.NAME=VALUE`. This page is written by
 `python scripts/settings_page.py` from the declarations.
 """
+GOAL = """## The goal of a tracer's plan
+
+Of `rotcal plan tracer GOAL.yaml`: a file of its own, lines of NAME: VALUE without groups; `--set
+NAME=VALUE` on the command line. See [planning](planning.md)."""
 OWN_GROUPS = tuple(name for name in GROUPS if name not in SHARED_GROUPS)
 
 
@@ -41,6 +46,7 @@ def page() -> str:
         classes = settings_classes(method)
         parts += [_section(f"### {name} of {method.name}", name, classes[name])
                   for name in OWN_GROUPS]  # fmt: skip
+    parts.append(_section(GOAL, "", TracerDesignSettings))
     return "\n".join(parts)
 
 
@@ -54,7 +60,7 @@ def _section(heading: str, group: str, cls: type[Any]) -> str:
 
 def _rows(group: str, cls: type[Any]) -> Iterator[str]:
     for declared in declarations(cls):
-        name = f"`{group}.{declared.name}`"
+        name = f"`{group}.{declared.name}`" if group else f"`{declared.name}`"
         cells = (
             f"**{name}**" if declared.default is MISSING else name,
             _kind(declared),

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.catalogue.configuration import GROUPS, settings_classes
+from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
 from rotcal_ros.settings import declarations
 
 ROOT = Path(__file__).parents[1]
@@ -25,3 +26,9 @@ def test_every_setting_of_every_method_stands_there_with_its_meaning():
             for declared in declarations(cls):
                 assert f"`{group}.{declared.name}`" in text
                 assert declared.info.description
+
+
+def test_every_setting_of_a_goal_stands_there_without_a_group():
+    text = (ROOT / "docs" / "settings.md").read_text()
+    for declared in declarations(TracerDesignSettings):
+        assert f"| `{declared.name}` |" in text

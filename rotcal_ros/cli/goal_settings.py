@@ -27,16 +27,36 @@ def goal_settings(
 
     values = {} if pattern is None else _of_pattern(pattern)
     if goal is not None:
-        try:
-            values.update(yaml.safe_load(goal.read_text()) or {})
-        except (OSError, ValueError, yaml.YAMLError) as error:
-            raise ConfigurationError(f"{goal}: no settings by name: {error}") from error
+        values.update(_of_file(goal))
     for change in changes:
         name, equals, value = change.partition("=")
         if not equals:
             raise ConfigurationError(f"{change}: expected NAME=VALUE")
-        values[name.strip()] = yaml.safe_load(value)
+        try:
+            values[name.strip()] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigurationError(f"{change}: the value cannot be read: {error}") from error
     return load(TracerDesignSettings, values, "goal" if goal is None else str(goal))
+
+
+def _of_file(goal: Path) -> dict[str, Any]:
+    """Return the settings by name that the file of a goal holds."""
+    import yaml
+
+    try:
+        values = yaml.safe_load(goal.read_text())
+    except OSError as error:
+        raise ConfigurationError(f"cannot read the goal {goal}: {error.strerror}") from error
+    except (ValueError, yaml.YAMLError) as error:
+        raise ConfigurationError(f"{goal}: no settings by name: {error}") from error
+    if not isinstance(values, dict | None):
+        raise ConfigurationError(f"{goal}: expected lines of NAME: VALUE, found {values!r:.60}")
+    if values and "/**" in values:
+        raise ConfigurationError(
+            f"{goal} is the configuration of a calibration, expected are settings of a goal by "
+            "name; 'rotcal plan tracer --like' plans one like it"
+        )
+    return values or {}
 
 
 def _of_pattern(pattern: Configuration) -> dict[str, Any]:

@@ -60,25 +60,37 @@ LEAST_REDUNDANCY: Final = 0.25
 )
 @click.option("-o", "--output", type=path_type, help="Folder for configuration and its tables.")
 @json_option
-def command(
-    earlier: Path,
-    setup: Path,
-    every: int,
-    candidates: Path | None,
-    volume: Path | None,
-    limits: tuple[str, ...],
-    least_redundancy: float,
-    changes: tuple[str, ...],
-    output: Path | None,
-    as_json: bool,
-    **asked: Any,
-) -> int:
+def command(earlier: Path, output: Path | None, as_json: bool, **asked: Any) -> int:
     """Plan the fewest lengths of a laser tracer that check the EARLIER result (ECC).
 
     A table that has only aged as stated will be found still valid with a probability of 1 less
     the risk of a false alarm. The folder of -o is ready for 'rotcal run FOLDER/check.yaml', and
     what it measures for 'rotcal check EARLIER NEW' with the same options.
     """
+    plan = _planned(earlier, **asked)
+    if as_json:
+        print_json(plan.to_dict())
+    else:
+        _print_angles(plan)
+        _print_checks(plan, asked["every"], asked["least_redundancy"])
+    if output is not None:
+        say(f"written: {plan.write(output).absolute()}")
+    return 0
+
+
+def _planned(
+    earlier: Path,
+    *,
+    setup: Path,
+    candidates: Path | None,
+    volume: Path | None,
+    limits: tuple[str, ...],
+    changes: tuple[str, ...],
+    every: int,
+    least_redundancy: float,
+    **rule: Any,
+) -> CheckPlan:
+    """Return the plan that the options ask for; ``rule`` are those of :func:`rule_options`."""
     from rotcal_ros.catalogue import changed, read_configuration
     from rotcal_ros.catalogue.tracer.check_plan import plan_check
     from rotcal_ros.catalogue.tracer.table import read_targets
@@ -87,26 +99,19 @@ def command(
     configuration = changed(read_configuration(setup), changes)
     room = goal_settings(configuration, volume, limits) if volume or limits else None
     with progress("targets") as shown:
-        plan = plan_check(
+        return plan_check(
             configuration,
             read_curve(earlier, "ECC", None),
-            rule_of(ARCSEC, **asked),
+            rule_of(ARCSEC, **rule),
             every=every,
             offered=() if candidates is None else read_targets(candidates),
             room=room,
             least_redundancy=least_redundancy,
             progress=shown,
         )
-    if as_json:
-        print_json(plan.to_dict())
-    else:
-        _print(plan, every, least_redundancy)
-    if output is not None:
-        say(f"written: {plan.write(output).absolute()}")
-    return 0
 
 
-def _print(plan: CheckPlan, every: int, least_redundancy: float) -> None:
+def _print_angles(plan: CheckPlan) -> None:
     click.echo("angle/deg  lengths  U/arcsec  valid up to/arcsec")
     for position, angle in enumerate(plan.angles):
         count = int((plan.pairs[:, 0] == position).sum())
@@ -115,6 +120,9 @@ def _print(plan: CheckPlan, every: int, least_redundancy: float) -> None:
             f"{COVERAGE_FACTOR * plan.std[position] / ARCSEC:8.3f}  "
             f"{plan.acceptance[position] / ARCSEC:18.3f}"
         )
+
+
+def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
     click.echo(
         f"{len(plan.pairs)} lengths to {len(plan.targets)} targets (offered: {plan.offered}), "
         f"smallest redundancy {plan.least_redundancy:.2f}"

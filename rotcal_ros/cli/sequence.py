@@ -13,6 +13,7 @@ from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.reliability import SEED
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.protection import TOLERABLE
+from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue import Calibration
@@ -102,7 +103,10 @@ def _orders(
     costs = model.costs(np.array(plan.table_angles), np.array(plan.targets), position, target)
     noisy = calibration.measured({}, SEED).observations
     forecast = OrderForecast(problem(calibration.configuration, plan, noisy))
-    return measuring_orders(position, target, costs, forecast, limit=limit, seed=seed)
+    with progress("orders") as shown:
+        return measuring_orders(
+            position, target, costs, forecast, limit=limit, seed=seed, progress=shown
+        )
 
 
 def _row(way: MeasuringOrder) -> dict[str, Any]:

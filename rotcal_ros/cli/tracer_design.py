@@ -53,7 +53,7 @@ def command(
     """Find few lengths of a laser tracer that reach a wanted uncertainty of ECC.
 
     Prints the plan's uncertainty, the bound that no plan can beat, and how well its lengths check
-    each other. GOAL.yaml has settings by name: docs/planning.md lists them.
+    each other. GOAL.yaml has settings by name: docs/settings.md lists them.
     """
     from rotcal_ros.planning.tracer_design.ordering import ordered_design
 

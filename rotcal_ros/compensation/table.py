@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.compensation.between import variances, without_gaps
+from rotcal_ros.compensation.between import Weights, variances, without_gaps
 from rotcal_ros.components import check_axis
 from rotcal_ros.curves.directional import DirectionalCurve, directional_curve
 from rotcal_ros.curves.interpolation import (
@@ -186,43 +186,61 @@ def table_from_result(
     leaves out is stated in the warnings. The uncertainty is carried through with the full
     covariance. Raises DataError when ECC is absent, not finite, or does not close.
     """
-    whole = directional_curve(result, reverse)
+    weights = _weights_of(harmonics)
     reference = float(result.angles[0] if reference_angle is None else reference_angle)
+    curve, between = without_gaps(directional_curve(result, reverse), weights, reference)
+    reference = wrapped(reference) if curve.period else reference
+    rows = curve.angles if spacing is None else row_angles(curve.angles, curve.period, spacing)
+    at = weights(curve, np.append(rows, reference))
+    columns = _columns(curve, at)
+    left_out = () if harmonics is None else (_left_out(curve, harmonics),)
+    return CompensationTable(
+        axis=axis,
+        method=result.method,
+        angles=rows,
+        correction_forward=columns.forward,
+        correction_reverse=columns.reverse,
+        std=columns.std,
+        std_reverse=columns.std_reverse,
+        period=curve.period,
+        reference_angle=reference,
+        verdict=_worse(result, reverse),
+        warnings=(*result.warnings, *left_out, *_notes(curve, at[-1])),
+        verdict_line=_lines(result, reverse),
+        between_std=between,
+        widest_gap=float(np.max(gaps_of(curve.angles, curve.period))),
+        measured_on=_measured_on(result, reverse),
+    )
+
+
+class _Columns(NamedTuple):
+    """Corrections and standard uncertainties (n,), rad; ``std_reverse`` as in the table."""
+
+    forward: Floats
+    reverse: Floats
+    std: Floats
+    std_reverse: Floats | None
+
+
+def _columns(curve: DirectionalCurve, weights: Floats) -> _Columns:
+    """Return the columns of a table from what its rows take of the ``curve``: (n + 1, values).
+
+    The last row of ``weights`` is the zero: of the forward curve, for both columns.
+    """
+    up, down = weights @ curve.forward, weights @ curve.reverse
+    std, std_reverse = _standard_uncertainties(weights, curve)
+    return _Columns(up[-1] - up[:-1], up[-1] - down[:-1], std, std_reverse)
+
+
+def _weights_of(harmonics: int | None) -> Weights:
+    """Return how rows take their values: through the points, or from so many harmonics."""
 
     def weights(curve: DirectionalCurve, at: Floats) -> Floats:
         if harmonics is None:
             return interpolation_matrix(curve.angles, at, curve.period)
         return _harmonic_weights(curve, at, harmonics)
 
-    curve, between = without_gaps(whole, weights, reference)
-    reference = wrapped(reference) if curve.period else reference
-    rows = curve.angles
-    if spacing is not None:
-        rows = row_angles(rows, curve.period, spacing)
-    at = weights(curve, np.append(rows, reference))
-    up, down = at @ curve.forward, at @ curve.reverse
-    std, std_reverse = _standard_uncertainties(at, curve)
-    return CompensationTable(
-        axis=axis,
-        method=result.method,
-        angles=rows,
-        correction_forward=up[-1] - up[:-1],
-        correction_reverse=up[-1] - down[:-1],
-        std=std,
-        std_reverse=std_reverse,
-        period=curve.period,
-        reference_angle=reference,
-        verdict=_worse(result, reverse),
-        warnings=(
-            *result.warnings,
-            *([] if harmonics is None else [_left_out(curve, harmonics)]),
-            *_notes(curve, at[-1]),
-        ),
-        verdict_line=_lines(result, reverse),
-        between_std=between,
-        widest_gap=float(np.max(gaps_of(curve.angles, curve.period))),
-        measured_on=_measured_on(result, reverse),
-    )
+    return weights
 
 
 def _harmonic_weights(curve: DirectionalCurve, at: Floats, order: int) -> Floats:

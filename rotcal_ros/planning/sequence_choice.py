@@ -26,6 +26,8 @@ Blocks = Callable[[Ints], Ints]
 
 CLOSED: Final = "closed"
 MOST_SWEEPS: Final = 4
+KINDS: Final = MOST_SWEEPS + 1
+"""Orders that compete: the quickest, the closed one, and those of two sweeps and more."""
 DRAWS: Final = 8
 """Ways of sharing the lengths among the sweeps of which the best protected one is kept."""
 KICKS: Final = 20
@@ -65,13 +67,15 @@ def measuring_orders(
     *,
     limit: float = TOLERABLE,
     seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[MeasuringOrder, ...]:
     """Return the orders that compete, the quickest first.
 
     ``position`` (k,), ``target`` (k,): what each length measures; ``costs`` (k, k) see
     :meth:`~.sequence_time.TimeModel.costs`. Without ``forecast`` nothing is said of drift; with it
     sweeps share the lengths so that neither drift nor knock exceeds ``limit`` (std). A pair that
-    is measured several times is left and approached anew each time.
+    is measured several times is left and approached anew each time. ``progress(done, total)`` is
+    called after each of them.
 
     Raises PlanError when nothing else could be measured between.
     """
@@ -83,6 +87,8 @@ def measuring_orders(
     quickest = improved(costs, nearest_next(costs), kicks, seed)
     found = [_judged("quickest", quickest, costs, bound, forecast)]
     for name, sweeps, blocks in _kinds(position):
+        if progress is not None:
+            progress(len(found), KINDS)
         draws = [blocks(share) for share in _drawn(position, sweeps, rng)]
         judged = [_judged(name, _listed(block), costs, bound, forecast) for block in draws]
         block = draws[min(range(DRAWS), key=lambda number: _badness(judged[number]))]
@@ -93,6 +99,8 @@ def measuring_orders(
         order = improved(swept, _start(swept, block))
         order = _traded(order, position, sweeps_at, trade, limit, rng)
         found.append(_judged(name, order, costs, bound, forecast))
+    if progress is not None:
+        progress(KINDS, KINDS)
     found = [way for way in found if not same[way.order[:-1], way.order[1:]].any()]
     if not found:
         raise PlanError(

@@ -38,6 +38,18 @@ def test_a_plan_is_printed_and_written_and_can_be_measured(tmp_path):
     assert found["time_s"] >= 5.0 * (found["lengths"] - 1) + 10.0 * 5
 
 
+@pytest.mark.parametrize("wanted", ["12", "30"])
+def test_a_loose_goal_has_a_plan_that_checks_itself(wanted):
+    # whatever reaches 6 arcsec reaches 30 as well
+    small = (*SMALL, "--set", "spacing_m=0.2", "--set", "exchanges=40")
+    result = run("--need", f"ECC={wanted}", *small, "--json")
+    assert result.exit_code == 0, result.stderr
+    found = json.loads(result.stdout)
+    assert found["smallest_redundancy"] >= 0.25
+    assert found["largest_undetected_in_u"] <= 1.0 + 1e-6
+    assert found["lengths"] < 100
+
+
 def test_the_plain_minimum_warns():
     result = run("--need", "ECC=2.5", *SMALL, "--plain")
     assert result.exit_code == 0, result.stderr
@@ -49,10 +61,19 @@ def test_the_plain_minimum_warns():
     ("arguments", "text"),
     [
         (("--need", "EXC=1"), "expected ECC=ARCSEC"),
-        (("--need", "ECC=0.0001", *SMALL), "out of reach"),
+        (("--need", "ECC=0.0001", *SMALL), "wanted of them is 0.0001"),
         (("--set", "sigma=3"), "unknown setting 'sigma'"),
         (("--set", "error_motion_std_m=1.0e-6", *SMALL), "no number of lengths helps"),
-        (("missing.yaml",), "missing.yaml"),
+        (("missing.yaml",), "cannot read the goal missing.yaml: No such file"),
+        (("--set", "keep_out_m=[1, 2"), "the value cannot be read"),
+        (("--set", "keep_out_m=[1, -1, 0, -1, 1, 2]"), "is no box"),
+        (("--set", "keep_out_m=[-1, -1, 0, 1, 1, 2]"), "no target is left"),
+        (("--set", "keep_out_m=[-0.1, -0.1, 0, 0.1, 0.1, 2]"), "the tracer itself may stand in"),
+        (("--set", "spacing_m=0.005"), "give a larger spacing_m"),
+        (("--set", "table_positions=2"), "a circle takes 3"),
+        (("--set", "mount_m=[0.0, 0.0, 0.1]"), "stands on the table's axis"),
+        (("--set", "length_std_m=-1.0e-7"), "out of range"),
+        (("--set", "lenght_std_m=1.0e-7"), "did you mean 'length_std_m'"),
         (("--set", "target_std_m=[1.0e-6, 1.0e-6, 2.0e-6]", "-o", "nowhere"), "three equal ones"),
     ],
 )
@@ -60,3 +81,19 @@ def test_refusals(arguments, text):
     result = run(*arguments)
     assert result.exit_code == 2
     assert text in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("/**: {ros__parameters: {method: tracer_multistation}}", "'rotcal plan tracer --like'"),
+        ("- 1.2", "expected lines of NAME: VALUE"),
+        ("need_arcsec: [1.2", "no settings by name"),
+    ],
+)
+def test_files_that_hold_no_goal_are_refused(tmp_path, text, message):
+    goal = tmp_path / "goal.yaml"
+    goal.write_text(text + "\n")
+    result = run(str(goal))
+    assert result.exit_code == 2
+    assert message in result.stderr

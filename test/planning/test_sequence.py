@@ -174,7 +174,11 @@ def test_the_same_seed_gives_the_same_orders(competing):
 def test_a_pair_that_comes_again_is_approached_anew():
     position, target = np.repeat(np.arange(4), 3), np.tile([0, 0, 1], 4)
     apart = np.abs(position - position[:, None]) + np.abs(target - target[:, None])
-    ways = measuring_orders(position, target, 1.0 + apart)
+    shown = []
+    ways = measuring_orders(
+        position, target, 1.0 + apart, progress=lambda done, total: shown.append((done, total))
+    )
+    assert shown == [(1, 5), (2, 5), (3, 5), (4, 5), (5, 5)]
     for way in ways:
         pairs = np.column_stack([position, target])[way.order]
         assert (np.diff(pairs, axis=0) != 0).any(axis=1).all()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from itertools import product
+from math import prod
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,14 +21,31 @@ from rotcal_ros.planning.tracer_design.settings import (
 )
 from rotcal_ros.units import DEGREE
 
+MOST_PLACES: Final = 20_000
+"""Places of the reflector beyond which a plan would take minutes and gigabytes."""
+LEAST_POSITIONS: Final = 3
+"""Of the table, for a circle."""
+LEAST_RADIUS: Final = 1e-3
+"""Of the tracer's circle, m."""
+
 
 def scene_of(settings: TracerDesignSettings, targets: ArrayLike | None = None) -> Scene:
     """Return the scene: stations at the table angles, and the possible ``targets`` (n, 3), m.
 
     Without given ones, a lattice in the volume whose points keep ``spacing_m``. Boxes that the
-    reflector has to keep out of are taken away. Raises PlanError when none is left.
+    reflector has to keep out of are taken away. Raises PlanError when none is left, when there are
+    too many, and for a tracer that the table does not carry round a circle.
     """
     angles = np.array(table_angles(settings))
+    if len(angles) < LEAST_POSITIONS:
+        raise PlanError(
+            f"{len(angles)} table positions: a circle takes {LEAST_POSITIONS}, see table_positions"
+        )
+    if np.hypot(*settings.mount_m[:2]) < LEAST_RADIUS:
+        raise PlanError(
+            f"mount_m {list(settings.mount_m)} stands on the table's axis: a tracer that is not "
+            "carried round a circle does not see the table turn"
+        )
     places = lattice(settings) if targets is None else np.asarray(targets, dtype=np.float64)
     for box in boxes(settings):
         places = places[~((places > box[0]) & (places < box[1])).all(axis=1)]
@@ -67,18 +86,27 @@ def candidates(scene: Scene, settings: TracerDesignSettings) -> Lengths:
     if len(few):
         raise PlanError(
             f"station {few[0]} at {scene.table_angles[few[0]] / DEGREE:g} deg has fewer than 4 "
-            "targets with a free beam: see min_elevation_deg, keep_out_m, blocked_azimuth_deg"
+            "targets with a free beam: see min_elevation_deg, keep_out_m (the tracer itself may "
+            "stand in a box), blocked_azimuth_deg, blocked_on_table_deg, reflector_faces"
         )
     segment = position[free] if settings.zero == PER_STATION else 0
     return Lengths.of(position[free], target[free], segment)
 
 
 def lattice(settings: TracerDesignSettings) -> Floats:
-    """Return the points (n, 3) of a lattice that fills the volume, ``spacing_m`` or more apart."""
+    """Return the points (n, 3) of a lattice that fills the volume, ``spacing_m`` or more apart.
+
+    Raises PlanError when there are more than MOST_PLACES.
+    """
     axes = []
     for low, high in zip(settings.volume_min_m, settings.volume_max_m, strict=True):
         steps = int((high - low) / settings.spacing_m + 1e-9)
         axes.append(np.linspace(low, high, steps + 1) if steps else [0.5 * (low + high)])
+    if (count := prod(len(axis) for axis in axes)) > MOST_PLACES:
+        raise PlanError(
+            f"the volume has {count} places {settings.spacing_m:g} m apart, more than can be "
+            f"looked at ({MOST_PLACES}): give a larger spacing_m or a smaller volume"
+        )
     return np.array(list(product(*axes)), dtype=np.float64)
 
 

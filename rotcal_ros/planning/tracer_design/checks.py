@@ -9,6 +9,7 @@ testing procedure for use in geodetic networks.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +17,9 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.planning.tracer_design.information import Information
+
+ROUNDING: Final = 1e-6
+"""Redundancy that is none: an error of that length shows nowhere, however large."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,7 @@ def checks_of(known: Information, significance: float, power: float) -> Checks:
     beams = known.beams(known.lengths)
     delta0 = detectable_in_std(len(known.lengths), significance, power)
     redundancy = np.clip(1.0 - beams.spread / beams.variance, 0.0, 1.0)
+    redundancy[redundancy < ROUNDING] = 0.0
     with np.errstate(divide="ignore"):
         detectable = delta0 * np.sqrt(beams.variance / redundancy)
     effect = beams.angles * (detectable / beams.variance)[:, None]

@@ -25,6 +25,8 @@ from rotcal_ros.planning.tracer_design.start import pool_and_start
 
 ARCSEC: Final = unit_of("ECC")[0]
 IDEAL_GAP: Final = 0.05
+STRICTER: Final = (4.0, 16.0, 64.0)
+"""By which the goal's variance is divided to find targets that check each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,22 +87,46 @@ class DesignSearch:
         self.demands = demands_of(self.scene, settings)
         self.segments = segments_of(self.scene, settings)
         self._parts = _Parts(progress, 2 + settings.starts)
-        pairs = candidates(self.scene, settings)
-        self.ideal = ideal_plan(
-            self.scene, pairs, self.segments, _goal(self.scene, self.demands, settings),
-            repeats=settings.repeats, gap=IDEAL_GAP, progress=self._parts.part(0),
+        self._pairs = candidates(self.scene, settings)
+        self._goal = _goal(self.scene, self.demands, settings)
+        self.ideal = self._ideal(self._goal)
+        self._offer(self.ideal)
+
+    def first(self) -> TracerDesign:
+        """Return the best plan of all starts; PlanError when none was found.
+
+        An ideal plan for a loose goal has too few lengths to show which targets check each other:
+        where none is found, those of the ideal plan for a stricter goal are offered.
+        """
+        plans = self._of_all_starts()
+        for stricter in STRICTER:
+            if plans or not self.settings.checked:
+                break
+            try:
+                self._offer(self._ideal(self._goal / stricter))
+            except PlanError:  # out of reach of any plan
+                break
+            plans = self._of_all_starts()
+        return self._best(plans)
+
+    def _ideal(self, goal: float) -> Optimum:
+        return ideal_plan(
+            self.scene, self._pairs, self.segments, goal,
+            repeats=self.settings.repeats, gap=IDEAL_GAP, progress=self._parts.part(0),
         )  # fmt: skip
-        self._pool, self._start = pool_and_start(self.ideal, pairs, self.scene, settings)
+
+    def _offer(self, ideal: Optimum) -> None:
+        """Seek whole plans among the targets that the ``ideal`` plan likes."""
+        self._pool, self._start = pool_and_start(ideal, self._pairs, self.scene, self.settings)
         if flat_stations(self.scene, self._pool).size:  # nothing else is offered
             self.demands = replace(self.demands, depth=0.0)
 
-    def first(self) -> TracerDesign:
-        """Return the best plan of all starts; PlanError when none was found."""
+    def _of_all_starts(self) -> list[Ints]:
         plans = (
             self._fewest(self.demands, self.settings.seed + number, 1 + number)
             for number in range(self.settings.starts)
         )
-        return self._best([plan for plan in plans if plan is not None])
+        return [plan for plan in plans if plan is not None]
 
     def stricter(self, mean: float, largest: float) -> TracerDesign:
         """Search on from the last plan, with variances smaller than the goal's (rad^2) by these.

@@ -23,9 +23,11 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.errors import PlanError
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
+from rotcal_ros.units import ARCSEC
 
 Progress = Callable[[int, int], None]
 
@@ -125,9 +127,10 @@ class _Search:
         ceiling = self._information(np.full(len(candidates), min(most, 1e6)))
         if ceiling.mean_variance > goal:
             raise PlanError(
-                f"out of reach: all {len(candidates)} candidates together leave a standard "
-                f"uncertainty of {np.sqrt(ceiling.mean_variance):.3g} rad, wanted is "
-                f"{np.sqrt(goal):.3g} rad: widen the volume, allow low targets, or allow repeats"
+                f"out of reach: all {len(candidates)} candidates together leave U(ECC) "
+                f"{_expanded_arcsec(ceiling.mean_variance):.3g} arcsec (k = 2, rms), wanted of "
+                f"them is {_expanded_arcsec(goal):.3g}: widen the volume, allow low targets, or "
+                "allow repeats"
             )
         self.cap = most
         start = 4.0 * scene.stations.size / len(candidates)
@@ -144,20 +147,28 @@ class _Search:
             self.best = Optimum(self.weight.copy(), count, self.bound, slopes)
         elif self.best is not None:
             self.best = replace(self.best, bound=self.bound)
-        fresh = (self.weight == 0.0) & (slopes > NEARLY * slopes.max())
+        level = slopes[self.weight < self.cap].max(initial=0.0)
+        fresh = (self.weight == 0.0) & (slopes > NEARLY * level)
         self.weight[fresh] = 1e-3 * self.weight.max()
         self.rounds += 1
 
     def step(self) -> None:
-        """One multiplicative step on the candidates in use, scaled towards the goal."""
+        """One multiplicative step on the candidates in use, scaled towards the goal.
+
+        Those that are measured as often as may be have slopes above the others: what is equal at
+        the optimum, and what can be scaled, are the slopes and weights of the rest.
+        """
         used: Bools = self.weight > 0.0
         information = self._information(self.weight)
         weight = self.weight[used]
         slopes = information.slopes(self.candidates[used])
-        felt = float(weight @ slopes)
+        rest = np.where(weight < self.cap, weight, 0.0)
+        if not rest.any():
+            rest = weight
+        felt = float(rest @ slopes)
         scaling = (information.mean_variance - self.goal) / felt
         scaling = 1.0 + min(max(scaling, -LARGEST_SCALING), LARGEST_SCALING)
-        weight = scaling * weight * (slopes * weight.sum() / felt) ** POWER
+        weight = scaling * weight * (slopes * rest.sum() / felt) ** POWER
         weight = np.minimum(weight, self.cap)
         pruned = PRUNED if self.rounds > 4 else 1e-3 * PRUNED
         weight[weight < pruned * weight.max()] = 0.0
@@ -178,3 +189,7 @@ class _Search:
         used = weight > 0.0
         lengths = self.candidates[used].weighing(weight[used])
         return Information(self.scene, lengths, self.segments)
+
+
+def _expanded_arcsec(variance: float) -> float:
+    return COVERAGE_FACTOR * float(np.sqrt(variance)) / ARCSEC

@@ -137,6 +137,11 @@ class TracerDesignSettings(TableAngleSettings):
                 raise ConfigurationError(
                     f"{name} has {len(getattr(self, name))} numbers, expected {size} for each"
                 )
+        for box in zip(*(iter(self.keep_out_m),) * 6, strict=True):
+            if any(a > b for a, b in zip(box[:3], box[3:], strict=True)):
+                raise ConfigurationError(
+                    f"keep_out_m: {list(box)} is no box: expected smallest x, y, z, then largest"
+                )
         if any(a > b for a, b in zip(self.volume_min_m, self.volume_max_m, strict=True)):
             raise ConfigurationError(
                 f"volume_min_m {self.volume_min_m} lies beyond volume_max_m {self.volume_max_m}"

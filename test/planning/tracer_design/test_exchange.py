@@ -98,6 +98,17 @@ def test_an_undetected_error_does_what_is_said_of_it():
     assert sure.redundancy.sum() == pytest.approx(len(chosen) - 44, abs=1e-6)
 
 
+def test_an_error_that_nothing_checks_may_have_any_size():
+    # 4 lengths determine a station and its zero: no residual is left where targets are known
+    scene, pairs, _chosen = some_plan()
+    known = Scene(scene.stations, scene.table_angles, scene.targets, 1e-15, scene.length_std)
+    four = pairs[np.flatnonzero(np.isin(pairs.target, [0, 13, 27, 60]))]
+    checks = checks_of(Information(known, four, 11), 0.01, 0.8)
+    assert (checks.redundancy == 0.0).all()
+    assert np.isinf(checks.detectable).all()
+    assert np.isinf(checks.share).all()
+
+
 def test_fewest_lengths_meets_all_demands_and_repeats_with_its_seed():
     whole = paper_scene()
     scene = Scene(whole.stations[::2], whole.table_angles[::2], whole.targets, 1e-6, 0.2e-6)

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
-from tracer_scenes import every_pair, paper_scene
+from scipy.optimize import minimize
+from tracer_scenes import BLOCK, every_pair, paper_scene
 
 from rotcal_ros.errors import PlanError
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.optimum import ideal_plan, least_count
+from rotcal_ros.planning.tracer_design.scene import Scene
 
 ARCSEC = np.pi / 180.0 / 3600.0
 GOAL = (0.5 * 1.202 * ARCSEC) ** 2
@@ -52,6 +54,34 @@ def test_bound_by_hand():
     assert least_count(1.5, weight, slopes, 1.0, repeats=1) == pytest.approx(2.5)
     assert least_count(1.0, weight, slopes, 8.0) == 0.0
     assert least_count(9.0, weight, slopes, 1.0, repeats=1) == 3.0  # all of them are too few
+
+
+@pytest.mark.parametrize("repeats", [1, 2, 4])
+def test_few_repeats_settle_on_what_another_solver_finds(repeats):
+    whole = paper_scene()
+    scene = Scene(whole.stations[::2], whole.table_angles[::2], BLOCK[::6], 1e-6, 0.2e-6)
+    pairs = every_pair(scene)
+    most = np.full(len(pairs), float(repeats))
+    goal = 1.2 * Information(scene, pairs.weighing(most), 6).mean_variance
+
+    def known(weight):
+        return Information(scene, pairs.weighing(weight), 6)
+
+    found = ideal_plan(scene, pairs, 6, goal, repeats=repeats, gap=0.005)
+    least = minimize(
+        np.sum, most, jac=np.ones_like, bounds=[(0.0, repeats)] * len(pairs), method="SLSQP",
+        constraints={
+            "type": "ineq",
+            "fun": lambda weight: 1.0 - known(weight).mean_variance / goal,
+            "jac": lambda weight: known(weight).slopes(pairs) / goal,
+        },
+    )  # fmt: skip
+    assert least.success
+    assert found.weight.max() <= repeats
+    assert known(found.weight).mean_variance <= goal * (1.0 + 1e-9)
+    assert found.bound <= least.fun * (1.0 + 1e-4)
+    assert found.count == pytest.approx(least.fun, rel=0.01)
+    assert (found.weight > 0.999 * repeats).sum() > len(pairs) / 4  # the limit is felt
 
 
 def test_out_of_reach_says_so():
