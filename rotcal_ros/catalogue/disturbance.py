@@ -47,7 +47,7 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class DisturbedMeasurement:
-    """Observations of every step of a plan, and the true deviations (n,) at its distinct angles."""
+    """Observations of every step of a plan, true deviations (n,) at its distinct angles."""
 
     observations: tuple[Observation, ...]
     truth: Mapping[str, Floats]

@@ -163,7 +163,7 @@ def _to_and_back(grid: int, turns: Ints, ball: Ints) -> tuple[Ints, Ints, Bools]
 
 
 def _with_overshoot(moves: Floats, upward: Bools, step: float) -> Floats:
-    """Return moves (n,), rad, with a grid step there and back where they come from the far side."""
+    """Return moves (n,), rad, with a grid step there and back where the side changes."""
     direction = np.where(upward, 1.0, -1.0)
     along = moves * direction
     far = (along < 0.0) | (np.diff(upward, prepend=True) & (along <= 0.0))

@@ -60,8 +60,12 @@ def trials(
 
 def _both_sides(plan: Plan, result: Result) -> Arrivals:
     """Return the arrivals of the solved positions of a plan that measures both directions."""
-    every = arrivals_of(plan.distinct_angles, runs=1, bidirectional=True)
-    return every.take(result.details["position_ids"])
+    return _every(plan).take(result.details["position_ids"])
+
+
+def _every(plan: Plan) -> Arrivals:
+    """Return the arrivals of all positions of such a plan."""
+    return arrivals_of(plan.distinct_angles, runs=1, bidirectional=True)
 
 
 def problem(
@@ -99,6 +103,7 @@ def problem(
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),
+        upward=_every(plan).upward if configuration.plan.bidirectional else None,
         places=places,
         datum=settings.datum,
         zero=zero,

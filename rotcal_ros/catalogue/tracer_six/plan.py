@@ -203,8 +203,8 @@ def check_plan(_configuration: Configuration, planned: Plan) -> None:
         )
     if len(planned.distinct_angles) < LEAST_ANGLES:
         raise PlanError(
-            f"{len(planned.distinct_angles)} table angles: what turns with the table and what stands "
-            f"still are told apart from {LEAST_ANGLES} on"
+            f"{len(planned.distinct_angles)} table angles: what turns with the table and what "
+            f"stands still are told apart from {LEAST_ANGLES} on"
         )
 
 
@@ -228,9 +228,7 @@ def _located(steps: Sequence[Step], order: str) -> int:
     return indices[-1] if order == TARGETS_PER_STATION else indices[:LOCATING][-1]
 
 
-def _instruction(
-    number: int, places: tuple[Point, ...], n_targets: int, n_angles: int
-) -> str:
+def _instruction(number: int, places: tuple[Point, ...], n_targets: int, n_angles: int) -> str:
     return (
         f"fix the tracer at place {number} (of 0 to {len(places) - 1}) on the table, "
         f"{described(places[number])}; it will measure {n_targets} targets at "

@@ -13,8 +13,8 @@ from rotcal_ros.methods.ball_plate.trials import plate_trials
 __all__ = [
     "BallPlateProblem",
     "ClosedForm",
-    "closed_form",
     "adjust",
+    "closed_form",
     "plate_trials",
     "result_of",
     "select",

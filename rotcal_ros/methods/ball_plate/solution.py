@@ -70,7 +70,9 @@ class PlateSolution:
 
     def deviations(self) -> dict[str, Floats]:
         """Return the table's six deviations (M,), metres and radians."""
-        fields = {name: np.empty((self.problem.n_positions, 3)) for name in ("translation", "rotation")}
+        fields = {
+            name: np.empty((self.problem.n_positions, 3)) for name in ("translation", "rotation")
+        }
         for group, fit, positions in zip(self.groups, self.fits, self._positions(), strict=True):
             for name, field in fields.items():
                 field[positions] = turned_back(group, getattr(fit.solution.estimate, name))
