@@ -6,8 +6,8 @@ Every line on standard input starts the server anew, in a process of its own, an
 comes back. SETUP names ``port``, ``folder`` of the files, ``certificate``, ``key``,
 ``trusted`` folder of clients, ``user``, ``password``, and ``fault``: a file with how many calls of
 methods go well before one is met by ``kill``, ``cut`` (the connections, once) or ``gone`` (for
-good), and whether ``before`` the call or ``after`` its work; ``before`` a Write, half is done. With
-the name of a method behind it, calls of this method alone count.
+good), and whether ``before`` the call or ``after`` its work; ``before`` a Write, half is done.
+With the name of a method behind it, calls of this method alone count.
 """
 
 import asyncio
