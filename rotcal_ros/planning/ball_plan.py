@@ -91,9 +91,10 @@ def plan_measurement(
     it, as in the paper. ``closing`` measures the first table position again at the end (the first
     with most balls, where positions are left out). With
     ``backlash`` every position is approached in the positive direction: no reversals, and a
-    lead-in of one step. ``bidirectional``: every turn of the table is followed by the same one
-    back, its positions approached in the negative direction. ``radius`` of the ball circle in
-    metres. Raises PlanError for steps outside the grid, and for both directions without backlash.
+    lead-in of one step. ``bidirectional``: every turn of the table is measured upward and once
+    more downward, its positions then approached in the negative direction. ``radius`` of the ball
+    circle in metres. Raises PlanError for steps outside the grid, and for both directions without
+    backlash.
     """
     if bidirectional and not backlash:
         raise PlanError(
@@ -150,16 +151,20 @@ def _ordered(
 
 
 def _to_and_back(grid: int, turns: Ints, ball: Ints) -> tuple[Ints, Ints, Bools]:
-    """Follow every turn of the table by the same one back, and say which rows go up.
+    """Measure every turn of the table from both sides, and say which rows go up.
 
-    To and fro turn by turn, so that a drift of the machine does not look like a reversal; the
-    table never leaves its first turn.
+    Up and down, down and up, and so on: what drifts linearly is in the mean no reversal where the
+    turns are even in number. The table stays within its first turn and the one before.
     """
     number = (turns - turns[0]) // grid
-    each = [np.flatnonzero(number == n) for n in range(int(number[-1]) + 1)]
-    order = np.concatenate([np.concatenate([rows, rows[::-1]]) for rows in each])
-    upward = np.concatenate([np.repeat([True, False], len(rows)) for rows in each])
-    return (turns - number * grid)[order], ball[order], upward
+    order, upward = [], []
+    for n in range(int(number[-1]) + 1):
+        rows, first_up = np.flatnonzero(number == n), n % 2 == 0
+        order += [rows, rows[::-1]] if first_up else [rows[::-1], rows]
+        upward.append(np.repeat([first_up, not first_up], len(rows)))
+    rows = np.concatenate(order)
+    turns = turns - grid * (number + number % 2)
+    return turns[rows], ball[rows], np.concatenate(upward)
 
 
 def _with_overshoot(moves: Floats, upward: Bools, step: float) -> Floats:

@@ -40,8 +40,13 @@ def with_play(calibration):
 
 @pytest.fixture(scope="module")
 def touched():
-    """A plate that the simulated cell touches."""
-    plate = small(BOTH, f"simulation.table.backlash_arcsec={PLAY / ARCSEC}", "plan.rounds=2")
+    """A plate that the simulated cell touches.
+
+    Of another seed than the demonstration's, whose noise here is one of the 1 % that look like a
+    motion of the plate.
+    """
+    play = f"simulation.table.backlash_arcsec={PLAY / ARCSEC}"
+    plate = small(BOTH, play, "plan.rounds=2", "simulation.seed=1")
     return plate, measure(plate)
 
 
@@ -61,11 +66,19 @@ def test_every_ball_is_measured_from_both_sides(order):
     assert len(once) == 2 * 72
     assert len(plan.steps) == 2 * 72 + 6  # and the first position again
     assert {s.table_position for s in plan.steps[-6:]} == {plan.steps[0].table_position}
-    # to and fro: the machine may drift without looking like a reversal
-    side = np.array([s.approach is Approach.POSITIVE for s in plan.steps], dtype=float)
-    turns = 4 if order == "interleaved" else 1
-    assert np.count_nonzero(np.diff(side)) >= 2 * turns
-    assert np.ptp([s.table_angle for s in plan.steps]) <= 2 * np.pi
+    assert np.ptp([s.table_angle for s in plan.steps]) < 4 * np.pi + 1e-9
+
+
+def test_a_linear_drift_is_no_reversal_in_the_mean():
+    """Two turns for three balls each: up, down, down, up; each side is as late as the other."""
+    plan = small(BOTH, "plan.rounds=2", "plan.closing=false").plan
+    up = np.array([s.approach is Approach.POSITIVE for s in plan.steps])
+    time = np.arange(len(up))
+    assert np.count_nonzero(np.diff(up)) == 2
+    assert time[up].mean() == time[~up].mean()
+    turned = np.diff([s.table_angle for s in plan.steps])
+    assert np.all(turned[up[1:] & up[:-1]] >= 0.0)
+    assert np.all(turned[~up[1:] & ~up[:-1]] <= 0.0)
 
 
 def test_both_sides_without_a_side_of_the_approach_are_refused():

@@ -62,7 +62,7 @@ class BallPlatePlanSettings:
     backlash: bool = setting(True, doc="approach all angles in the positive direction")
     bidirectional: bool = setting(
         False,
-        doc="follow every turn of the table by the same one back, all angles from the other side",
+        doc="measure every turn of the table upward and, all angles from the other side, downward",
     )
     measure: str = setting(
         SURFACE, doc="touch points, or centres from the machine", choices=(SURFACE, CENTRE)
