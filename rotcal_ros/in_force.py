@@ -14,7 +14,7 @@ NONE: Final = "none"
 
 def check_in_force(state: str) -> str:
     """Return ``state``; ConfigurationError unless it is a SHA-256, "none" or "unknown"."""
-    if state in (UNKNOWN, NONE) or re.fullmatch(r"[0-9a-f]{64}", state):
+    if _is_state(state):
         return state
     raise ConfigurationError(
         f"table in force {state!r}: expected the SHA-256 of the controller's files (64 digits, "
@@ -22,15 +22,27 @@ def check_in_force(state: str) -> str:
     )
 
 
+def _is_state(state: str) -> bool:
+    return state in (UNKNOWN, NONE) or re.fullmatch(r"[0-9a-f]{64}", state) is not None
+
+
 def agreed(states: Iterable[str]) -> str:
-    """Return what all ``states`` that are known agree on; else it is unknown."""
+    """Return what all ``states`` that are known agree on; else it is unknown.
+
+    What a foreign cell announces may be no state at all: then nothing is known.
+    """
     known = set(states) - {UNKNOWN, ""}
-    return known.pop() if len(known) == 1 else UNKNOWN
+    return known.pop() if len(known) == 1 and all(map(_is_state, known)) else UNKNOWN
 
 
 def contradiction(states: Iterable[str]) -> str:
     """Return in words how ``states`` contradict each other; empty when they do not."""
     known = sorted(set(states) - {UNKNOWN, ""})
+    if wrong := [state for state in known if not _is_state(state)]:
+        return (
+            f"the cell announced {wrong[0]!r}, which is no table in force (a SHA-256, '{NONE}' or "
+            f"'{UNKNOWN}'): which was is {UNKNOWN}"
+        )
     if len(known) < 2:
         return ""
     return (

@@ -35,6 +35,7 @@ STEP: Final = 0.1 * ARCSEC
 class MyDrive(Controller):
     """The drive of one axis, as it is set up; every setting has a default."""
 
+    suffixes = (".mdt",)
     facts = Facts(
         title="MyDrive",
         sign="value = actual - commanded",

@@ -80,7 +80,7 @@ def simulated_truth(configuration: Configuration) -> dict[str, Floats]:
     0.0
     """
     calibration = prepare(configuration)
-    angles = np.array(calibration.plan.table_angles)
+    angles = np.array(calibration.plan.distinct_angles)
     truth = SimulatedCell(configuration.simulation).truth(angles)
     return calibration.method.gauge(angles, truth)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.method import Trials
-from rotcal_ros.methods.arrivals import Arrivals, mean_from_first, repeatability_std
+from rotcal_ros.methods.arrivals import Arrivals, mean_curve, repeatability_std
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.visits import visits
 from rotcal_ros.results import Result
@@ -28,21 +28,29 @@ def arrivals_of(angles: Sequence[float], runs: int, *, bidirectional: bool) -> A
 
 @dataclass(frozen=True, eq=False)
 class RepeatedTrials:
-    """Trials of all arrivals, with their repeatability (rad), as mean curves."""
+    """Trials of all arrivals, with their repeatability (c,), m and rad, as c mean curves."""
 
     arrivals: Trials
     mean: Floats
-    repeatability_std: float
+    repeatability_std: Floats
 
     @classmethod
-    def of(cls, prepared: Trials, result: Result, arrivals: Arrivals) -> RepeatedTrials:
-        """Return the trials ``prepared`` for the ``result`` of all ``arrivals`` as mean curves."""
-        ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
-        scatter = repeatability_std(ecc, covariance, arrivals)
-        return cls(prepared, mean_from_first(arrivals), scatter)
+    def of(
+        cls, prepared: Trials, result: Result, arrivals: Arrivals, *, from_first: bool = True
+    ) -> RepeatedTrials:
+        """Return the trials ``prepared`` for the ``result`` of all ``arrivals`` as mean curves.
+
+        ``from_first`` as in :func:`~rotcal_ros.methods.arrivals.mean_of_runs`.
+        """
+        scatter = [
+            repeatability_std(result.deviations[name], result.covariance[name], arrivals)
+            for name in result.components
+        ]
+        return cls(prepared, mean_curve(arrivals, from_first=from_first), np.array(scatter))
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return the mean deviations (count, k) in rad."""
-        values = self.arrivals(rng, count)
-        values = values + self.repeatability_std * rng.standard_normal(values.shape)
-        return np.asarray(values @ self.mean.T, dtype=np.float64)
+        """Return the mean deviations (count, c k), component by component, in m and rad."""
+        values = self.arrivals(rng, count).reshape(count, len(self.repeatability_std), -1)
+        scatter = self.repeatability_std[:, None]
+        values = values + scatter * rng.standard_normal(values.shape)
+        return np.asarray((values @ self.mean.T).reshape(count, -1), dtype=np.float64)

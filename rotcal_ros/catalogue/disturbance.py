@@ -47,7 +47,7 @@ class Disturbance:
 
 @dataclass(frozen=True, eq=False)
 class DisturbedMeasurement:
-    """Observations of every step of a plan, and the true deviations (n,) at its table angles."""
+    """Observations of every step of a plan, true deviations (n,) at its distinct angles."""
 
     observations: tuple[Observation, ...]
     truth: Mapping[str, Floats]
@@ -116,10 +116,18 @@ def times(plan: Plan) -> Floats:
     return np.linspace(0.0, 1.0, len(plan.steps))
 
 
+def angle_numbers(plan: Plan) -> Ints:
+    """Return which of the distinct angles each table position (p,) of a plan stands at."""
+    numbers = {angle: number for number, angle in enumerate(plan.distinct_angles)}
+    return np.array([numbers[angle] for angle in plan.table_angles], dtype=np.int64)
+
+
 def arrivals(plan: Plan) -> Ints:
     """Return the number of the table's arrival at each step (n,): it stands or comes anew."""
     angle = np.array([step.table_angle for step in plan.steps])
-    return np.cumsum(np.diff(angle, prepend=angle[0]) != 0.0)
+    side = np.array([step.approach for step in plan.steps])
+    moved = np.diff(angle, prepend=angle[0]) != 0.0
+    return np.cumsum(moved | (np.diff(side, prepend=side[0]) != 0))
 
 
 def arrival_errors(plan: Plan, sizes: Sizes, other: np.random.Generator) -> Floats:

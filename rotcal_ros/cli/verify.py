@@ -99,7 +99,8 @@ def _print(verification: Verification) -> None:
     if verification.again is not None:
         click.echo(
             f"measured E:    {verification.again.systematic / ARCSEC:.3f} arcsec after what was "
-            "left was added to the table"
+            "left was added to the table (true angle, both directions: "
+            f"{verification.iso['again'].systematic / ARCSEC:.3f})"
         )
     for line in verification.reserves:
         click.echo(line)

@@ -73,10 +73,12 @@ class Controller(ABC):
     """One kind of controller; a subclass declares its settings, all of them with a default.
 
     ``position_resolution`` (rad) is the step of the positions in a file, ``staircase`` tells that
-    the control does not interpolate between them.
+    the control does not interpolate between them. ``suffixes`` are what the names of its files end
+    with; without them files that were copied by hand are not recognised before the first change.
     """
 
     facts: ClassVar[Facts]
+    suffixes: ClassVar[tuple[str, ...]] = ()
     position_resolution: ClassVar[float] = 0.0
     staircase: ClassVar[bool] = False
 

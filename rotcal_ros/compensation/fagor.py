@@ -30,6 +30,7 @@ DECIMALS: Final = 4
 class Fagor(Controller):
     """Fagor 8055; ``resolution`` and positions have four decimals of a degree."""
 
+    suffixes = (".txt",)
     facts = Facts(
         title="Fagor 8055",
         sign="value = the amount of error, actual - commanded",

@@ -61,6 +61,7 @@ class PitchTable:
 class Fanuc(Controller):
     """Fanuc 0i, 16i, 18i, 30i with pitch error data for one rotary axis."""
 
+    suffixes = (".txt",)
     facts = Facts(
         title="Fanuc",
         sign="slot = step of -(actual - commanded), in detection units x magnification",

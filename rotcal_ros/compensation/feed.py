@@ -8,8 +8,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import cast
 
-import numpy as np
-
 from rotcal_ros.compensation.adding import Combination, combined
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.busy import work_of
@@ -32,10 +30,9 @@ from rotcal_ros.compensation.network_store import make_store
 from rotcal_ros.compensation.offer import Offer, make_offer
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
-from rotcal_ros.curves.interpolation import TURN, row_angles
 from rotcal_ros.errors import ControllerError, DataError, RotcalError
 from rotcal_ros.in_force import NONE, UNKNOWN
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.units import ARCSEC, NANOSECOND
 
 
 @dataclass(frozen=True)
@@ -246,16 +243,8 @@ class Feed:
 
     def _usual_names(self) -> tuple[str, ...]:
         """Return how our files for this controller are named, before there is a journal."""
-        stem = default_stem(self.axis, self.settings.controller)
-        try:
-            rows = row_angles(np.zeros(1), TURN, self.settings.spacing_deg * DEGREE)
-            nothing = np.zeros_like(rows)
-            table = CompensationTable(
-                self.axis, "", rows, nothing, nothing, nothing, TURN, 0.0, "ok"
-            )
-            return (*self._controller.write(table, stem), stem + PROVENANCE)
-        except RotcalError:
-            return ()
+        stem, own = default_stem(self.axis, self.settings.controller), self._controller.suffixes
+        return tuple(stem + suffix for suffix in (*own, PROVENANCE)) if own else ()
 
     def _held(self) -> HeldTable | None:
         """Return the table in force, None where there is none."""

@@ -37,6 +37,7 @@ DIFFERENCE: Final = (
 class Heidenhain(Controller):
     """Heidenhain with .COM and .CMA tables."""
 
+    suffixes = (".COM", ".CMA")
     facts = Facts(
         title="Heidenhain (.COM/.CMA)",
         sign="value = actual - commanded (inferred)",

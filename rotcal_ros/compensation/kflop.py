@@ -57,6 +57,7 @@ class CommandedTable:
 class Kflop(Controller):
     """Dynomotion KFLOP or Kogna: the rows are written for every turn of the travel."""
 
+    suffixes = (".txt",)
     facts = Facts(
         title="Dynomotion KFLOP",
         sign="value = the angle to be commanded, which is the wanted one -(actual - commanded)",

@@ -72,6 +72,7 @@ class LoadedComp:
 class LinuxCnc(Controller):
     """LinuxCNC: the rows are written for every turn of the travel."""
 
+    suffixes = (".comp", ".ini")
     facts = Facts(
         title="LinuxCNC",
         sign="type 1: trim = -(actual - commanded), added to the motor; type 0: the actual angle",

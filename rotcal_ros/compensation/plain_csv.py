@@ -52,6 +52,7 @@ class CsvTable:
 class PlainCsv(Controller):
     """Software that reads CSV and adds the correction by itself; nothing to set."""
 
+    suffixes = (".csv",)
     facts = Facts(
         title="plain CSV",
         sign="value = -(actual - commanded), added to the commanded angle",

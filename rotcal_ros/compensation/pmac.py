@@ -41,6 +41,7 @@ BLCOMP: Final = "blcomp"
 class Pmac(Controller):
     """Delta Tau PMAC and Turbo PMAC."""
 
+    suffixes = (".pmc",)
     facts = Facts(
         title="Delta Tau PMAC",
         sign="entry = -(actual - commanded), added to the desired position",

@@ -43,6 +43,7 @@ ENC_COMP: Final = "enc_comp"
 class Sinumerik(Controller):
     """Siemens SINUMERIK with one ENC_COMP table, or two CEC tables for two directions."""
 
+    suffixes = (".ini",)
     facts = Facts(
         title="Siemens SINUMERIK",
         sign="ENC_COMP value = actual - commanded (positive moves the axis in negative direction)",

@@ -75,6 +75,7 @@ class PitchPoints:
 class Smoothieware(Controller):
     """Smoothieware of the Carvera, for a table that is driven as X, Y or Z."""
 
+    suffixes = (".dat",)
     facts = Facts(
         title="Smoothieware PitchCompensation",
         sign="multiplier = 1 + slope of -(actual - commanded); the motor goes to its integral",

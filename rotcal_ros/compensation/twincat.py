@@ -30,6 +30,7 @@ TURN_UNITS: Final = 3_600_000
 class TwinCat(Controller):
     """Beckhoff TwinCAT CNC and the ISG kernel."""
 
+    suffixes = (".lis",)
     facts = Facts(
         title="Beckhoff TwinCAT CNC / ISG",
         sign="value = actual - commanded",

@@ -51,6 +51,7 @@ TWO_BLOCKS: Final = (
 class TwinCatNc(Controller):
     """Beckhoff TwinCAT NC PTP with Tc2_MC2."""
 
+    suffixes = (".st",)
     facts = Facts(
         title="Beckhoff TwinCAT NC",
         sign="compensation = -(actual - commanded), additive",

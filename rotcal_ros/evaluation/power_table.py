@@ -79,7 +79,7 @@ class Bench:
         if not np.array_equal(result.angles, plain.angles):
             return Trial(result.verdict != "ok", None)
         truth = self.calibration.method.gauge(
-            np.array(self.calibration.plan.table_angles), measured.truth
+            np.array(self.calibration.plan.distinct_angles), measured.truth
         )
         error = _error(result, plain, truth)
         scatters = {d.effect for d in self.listed() if d.scatters}

@@ -59,8 +59,8 @@ class Verification:
     """Two measurements of one axis, without and with its correction table.
 
     ``stated`` (rad) is what the table should leave. ``iso`` holds ISO 230-2 evaluations of
-    the axis itself under "before" and "after", where somebody knows its true angle.
-    ``verdict_lines`` are those of the two measurements, by the same names. ``again`` is a third
+    the axis itself under "before", "after" and "again", where somebody knows its true angle.
+    ``verdict_lines`` are those of the measurements, by the same names. ``again`` is a third
     one, after what the second found was added to the table.
     """
 

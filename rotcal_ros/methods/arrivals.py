@@ -6,6 +6,7 @@ its arrivals; how they scatter is the table's own repeatability.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,58 +64,86 @@ class Arrivals:
         return below, above
 
 
-def mean_of_runs(result: Result, arrivals: Arrivals) -> Result:
-    """Return ``result`` of all arrivals as the mean ECC at the targets, with its ``runs``.
+def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True) -> Result:
+    """Return ``result`` of all arrivals as the mean curves at the targets, with its ``runs``.
 
     To the covariance of the measurement comes the scatter of the arrivals that the measurement
-    does not explain. Deviations count from the first target. Where targets were reached from both
-    sides the result has both ``directions``. Raises DataError when arrivals and result do not fit.
+    does not explain. Deviations count from the first target, or, without ``from_first``, from
+    where the method counts them. Where targets were reached from both sides the result has both
+    ``directions``. Raises DataError when arrivals and result do not fit.
     """
-    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+    ecc = result.deviations["ECC"]
     if len(arrivals.target) != len(ecc):
         raise DataError(f"{len(ecc)} stations in the result, {len(arrivals.target)} arrivals")
-    tied = mean_from_first(arrivals)
-    scatter = repeatability_std(ecc, covariance, arrivals)
-    spread = covariance + scatter**2 * np.eye(len(ecc))
-    total = tied @ spread @ tied.T
-    mean = tied @ ecc
-    adjacent = np.diff(np.eye(len(mean)), axis=0)
-    return replace(
+    tied = mean_curve(arrivals, from_first=from_first)
+    scatter = {
+        name: repeatability_std(values, result.covariance[name], arrivals)
+        for name, values in result.deviations.items()
+    }
+    spread = {
+        name: result.covariance[name] + scatter[name] ** 2 * np.eye(len(ecc))
+        for name in result.deviations
+    }
+    total = {name: tied @ matrix @ tied.T for name, matrix in spread.items()}
+    mean = replace(
         result,
         angles=arrivals.targets[arrivals.measured],
-        deviations={"ECC": mean},
-        std={"ECC": np.sqrt(np.maximum(np.diag(total), 0.0))},
-        covariance={"ECC": total},
-        adjacent_deviations=np.diff(mean),
-        adjacent_std=np.sqrt(np.maximum(np.diag(adjacent @ total @ adjacent.T), 0.0)),
+        deviations={name: tied @ values for name, values in result.deviations.items()},
+        std={name: np.sqrt(np.maximum(np.diag(matrix), 0.0)) for name, matrix in total.items()},
+        covariance=total,
         details={**result.details, "station_deviations": ecc},
         runs=RepeatedRuns(
             targets=arrivals.targets,
             forward=_table(ecc, arrivals, arrivals.upward),
             reverse=_table(ecc, arrivals, ~arrivals.upward),
-            repeatability_std=scatter,
+            repeatability_std=scatter["ECC"],
         ),
-        directions=_directions(ecc, spread, arrivals),
+        directions=_directions(result.deviations, spread, arrivals, from_first),
+    )
+    return _with_steps(mean) if from_first else mean
+
+
+def _with_steps(result: Result) -> Result:
+    """Return ``result`` with the deviations of the steps between its neighbouring angles."""
+    ecc, covariance = result.deviations["ECC"], result.covariance["ECC"]
+    step = np.diff(np.eye(len(ecc)), axis=0)
+    variance = np.diag(step @ covariance @ step.T)
+    return replace(
+        result,
+        adjacent_deviations=np.diff(ecc),
+        adjacent_std=np.sqrt(np.maximum(variance, 0.0)),
     )
 
 
-def _directions(ecc: Floats, spread: Floats, arrivals: Arrivals) -> dict[str, Directions]:
-    """Return ECC from both sides, counted as the mean is, where two or more targets have both."""
+def _directions(
+    deviations: Mapping[str, Floats],
+    spread: Mapping[str, Floats],
+    arrivals: Arrivals,
+    from_first: bool,
+) -> dict[str, Directions]:
+    """Return curves from both sides, counted as the mean is, where two or more targets have both.
+
+    ``deviations`` (m,) and their covariances ``spread`` (m, m) are those of all arrivals.
+    """
     sides = arrivals.by_direction()
     both = sides[0].any(axis=1) & sides[1].any(axis=1)
     if np.count_nonzero(both) < 2:
         return {}
-    zero = arrivals.averaging()[:1]
+    zero = arrivals.averaging()[:1] * from_first
     stacked = np.vstack([side[both] - zero for side in sides])
-    forward, reverse = np.split(stacked @ ecc, 2)
     angles = arrivals.targets[arrivals.measured][both]
-    return {"ECC": Directions(angles, forward, reverse, stacked @ spread @ stacked.T)}
+    found = {}
+    for name, values in deviations.items():
+        forward, reverse = np.split(stacked @ values, 2)
+        covariance = stacked @ spread[name] @ stacked.T
+        found[name] = Directions(angles, forward, reverse, covariance)
+    return found
 
 
-def mean_from_first(arrivals: Arrivals) -> Floats:
-    """Return (k', m): from all arrivals to the mean curve, counted from its first value."""
+def mean_curve(arrivals: Arrivals, *, from_first: bool = True) -> Floats:
+    """Return (k', m): from all arrivals to the mean curve, counted from its first value if so."""
     average = arrivals.averaging()
-    return average - average[:1]
+    return average - average[:1] if from_first else average
 
 
 def repeatability_std(ecc: Floats, covariance: Floats, arrivals: Arrivals) -> float:

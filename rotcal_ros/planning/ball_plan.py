@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import PlanError
 
 Order = Literal["interleaved", "table_once", "probe_rests"]
@@ -41,7 +41,9 @@ class Kinematics:
 class BallPlan:
     """One row per ball centre, in the order of measurement; arrays of shape (n,).
 
-    ``table_angle`` is unwrapped, in radians: the table turns to it from the row before.
+    ``position`` is the grid step at which the table stands, ``upward`` whether it was reached with
+    increasing angle. ``table_angle`` is unwrapped, in radians: the table turns to it from the row
+    before.
     ``table_travel`` (rad) adds up all its motion, ``reversals`` counts changes of direction,
     ``duration`` is predicted in seconds, ``lead_in`` the angle from which the first position is
     approached so that all are approached from the same side. The last ``closing`` rows measure
@@ -52,6 +54,7 @@ class BallPlan:
     position: Ints
     ball_step: Ints
     table_angle: Floats
+    upward: Bools
     closing: int
     lead_in: float
     table_travel: float
@@ -73,6 +76,7 @@ def plan_measurement(
     rounds: int = 0,
     closing: bool = True,
     backlash: bool = True,
+    bidirectional: bool = False,
     radius: float = 0.185,
     kinematics: Kinematics | None = None,
 ) -> BallPlan:
@@ -87,25 +91,38 @@ def plan_measurement(
     it, as in the paper. ``closing`` measures the first table position again at the end (the first
     with most balls, where positions are left out). With
     ``backlash`` every position is approached in the positive direction: no reversals, and a
-    lead-in of one step. ``radius`` of the ball circle in metres. Raises PlanError for steps
-    outside the grid.
+    lead-in of one step. ``bidirectional``: every turn of the table is measured upward and once
+    more downward, its positions then approached in the negative direction. ``radius`` of the ball
+    circle in metres. Raises PlanError for steps outside the grid, and for both directions without
+    backlash.
     """
+    if bidirectional and not backlash:
+        raise PlanError(
+            "both directions are told apart by the side of the approach: set backlash to true"
+        )
     balls, cmm = np.unique(balls), np.arange(grid) if positions is None else np.unique(positions)
     _check_steps(grid, balls, cmm)
     turns, ball = _ordered(order, grid, balls, cmm, rounds, backlash)
+    upward = np.ones(len(turns), dtype=np.bool_)
+    if bidirectional:
+        turns, ball, upward = _to_and_back(grid, turns, ball)
     n_once = len(turns)
     if closing:
         turns, ball = _closed(grid, turns, ball, backlash)
+        upward = np.append(upward, np.full(len(turns) - n_once, True))
     step = 2.0 * np.pi / grid
     angle = np.asarray(turns * step, dtype=np.float64)
     lead_in = float(angle[0]) - (step if backlash else 0.0)
     moves = np.diff(angle, prepend=lead_in)
+    if bidirectional:
+        moves = _with_overshoot(moves, upward, step)
     directions = np.sign(moves[moves != 0.0])
     return BallPlan(
         grid=grid,
         position=turns % grid,
         ball_step=ball,
         table_angle=angle,
+        upward=upward,
         closing=len(turns) - n_once,
         lead_in=lead_in,
         table_travel=float(np.abs(moves).sum()),
@@ -131,6 +148,31 @@ def _ordered(
     if order == "probe_rests":
         return (_probe_rests if backlash else _to_and_fro)(grid, balls, cmm)
     raise PlanError(f"unknown order {order!r}: interleaved, table_once or probe_rests")
+
+
+def _to_and_back(grid: int, turns: Ints, ball: Ints) -> tuple[Ints, Ints, Bools]:
+    """Measure every turn of the table from both sides, and say which rows go up.
+
+    Up and down, down and up, and so on: what drifts linearly is in the mean no reversal where the
+    turns are even in number. The table stays within its first turn and the one before.
+    """
+    number = (turns - turns[0]) // grid
+    order, upward = [], []
+    for n in range(int(number[-1]) + 1):
+        rows, first_up = np.flatnonzero(number == n), n % 2 == 0
+        order += [rows, rows[::-1]] if first_up else [rows[::-1], rows]
+        upward.append(np.repeat([first_up, not first_up], len(rows)))
+    rows = np.concatenate(order)
+    turns = turns - grid * (number + number % 2)
+    return turns[rows], ball[rows], np.concatenate(upward)
+
+
+def _with_overshoot(moves: Floats, upward: Bools, step: float) -> Floats:
+    """Return moves (n,), rad, with a grid step there and back where the side changes."""
+    direction = np.where(upward, 1.0, -1.0)
+    along = moves * direction
+    far = (along < 0.0) | (np.diff(upward, prepend=True) & (along <= 0.0))
+    return np.where(far, direction * (np.abs(moves) + 2.0 * step), moves)
 
 
 def _closed(grid: int, turns: Ints, ball: Ints, backlash: bool) -> tuple[Ints, Ints]:

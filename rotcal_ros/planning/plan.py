@@ -116,6 +116,11 @@ class Plan:
                     f"{len(self.table_angles) - 1}"
                 )
 
+    @property
+    def distinct_angles(self) -> tuple[float, ...]:
+        """The table angles (rad), each once, in the order of the plan."""
+        return tuple(dict.fromkeys(self.table_angles))
+
     def pause_before(self, index: int) -> Pause | None:
         """Return the pause before step ``index``, if there is one."""
         return next((pause for pause in self.pauses if pause.first == index), None)

@@ -71,7 +71,7 @@ def write_truth(session: Session) -> None:
     ``injected`` holds it all, ``deviations`` what the method can see of it: see Method.gauge.
     """
     calibration = session.calibration
-    angles = np.array(calibration.plan.table_angles)
+    angles = np.array(calibration.plan.distinct_angles)
     cell = SimulatedCell(session.configuration.simulation)
     truth = cell.truth_dict(angles)
     truth["injected"] = truth["deviations"]

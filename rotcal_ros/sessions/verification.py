@@ -85,23 +85,21 @@ def verify(
     after = _measure(configuration, folder / "after", (*changes, *check, *_applied(first)))
     if after is None:
         return None
-    third = None
+    rounds = {"before": before, "after": after}
     if again:
         further = wanted.added(after.source, after.session.configuration.cell.axis, first)
         write_exports({APPLIED: further}, folder / "compensation_added")
         third = _measure(configuration, folder / "again", (*changes, *check, *_applied(further)))
         if third is None:
             return None
+        rounds["again"] = third
     verification = Verification(
         before=positioning(before.source.result),
         after=positioning(after.source.result),
-        again=None if third is None else positioning(third.source.result),
+        again=positioning(rounds["again"].source.result) if again else None,
         stated=first.residual.stated,
-        iso={"before": _true_figures(before), "after": _true_figures(after)},
-        verdict_lines={
-            "before": before.source.result.verdict_line,
-            "after": after.source.result.verdict_line,
-        },
+        iso={when: _true_figures(measured) for when, measured in rounds.items()},
+        verdict_lines={when: m.source.result.verdict_line for when, m in rounds.items()},
     )
     data = verification.to_dict() | {"controllers": list(exports)}
     write_atomically(folder / VERIFICATION, json.dumps(data, indent=1) + "\n")

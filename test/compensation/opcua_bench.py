@@ -161,9 +161,9 @@ class Server:
         self.process.stdout.close()
         self.log.close()
 
-    def fail(self, calls, kind, when):
-        """Fail after ``calls`` calls of methods."""
-        self.fault.write_text(f"{calls} {kind} {when}")
+    def fail(self, calls, kind, when, method=""):
+        """Fail after ``calls`` calls of methods, or of one of them."""
+        self.fault.write_text(f"{calls} {kind} {when} {method}")
 
     def settings(self, **changes):
         """Return the values of ``bridge.opcua``."""

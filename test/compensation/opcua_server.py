@@ -7,6 +7,7 @@ comes back. SETUP names ``port``, ``folder`` of the files, ``certificate``, ``ke
 ``trusted`` folder of clients, ``user``, ``password``, and ``fault``: a file with how many calls of
 methods go well before one is met by ``kill``, ``cut`` (the connections, once) or ``gone`` (for
 good), and whether ``before`` the call or ``after`` its work; ``before`` a Write, half is done.
+With the name of a method behind it, calls of this method alone count.
 """
 
 import asyncio
@@ -33,18 +34,20 @@ class Fault:
         self.path, self.server = Path(path), server
         self.now = None
 
-    def count(self):
-        """Count a call; sets what is to happen during this one."""
+    def count(self, called):
+        """Count a call of a method; sets what is to happen during this one."""
         self.now = None
         if not self.path.exists():
             return
-        left, kind, when = self.path.read_text().split()
+        left, kind, when, *method = self.path.read_text().split()
+        if method and method != [called]:
+            return
         if int(left) == 0:
             self.now = kind, when
             if kind != "gone":
                 self.path.unlink()
         else:
-            self.path.write_text(f"{int(left) - 1} {kind} {when}")
+            self.path.write_text(" ".join([str(int(left) - 1), kind, when, *method]))
 
     def strike(self, when):
         if self.now is None or self.now[1] != when:
@@ -81,7 +84,7 @@ class Files:
 
     async def method(self, node, key, function, inputs, outputs):
         async def call(_parent, *arguments):
-            self.fault.count()
+            self.fault.count(function.__name__)
             if function.__name__ != "Write":
                 self.fault.strike("before")
             values = await function(*([node] * (key != "files")), *(a.Value for a in arguments))

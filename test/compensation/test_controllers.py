@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from rotcal_ros.compensation.controllers import controller_names, make_controller
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import table_from_result
+from rotcal_ros.compensation.writing import of_the_controller
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -190,6 +191,14 @@ def test_spacings_that_do_not_divide_the_turn(name, spacing_deg):
     left = rule.correction(command, UP) + wavy(command, [(1, 20.0, 0.4)])
     left = left - wavy(0.0, [(1, 20.0, 0.4)])
     assert np.max(np.abs(left)) <= done.residual.stated + 1e-4 * ARCSEC
+
+
+@pytest.mark.parametrize("name", controller_names())
+def test_files_are_named_as_the_controller_declares(name):
+    angles = even(36)
+    files = export(table_from_result(result_of(angles, wavy(angles))), name, TAU / 36).files
+    own = [f"c_{name}{suffix}" for suffix in make_controller(name).suffixes]
+    assert own == list(of_the_controller(files))
 
 
 @pytest.mark.parametrize("name", controller_names())

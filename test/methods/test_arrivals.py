@@ -8,7 +8,7 @@ import pytest
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.arrivals import (
     Arrivals,
-    mean_from_first,
+    mean_curve,
     mean_of_runs,
     repeatability_std,
 )
@@ -56,7 +56,7 @@ def test_both_directions_weigh_the_same():
     np.testing.assert_allclose(average @ ECC, means(), atol=1e-20)
     np.testing.assert_allclose(average.sum(axis=1), 1.0)
     assert arrivals().measured.tolist() == [0, 1, 3]
-    np.testing.assert_allclose(mean_from_first(arrivals()) @ ECC, means() - means()[0], atol=1e-20)
+    np.testing.assert_allclose(mean_curve(arrivals()) @ ECC, means() - means()[0], atol=1e-20)
 
 
 def scatter(noise):

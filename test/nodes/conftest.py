@@ -2,11 +2,14 @@
 
 import os
 import sys
+from pathlib import Path
 
 import pytest
 from live_cell import DEMO, SHORT, LiveCell
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration
+
+sys.path.append(str(Path(__file__).parents[1] / "compensation"))
 
 
 @pytest.fixture

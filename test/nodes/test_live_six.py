@@ -14,6 +14,7 @@ from rotcal_ros.components import COMPONENTS
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.units import ARCSEC
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -23,12 +24,13 @@ DEMO = Path(__file__).parents[2] / "config" / "tracer_six_demo.yaml"
 SHORT = (
     "plan.table_positions=3",
     "plan.table_step_deg=120.0",
+    "plan.bidirectional=true",
     "plan.box_points=[3, 2, 2]",
     "planner.preflight_timeout_s=30.0",
     "simulation.tracer.misplaced_place=1",
     "simulation.tracer.misplaced_mm=40.0",
 )
-PER_PLACE = 3 * 12
+PER_PLACE = 2 * 3 * 12
 
 
 def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
@@ -67,3 +69,6 @@ def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
     for name in COMPONENTS:
         error = result.deviations[name] - truth[name]
         assert np.abs(error / result.std[name]).max() < 5.0, name
+        both = result.directions[name]
+        play = settings.table.backlash_arcsec * ARCSEC if name == "ECC" else 0.0
+        assert np.abs((both.reversal + play) / both.reversal_std).max() < 5.0, name

@@ -46,6 +46,24 @@ def test_table_turns_once_around_in_all():
     assert still.table_travel == pytest.approx(2 * np.pi * 71 / 72)
 
 
+@pytest.mark.parametrize(("closing", "steps", "reversals"), [(False, 25, 1), (True, 27, 2)])
+def test_up_and_back_with_an_overshoot_at_either_end(closing, steps, reversals):
+    """One step to lead in, 11 up, one beyond and back, 11 down, and the same at the other end."""
+    plan = plan_measurement(
+        12, [0, 1, 4, 6], order="table_once", closing=closing, bidirectional=True
+    )
+    assert plan.table_travel == pytest.approx(2 * np.pi * steps / 12)
+    assert plan.reversals == reversals
+    up, down = plan.upward[:48], plan.upward[48:96]
+    assert up.all()
+    assert not down.any()
+    np.testing.assert_array_equal(plan.position[48:96], plan.position[:48][::-1])
+    np.testing.assert_array_equal(plan.ball_step[48:96], plan.ball_step[:48][::-1])
+    assert np.all(plan.upward[96:])
+    once = plan_measurement(12, [0, 1, 4, 6], order="table_once", closing=closing)
+    assert 1.9 * once.duration < plan.duration < 2.1 * once.duration
+
+
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("backlash", [True, False])
 def test_plans_close_with_the_first_table_position(order, backlash):

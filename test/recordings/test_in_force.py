@@ -4,13 +4,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from bag_samples import START_NS, STORE, encode, open_writer, serialised
 
+from rotcal_ros.bags import names
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.in_force import agreed, check_in_force, contradiction
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
 
+KIND = "rotcal_msgs/msg/TableInForce"
 BAG = Path(__file__).parents[2] / "examples" / "data" / "ball_plate_bag"
 ONE, OTHER = "a" * 64, "b" * 64
 
@@ -44,6 +47,45 @@ def test_a_bag_without_this_knowledge_reads_as_unknown_and_keeps_its_bits():
     both = replace(recording, announced=frozenset({ONE, "none"}))
     assert both.solve().measured_on == "unknown"
     assert any("more than one table was in force" in text for text in both.warnings())
+
+
+def announcing_bag(folder, run, states):
+    """A bag of a run during which the cell announced ``states``, one after the other."""
+    writer, channels = open_writer(folder)
+    with writer:
+        definition = STORE.generate_msgdef(KIND, ros_version=2)[0]
+        topic = writer.channel(f"/cell/{names.TABLE_IN_FORCE}", KIND, definition)
+        for number, state in enumerate(states):
+            data = serialised(KIND, stamp_ns=START_NS + number, axis="C", in_force=state)
+            writer.write(topic, data, START_NS + number, START_NS + number)
+        for number, record in enumerate(run.records):
+            for role, data in encode(record):
+                writer.write(channels[role], data, START_NS + number, START_NS + number)
+    return read_recording(folder)
+
+
+@pytest.mark.parametrize(
+    ("states", "expected", "words"),
+    [
+        ((), "unknown", ""),
+        (("unknown",), "unknown", ""),
+        (("none", "none"), "none", ""),
+        (("unknown", ONE), ONE, ""),
+        ((ONE, OTHER), "unknown", "more than one table was in force"),
+        ((ONE, "yes"), "unknown", "'yes', which is no table"),
+    ],
+)
+def test_what_a_cell_announced_is_read_from_the_bag(
+    tmp_path, simulated_run, states, expected, words
+):
+    recording = announcing_bag(tmp_path / "bag", simulated_run, states)
+    assert recording.announced == frozenset(states)
+    result = recording.solve()
+    assert result.measured_on == expected
+    assert Result.from_dict(result.to_dict()).measured_on == expected
+    about = [text for text in recording.warnings() if "in force" in text]
+    assert len(about) == bool(words)
+    assert all(words in text for text in about)
 
 
 @pytest.mark.parametrize("state", ["", "yes", "A" * 64, "a" * 63])

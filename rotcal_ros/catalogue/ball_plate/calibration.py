@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.catalogue.arrivals import RepeatedTrials, arrivals_of
 from rotcal_ros.catalogue.ball_plate.plan import BallPlatePlanSettings
 from rotcal_ros.catalogue.ball_plate.solver_settings import DRIFTS, BallPlateSolverSettings
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.methods import ball_plate
+from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
@@ -22,12 +24,16 @@ from rotcal_ros.units import NANOSECOND
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
-    """Solve the accepted observations of a ball plate plan; angles are those of the table."""
-    chosen = _chosen(configuration, plan, observations)
-    result = ball_plate.solve(chosen)
-    solved = np.searchsorted(chosen.angles, result.angles)
-    table_angles = np.array(plan.table_angles)[:: configuration.solver.coarser]
-    return replace(result, angles=table_angles[solved])
+    """Solve the accepted observations of a ball plate plan; angles are those of the table.
+
+    Those of both directions become one curve over the distinct angles:
+    :mod:`rotcal_ros.methods.arrivals`.
+    """
+    solution = ball_plate.adjust(_chosen(configuration, plan, observations))
+    result, arrivals = ball_plate.result_of(solution), _arrivals(configuration, plan)
+    if configuration.plan.bidirectional:
+        return mean_of_runs(result, arrivals.take(solution.table_positions), from_first=False)
+    return replace(result, angles=arrivals.targets[solution.table_positions])
 
 
 def trials(
@@ -37,12 +43,27 @@ def trials(
 
     Raises ConfigurationError when neither the set-up nor the residuals tell the noise.
     """
-    prepared = ball_plate.plate_trials(_chosen(configuration, plan, observations))
+    chosen = _chosen(configuration, plan, observations)
+    prepared = ball_plate.plate_trials(chosen)
     if not np.max(prepared.std) > 1e-12:
         raise ConfigurationError(
             f"{configuration.source}: exact centres tell no noise; state solver.sigma_centre_m"
         )
-    return prepared
+    if not configuration.plan.bidirectional:
+        return prepared
+    solution = ball_plate.adjust(chosen)
+    return RepeatedTrials.of(
+        prepared,
+        ball_plate.result_of(solution),
+        _arrivals(configuration, plan).take(solution.table_positions),
+        from_first=False,
+    )
+
+
+def _arrivals(configuration: Configuration, plan: Plan) -> Arrivals:
+    """Return the arrivals of all table positions that the settings of the solver choose."""
+    angles = plan.distinct_angles[:: configuration.solver.coarser]
+    return arrivals_of(angles, runs=1, bidirectional=configuration.plan.bidirectional)
 
 
 def _chosen(
@@ -85,6 +106,7 @@ def problem(
         time=_times(observations) if DRIFTS.index(solver.drift) else None,
         drift=DRIFTS.index(solver.drift),
         drift_allowance=solver.drift_allowance_m,
+        bidirectional=settings.bidirectional,
     )
 
 

@@ -15,6 +15,7 @@ from rotcal_ros.catalogue.disturbance import (
     Disturbances,
     DisturbedMeasurement,
     Sizes,
+    angle_numbers,
     arrival_errors,
     error_motion,
     repeatability,
@@ -78,8 +79,8 @@ def measure(
     The table has no deviations but those that ``sizes`` give it, which are true ones.
     """
     noise, other = streams(seed)
-    true = table_deviations(len(plan.table_angles), sizes, other)
-    position = np.array([step.table_position for step in plan.steps], dtype=np.int64)
+    true = table_deviations(len(plan.distinct_angles), sizes, other)
+    position = angle_numbers(plan)[[step.table_position for step in plan.steps]]
     place = np.array([step.position for step in plan.steps])
     centres = _true_centres(configuration, plan, position, sizes, true, (noise, other))
     centres = centres + np.array(configuration.plan.centre_m) + _machine_error(place, noise)

@@ -109,7 +109,8 @@ def residual_maps(result: Result) -> str:
     panels = style.grid(3, 2, height=0.9 + 0.14 * len(balls), sharex="col", sharey=True)
     for i, name in enumerate(_DIRECTIONS):
         for ax, position in zip(panels[2 * i :], (rows.table_position, cmm), strict=False):
-            _draw_map(ax, position, ball, vectors[:, i], (grid, len(balls)), largest)
+            count = max(grid, int(position.max()) + 1)  # more where both sides were measured
+            _draw_map(ax, position, ball, vectors[:, i], (count, len(balls)), largest)
             ax.plot(
                 position[~rows.used], ball[~rows.used], "x", color=style.INK, markersize=6,
                 markeredgewidth=1.4,

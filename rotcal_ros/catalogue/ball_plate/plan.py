@@ -11,6 +11,7 @@ from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.methods.ball_plate.general import MIN_BALLS
 from rotcal_ros.methods.ball_plate.plate import Plate, checked, points_setting
+from rotcal_ros.methods.ball_plate.problem import position_of
 from rotcal_ros.methods.ball_plate.rejection import MOST_OPEN
 from rotcal_ros.methods.ball_plate.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
@@ -22,6 +23,7 @@ from rotcal_ros.planning.ball_plan import (
     plan_measurement,
 )
 from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.planning.visits import visits
 from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
 
@@ -58,6 +60,10 @@ class BallPlatePlanSettings:
     )
     closing: bool = setting(True, doc="measure the first table position again at the end")
     backlash: bool = setting(True, doc="approach all angles in the positive direction")
+    bidirectional: bool = setting(
+        False,
+        doc="measure every turn of the table upward and, all angles from the other side, downward",
+    )
     measure: str = setting(
         SURFACE, doc="touch points, or centres from the machine", choices=(SURFACE, CENTRE)
     )
@@ -114,32 +120,36 @@ def ball_plate_plan(settings: BallPlatePlanSettings) -> Plan:
     """Return the plan of one ball plate calibration.
 
     The targets are the places of all grid steps at table position 0; a step's target is the
-    ball's grid step. Raises ConfigurationError for a plate that cannot be, PlanError for CMM
-    positions outside the grid.
+    ball's grid step. With ``bidirectional`` table position 2 N - 1 - i stands at the angle of
+    position i, reached from above. Raises ConfigurationError for a plate that cannot be, PlanError
+    for CMM positions outside the grid, and for both directions without backlash.
     """
     plate = checked(settings.plate, "plan.plate")
     order = measuring_order(settings)
     places = np.array(settings.centre_m) + plate.places
     touched = settings.measure == SURFACE
+    every = visits(plate.grid, runs=1, bidirectional=settings.bidirectional)
     turns = np.round(order.table_angle / (2.0 * np.pi / plate.grid)).astype(np.int64)
-    rows = zip(turns.tolist(), order.ball_step.tolist(), order.cmm_index.tolist(), strict=True)
+    numbers = position_of(order.position, order.upward, plate.grid)
+    columns = (turns, numbers, order.ball_step, order.cmm_index)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
     steps = tuple(
         Step(
-            index=number,
-            table_position=turn % plate.grid,
+            index=index,
+            table_position=number,
             table_angle=_angle(settings, turn),
-            approach=Approach.POSITIVE if settings.backlash else Approach.UNKNOWN,
+            approach=every[number].approach if settings.backlash else Approach.UNKNOWN,
             kind=PointKind.SURFACE if touched else PointKind.CENTRE,
             target=ball,
             position=_point(places[position]),
             n_points=settings.points_per_ball if touched else 1,
             ball_diameter=plate.ball_diameter_m,
         )
-        for number, (turn, ball, position) in enumerate(rows)
+        for index, (turn, number, ball, position) in enumerate(rows)
     )
     return Plan(
         method=METHOD,
-        table_angles=tuple(_angle(settings, turn) for turn in range(plate.grid)),
+        table_angles=tuple(_angle(settings, visit.target) for visit in every),
         targets=tuple(_point(place) for place in places),
         steps=steps,
     )
@@ -157,6 +167,7 @@ def measuring_order(
         rounds=settings.rounds,
         closing=settings.closing,
         backlash=settings.backlash,
+        bidirectional=settings.bidirectional,
         radius=settings.plate.circle_radius_m,
         kinematics=kinematics,
     )

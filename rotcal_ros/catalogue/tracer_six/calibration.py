@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.catalogue.arrivals import RepeatedTrials, arrivals_of
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.catalogue.tracer.lengths import (
@@ -21,9 +22,11 @@ from rotcal_ros.catalogue.tracer_six.plan import LOCATING, places_of
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods import tracer_six
+from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
 from rotcal_ros.methods.tracer.station import locate_stations
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero, ZeroSetting
+from rotcal_ros.methods.tracer_six.solve import result_of
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Point
 from rotcal_ros.planning.time_order import time_order
@@ -32,15 +35,37 @@ from rotcal_ros.units import MILLIMETRE
 
 
 def solve(configuration: Configuration, plan: Plan, observations: Sequence[Observation]) -> Result:
-    """Solve the accepted observations of a plan."""
-    return tracer_six.solve(problem(configuration, plan, observations))
+    """Solve the accepted observations of a plan.
+
+    Those of both directions become one curve over the distinct angles:
+    :mod:`rotcal_ros.methods.arrivals`.
+    """
+    result = tracer_six.solve(problem(configuration, plan, observations))
+    if not configuration.plan.bidirectional:
+        return result
+    return mean_of_runs(result, _both_sides(plan, result), from_first=False)
 
 
 def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
-    return tracer_six.six_trials(problem(configuration, plan, observations))
+    prepared = tracer_six.six_trials(problem(configuration, plan, observations))
+    if not configuration.plan.bidirectional:
+        return prepared
+    result = result_of(prepared.solution)
+    arrivals = _both_sides(plan, result)
+    return RepeatedTrials.of(prepared, result, arrivals, from_first=False)
+
+
+def _both_sides(plan: Plan, result: Result) -> Arrivals:
+    """Return the arrivals of the solved positions of a plan that measures both directions."""
+    return _every(plan).take(result.details["position_ids"])
+
+
+def _every(plan: Plan) -> Arrivals:
+    """Return the arrivals of all positions of such a plan."""
+    return arrivals_of(plan.distinct_angles, runs=1, bidirectional=True)
 
 
 def problem(
@@ -78,6 +103,7 @@ def problem(
         targets=targets,
         target_std=np.full(targets.shape, settings.target_std_m),
         table_angles=np.array(plan.table_angles),
+        upward=_every(plan).upward if configuration.plan.bidirectional else None,
         places=places,
         datum=settings.datum,
         zero=zero,

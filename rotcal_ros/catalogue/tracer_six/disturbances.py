@@ -13,6 +13,7 @@ from rotcal_ros.catalogue.disturbance import (
     Disturbances,
     DisturbedMeasurement,
     Sizes,
+    angle_numbers,
     arrivals,
     error_motion,
     repeatability,
@@ -49,7 +50,7 @@ def measure(
     The table has no deviations but those that ``sizes`` give it, which are true ones.
     """
     noise, other = streams(seed)
-    true = table_deviations(len(plan.table_angles), sizes, other)
+    true = table_deviations(len(plan.distinct_angles), sizes, other)
     steps = steps_of(plan)
     stations = _stations(configuration, plan, steps, sizes, true, other)
     places = reflector_places(configuration, plan, steps, sizes, noise)
@@ -74,11 +75,12 @@ def _stations(
     mount = mount + sizes.get("knock", 0.0) * np.outer(steps.time >= 0.5, ALL_AXES)
     turn = rotation_about_z(np.array(plan.table_angles)[steps.position])
     turned = np.einsum("nij,nj->ni", turn, mount)
-    rotation = np.column_stack([true["EAC"], true["EBC"], true["ECC"]])[steps.position]
+    angle = angle_numbers(plan)[steps.position]
+    rotation = np.column_stack([true["EAC"], true["EBC"], true["ECC"]])[angle]
     scatter = other.standard_normal((len(place), 3))[arrivals(plan)]
     rotation = rotation + sizes.get("repeatability", 0.0) * scatter
     moved = np.einsum("nij,nj->ni", rotation_from_vector(rotation), turned)
-    shift = np.column_stack([true["EXC"], true["EYC"], true["EZC"]])[steps.position]
+    shift = np.column_stack([true["EXC"], true["EYC"], true["EZC"]])[angle]
     return np.asarray(moved + shift, dtype=np.float64)
 
 

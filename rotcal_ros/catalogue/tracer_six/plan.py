@@ -16,10 +16,11 @@ from rotcal_ros.catalogue.tracer.plan import STATIONS_PER_TARGET, TARGETS_PER_ST
 from rotcal_ros.catalogue.tracer_six.places import around, described, require_six
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer_six import METHOD
-from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Pause, Plan, Point, Step
 from rotcal_ros.planning.points import block, triples
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
+from rotcal_ros.planning.visits import visits
 from rotcal_ros.settings import setting
 from rotcal_ros.units import DEGREE
 
@@ -88,6 +89,10 @@ class SixPlanSettings(TableAngleSettings):
         "table",
         choices=(TARGETS_PER_STATION, STATIONS_PER_TARGET),
     )
+    bidirectional: bool = setting(
+        False,
+        doc="from every place go up through the angles and, from the other side, down again",
+    )
     arrivals: int = setting(
         1,
         doc="how often the table comes to each angle from each place; 2 tell its scatter better",
@@ -123,14 +128,18 @@ def six_plan(settings: SixPlanSettings, *, tilt_known: bool = False) -> Plan:
         )
     places = places_of(settings)
     require_six(places, tilt_known=tilt_known)
-    return plan_of(settings, table_angles(settings), targets_of(settings))
+    return plan_of(settings, targets_of(settings))
 
 
-def plan_of(
-    settings: SixPlanSettings, angles: tuple[float, ...], targets: tuple[Point, ...]
-) -> Plan:
-    """Return the plan that measures ``targets`` (m) from every place at the angles (rad)."""
-    places = places_of(settings)
+def plan_of(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
+    """Return the plan that measures ``targets`` (m) from every place at the angles.
+
+    With ``bidirectional`` table position 2 n - 1 - i stands at the angle of position i, reached
+    from above.
+    """
+    distinct, places = table_angles(settings), places_of(settings)
+    every = visits(len(distinct), runs=1, bidirectional=settings.bidirectional)
+    angles = tuple(distinct[visit.target] for visit in every)
     visited = [*range(len(angles))] * settings.arrivals + [0] * settings.closes
     blocks = [
         _rows(number, visited, len(targets), settings.order) for number in range(len(places))
@@ -140,7 +149,7 @@ def plan_of(
             index=index,
             table_position=position,
             table_angle=angles[position],
-            approach=Approach.POSITIVE,
+            approach=every[position].approach,
             kind=PointKind.REFLECTOR,
             target=target,
             position=targets[target],
@@ -153,7 +162,7 @@ def plan_of(
         Pause(
             first := number * length,
             _located(steps[first : first + length], settings.order),
-            _instruction(number, places, len(targets), angles),
+            _instruction(number, places, len(targets), len(distinct)),
         )
         for number in range(len(places))
     )
@@ -192,10 +201,10 @@ def check_plan(_configuration: Configuration, planned: Plan) -> None:
             f"{n} targets: a place and its zero are 4 unknowns, and every target has errors of "
             f"its own; at least {LOCATING} targets are needed"
         )
-    if len(planned.table_angles) < LEAST_ANGLES:
+    if len(planned.distinct_angles) < LEAST_ANGLES:
         raise PlanError(
-            f"{len(planned.table_angles)} table angles: what turns with the table and what stands "
-            f"still are told apart from {LEAST_ANGLES} on"
+            f"{len(planned.distinct_angles)} table angles: what turns with the table and what "
+            f"stands still are told apart from {LEAST_ANGLES} on"
         )
 
 
@@ -219,11 +228,9 @@ def _located(steps: Sequence[Step], order: str) -> int:
     return indices[-1] if order == TARGETS_PER_STATION else indices[:LOCATING][-1]
 
 
-def _instruction(
-    number: int, places: tuple[Point, ...], n_targets: int, angles: tuple[float, ...]
-) -> str:
+def _instruction(number: int, places: tuple[Point, ...], n_targets: int, n_angles: int) -> str:
     return (
         f"fix the tracer at place {number} (of 0 to {len(places) - 1}) on the table, "
         f"{described(places[number])}; it will measure {n_targets} targets at "
-        f"{len(angles)} table angles, and must not move on the table meanwhile"
+        f"{n_angles} table angles, and must not move on the table meanwhile"
     )

@@ -41,8 +41,7 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
     targets = targets_of_table(table, targets)
     if targets is not None:
         files.append(targets)
-        angles = calibration.plan.table_angles
-        plan = plan_of(configuration.plan, angles, read_targets(targets))
+        plan = plan_of(configuration.plan, read_targets(targets))
         calibration = Calibration(configuration, plan)
     find, check = StepFinder(calibration.plan, stations=True), PlaceLengths(calibration.plan)
     observations = []

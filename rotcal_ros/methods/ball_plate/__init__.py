@@ -6,14 +6,17 @@ freedom; closed form and groups follow a second paper. docs/ball_plate.md has th
 
 from rotcal_ros.methods.ball_plate.closed_form import ClosedForm, closed_form
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, select
-from rotcal_ros.methods.ball_plate.solve import solve
+from rotcal_ros.methods.ball_plate.solution import adjust
+from rotcal_ros.methods.ball_plate.solve import result_of, solve
 from rotcal_ros.methods.ball_plate.trials import plate_trials
 
 __all__ = [
     "BallPlateProblem",
     "ClosedForm",
+    "adjust",
     "closed_form",
     "plate_trials",
+    "result_of",
     "select",
     "solve",
 ]

@@ -88,7 +88,9 @@ def _scaled(linear: LinearFit, axes: Floats) -> LinearFit:
 
 def _few_gaps(problem: BallPlateProblem) -> Ints | None:
     """Return the missing cells when correcting for them is the better way, else None."""
-    if problem.std is not None or len(problem.table_positions) < problem.grid:
+    if problem.std is not None or problem.bidirectional:
+        return None
+    if len(problem.table_positions) < problem.grid:
         return None
     cells = gaps.gap_cells(problem)
     large = model.offsets(problem).total > general.MAX_UNKNOWNS

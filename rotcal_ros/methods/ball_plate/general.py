@@ -221,9 +221,9 @@ def _check(problem: BallPlateProblem) -> None:
 
 
 def balls_at_positions(problem: BallPlateProblem) -> Ints:
-    """Return how many balls were measured at every table position, (N,)."""
+    """Return how many balls were measured at every table position, (n_positions,)."""
     cells = np.unique(problem.position * problem.grid + problem.ball_step)
-    return np.bincount(cells // problem.grid, minlength=problem.grid)
+    return np.bincount(cells // problem.grid, minlength=problem.n_positions)
 
 
 def require_balls(problem: BallPlateProblem, *, everywhere: bool = False) -> None:

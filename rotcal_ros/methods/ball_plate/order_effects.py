@@ -19,7 +19,12 @@ from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.drift import drift_columns
 from rotcal_ros.methods.ball_plate.estimate import factored
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles, on_circle
+from rotcal_ros.methods.ball_plate.problem import (
+    BallPlateProblem,
+    grid_angles,
+    grid_step,
+    on_circle,
+)
 from rotcal_ros.methods.ball_plate.response import curves, responses, weights
 from rotcal_ros.methods.distributions import f_isf, f_noncentrality
 from rotcal_ros.protection import POWER
@@ -75,6 +80,7 @@ class Layout:
     """Which rows are measured when, in a form that can be looked up: arrays as bytes."""
 
     grid: int
+    bidirectional: bool
     radius: float
     columns: bytes
     run_time: bytes
@@ -90,7 +96,8 @@ class Layout:
     def problem(self) -> BallPlateProblem:
         """Return the problem with nominal centres."""
         position, ball, row = self.rows
-        angle = grid_angles(self.grid)[(position + ball) % self.grid]
+        step = grid_step(position, self.grid)
+        angle = grid_angles(self.grid)[(step + ball) % self.grid]
         return BallPlateProblem(
             self.grid,
             self.radius,
@@ -101,6 +108,7 @@ class Layout:
             row=row,
             time=np.frombuffer(self.run_time),
             drift=self.drift,
+            bidirectional=self.bidirectional,
         )
 
 
@@ -121,6 +129,7 @@ def layout_of(problem: BallPlateProblem, closing: BallPlateProblem | None) -> La
         last = np.stack([closing.position, closing.ball_step, closing.rows], axis=1)
     return Layout(
         problem.grid,
+        problem.bidirectional,
         problem.radius,
         rows.tobytes(),
         problem.run_time.tobytes(),

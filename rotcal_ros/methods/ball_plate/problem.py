@@ -20,6 +20,8 @@ class BallPlateProblem:
     counter-clockwise by ``2 pi / grid`` per position. The frame is fixed to the CMM: z along
     the table axis, origin on the axis at the height of the ball centres, ball step 0 at table
     position 0 near the +x axis. ``radius`` is the nominal radius of the ball circle in metres.
+    ``bidirectional``: position 2 grid - 1 - i stands at the angle of position i, reached from the
+    other side, with errors of its own.
 
     ``sigma`` is the standard deviation of a centre coordinate in metres, None when it shall be
     taken from the residuals. ``std`` (n, 3), in metres, gives every coordinate its own standard
@@ -49,6 +51,7 @@ class BallPlateProblem:
     time: Floats | None = None
     drift: int = 0
     drift_allowance: float = 0.0
+    bidirectional: bool = False
 
     def __post_init__(self) -> None:
         table = np.asarray(self.position, dtype=np.int64)
@@ -59,7 +62,8 @@ class BallPlateProblem:
         _check_constants(self.grid, self.radius, self.sigma)
         _check_drift(self.drift, self.drift_allowance)
         _check_shapes(table, ball, centres, row, std)
-        _check_indices(table, ball, row, self.grid)
+        _check_indices(table, row, "table position", self.n_positions)
+        _check_indices(ball, row, "ball step", self.grid)
         order = np.lexsort((row, table, ball))
         object.__setattr__(self, "position", table[order])
         object.__setattr__(self, "ball_step", ball[order])
@@ -90,8 +94,13 @@ class BallPlateProblem:
 
     @cached_property
     def cmm_index(self) -> Ints:
-        """CMM position k = table position + ball step, modulo the grid, (n,)."""
-        return (self.position + self.ball_step) % self.grid
+        """CMM position k = grid step of the table + ball step, modulo the grid, (n,)."""
+        return (grid_step(self.position, self.grid) + self.ball_step) % self.grid
+
+    @property
+    def n_positions(self) -> int:
+        """Number N of table positions, those from either side counted on their own."""
+        return self.grid * (1 + self.bidirectional)
 
     @cached_property
     def balls(self) -> Ints:
@@ -105,7 +114,7 @@ class BallPlateProblem:
 
     @cached_property
     def table_positions(self) -> Ints:
-        """The table positions in use, ascending, (M,); all N of them unless some are missing."""
+        """The table positions in use, ascending, (M,); all of them unless some are missing."""
         return np.unique(self.position)
 
     @cached_property
@@ -115,12 +124,14 @@ class BallPlateProblem:
 
     @cached_property
     def angles(self) -> Floats:
-        """Commanded table angles in radians, (grid,)."""
-        return grid_angles(self.grid)
+        """Commanded table angles in radians, (n_positions,)."""
+        return grid_angles(self.grid)[grid_step(np.arange(self.n_positions), self.grid)]
 
     @cached_property
     def complete(self) -> bool:
-        """Whether every ball was measured exactly once at every table position."""
+        """Whether every ball was measured exactly once at every table position, from one side."""
+        if self.bidirectional:
+            return False
         cells = self.ball_step * self.grid + self.position
         return len(cells) == len(self.balls) * self.grid and len(np.unique(cells)) == len(cells)
 
@@ -164,7 +175,8 @@ def select(
     """
     if coarser < 1 or problem.grid % coarser:
         raise PlanError(f"a grid of {problem.grid} steps cannot be made {coarser} times coarser")
-    keep = (problem.ball_step % coarser == 0) & (problem.position % coarser == 0)
+    step = grid_step(problem.position, problem.grid)
+    keep = (problem.ball_step % coarser == 0) & (step % coarser == 0)
     for wanted, column, name in (
         (balls, problem.ball_step, "ball steps"),
         (cmm_positions, problem.cmm_index, "CMM positions"),
@@ -177,13 +189,24 @@ def select(
         keep &= np.isin(column, wanted)
     if not keep.any():
         raise PlanError("no centre is left after the selection of balls, positions and grid")
-    part = problem.take(keep)
+    part, upward = problem.take(keep), problem.position[keep] < problem.grid
+    grid = part.grid // coarser
     return replace(
         part,
-        grid=part.grid // coarser,
-        position=part.position // coarser,
+        grid=grid,
+        position=position_of(step[keep] // coarser, upward, grid),
         ball_step=part.ball_step // coarser,
     )
+
+
+def grid_step(position: Ints, grid: int) -> Ints:
+    """Return the grid step (n,) of table positions: 0 to grid - 1, then down again."""
+    return np.where(position < grid, position, 2 * grid - 1 - position)
+
+
+def position_of(step: Ints, upward: Bools, grid: int) -> Ints:
+    """Return the table position (n,) at a grid ``step`` that is reached from one side."""
+    return np.where(upward, step, 2 * grid - 1 - step)
 
 
 def grid_angles(grid: int) -> Floats:
@@ -229,12 +252,11 @@ def _check_time(time: Floats, n: int) -> None:
         raise DataError(f"time must hold {n} finite seconds, found {time.shape}")
 
 
-def _check_indices(table: Ints, ball: Ints, row: Ints, grid: int) -> None:
-    for name, column in (("table position", table), ("ball step", ball)):
-        outside = np.flatnonzero((column < 0) | (column >= grid))
-        if len(outside):
-            first = outside[0]
-            raise DataError(
-                f"row {row[first]}: {name} {column[first]} is outside 0..{grid - 1} "
-                f"({len(outside)} such rows); check the grid of the plate"
-            )
+def _check_indices(column: Ints, row: Ints, name: str, count: int) -> None:
+    outside = np.flatnonzero((column < 0) | (column >= count))
+    if len(outside):
+        first = outside[0]
+        raise DataError(
+            f"row {row[first]}: {name} {column[first]} is outside 0..{count - 1} "
+            f"({len(outside)} such rows); check the grid of the plate"
+        )

@@ -107,7 +107,7 @@ def _without_poor_positions(problem: BallPlateProblem) -> tuple[BallPlateProblem
     """
     count = balls_at_positions(problem)
     poor = np.flatnonzero(count < MIN_BALLS)
-    if len(poor) > MOST_OPEN * problem.grid:
+    if len(poor) > MOST_OPEN * problem.n_positions:
         require_balls(problem, everywhere=True)
     rows = np.flatnonzero(np.isin(problem.position, poor))
     left_out = [

@@ -131,7 +131,8 @@ def _lost_of_dense(problem: BallPlateProblem) -> tuple[dict[str, tuple[int, ...]
     at = model.offsets(problem)
     for name, (field, axis) in model.TABLE_COMPONENTS.items():
         start = getattr(at, field) + axis
-        sequences: Floats = null[start : start + 3 * problem.grid : 3]
+        end = start + 3 * len(problem.table_positions)
+        sequences: Floats = null[start:end:3][: problem.grid]
         share = np.abs(np.fft.rfft(sequences, axis=0)).max(axis=1, initial=0.0)
         present = np.flatnonzero(share > 1e-6 * np.sqrt(problem.grid))
         if len(present):

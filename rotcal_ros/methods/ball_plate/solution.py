@@ -21,7 +21,7 @@ from rotcal_ros.methods.ball_plate import general, model
 from rotcal_ros.methods.ball_plate.closure import split as closing_apart
 from rotcal_ros.methods.ball_plate.model import Solution
 from rotcal_ros.methods.ball_plate.noise import AXIS_SIGNIFICANCE, Noise, assess
-from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
+from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_step, position_of
 from rotcal_ros.methods.ball_plate.rejection import Fitted, fit_and_reject
 from rotcal_ros.methods.ball_plate.screening import screen
 from rotcal_ros.methods.ball_plate.separability import common_divisor
@@ -70,7 +70,9 @@ class PlateSolution:
 
     def deviations(self) -> dict[str, Floats]:
         """Return the table's six deviations (M,), metres and radians."""
-        fields = {name: np.empty((self.problem.grid, 3)) for name in ("translation", "rotation")}
+        fields = {
+            name: np.empty((self.problem.n_positions, 3)) for name in ("translation", "rotation")
+        }
         for group, fit, positions in zip(self.groups, self.fits, self._positions(), strict=True):
             for name, field in fields.items():
                 field[positions] = turned_back(group, getattr(fit.solution.estimate, name))
@@ -126,7 +128,7 @@ def _fitted(
     whole: BallPlateProblem, closing: BallPlateProblem | None
 ) -> tuple[tuple[Group, ...], tuple[Fitted, ...]]:
     """Cut a problem into its groups, if it has any, and fit each."""
-    alone = Group(np.arange(whole.grid), 0.0, whole, closing)
+    alone = Group(np.arange(whole.n_positions), 0.0, whole, closing)
     groups = split(whole, closing) if whole.separate_groups else (alone,)
     return groups, tuple(fit_and_reject(group.problem) for group in groups)
 
@@ -158,7 +160,7 @@ def split(problem: BallPlateProblem, closing: BallPlateProblem | None = None) ->
     count = common_divisor(problem.grid, problem.balls)
     groups = [_group(problem, first, count) for first in range(count)]
     if closing is not None:
-        for first in np.unique(closing.position % count).tolist():
+        for first in np.unique(grid_step(closing.position, closing.grid) % count).tolist():
             again = _group(closing, first, count, int(problem.balls[0] % count)).problem
             groups[first] = replace(groups[first], closing=again)
     return tuple(groups)
@@ -166,7 +168,8 @@ def split(problem: BallPlateProblem, closing: BallPlateProblem | None = None) ->
 
 def _group(problem: BallPlateProblem, first: int, count: int, start: int | None = None) -> Group:
     """Cut out the table positions first, first + count, ... and turn them to start at zero."""
-    rows = np.flatnonzero(problem.position % count == first)
+    step = grid_step(problem.position, problem.grid)
+    rows = np.flatnonzero(step % count == first)
     if not len(rows):
         raise ObservabilityError(
             f"no centre was measured at the table positions {first}, {first + count}, ...: "
@@ -181,16 +184,19 @@ def _group(problem: BallPlateProblem, first: int, count: int, start: int | None 
     if std is not None:  # x and y are mixed by the turn
         plane = np.sqrt(np.mean(std[:, :2] ** 2, axis=1))
         std = np.column_stack([plane, plane, std[:, 2]])
+    grid, upward = problem.grid // count, part.position < problem.grid
     group_problem = replace(
         part,
-        grid=problem.grid // count,
-        position=(part.position - first) // count,
+        grid=grid,
+        position=position_of((step[rows] - first) // count, upward, grid),
         ball_step=(part.ball_step - start) // count,
         centres=part.centres @ back.T,
         std=std,
         separate_groups=False,
     )
-    return Group(np.arange(first, problem.grid, count), turn, group_problem)
+    own = np.arange(group_problem.n_positions)
+    positions = position_of(first + count * grid_step(own, grid), own < grid, problem.grid)
+    return Group(positions, turn, group_problem)
 
 
 def turned_back(group: Group, vectors: Floats) -> Floats:

@@ -38,10 +38,15 @@ def solve(problem: BallPlateProblem) -> Result:
     ObservabilityError, with the harmonics that are lost, when balls and positions do not separate
     the errors.
     """
-    solution = adjust(problem)
+    return result_of(adjust(problem))
+
+
+def result_of(solution: PlateSolution) -> Result:
+    """Return what is known of a solved problem in the form that all methods share."""
+    problem = solution.problem
     noise, rejected = solution.noise, solution.rejected
     covariance = {}
-    if problem.grid <= COVARIANCE_LIMIT:
+    if problem.bidirectional or problem.grid <= COVARIANCE_LIMIT:
         covariance = {name: solution.covariance(name) for name in COMPONENTS}
     result = Result(
         method=METHOD,
@@ -65,10 +70,11 @@ def _warnings(solution: PlateSolution) -> tuple[str, ...]:
     fits, noise = solution.fits, solution.noise
     n_rejected, n_centres = len(solution.rejected), len(solution.problem.centres)
     warnings = []
-    left_out = np.setdiff1d(np.arange(solution.problem.grid), solution.table_positions)
+    n_positions = solution.problem.n_positions
+    left_out = np.setdiff1d(np.arange(n_positions), solution.table_positions)
     if len(left_out):
         warnings.append(
-            f"{len(left_out)} of {solution.problem.grid} table positions have fewer than "
+            f"{len(left_out)} of {n_positions} table positions have fewer than "
             f"{MIN_BALLS} balls and are left out of the result: {', '.join(map(str, left_out))}"
         )
     if len(fits) > 1:

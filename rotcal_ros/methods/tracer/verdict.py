@@ -20,7 +20,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM
@@ -62,13 +62,23 @@ class Closure:
 
 
 def closures(
-    angles: Floats, cumulative: Floats, covariance: Floats, position_ids: Ints
+    angles: Floats,
+    cumulative: Floats,
+    covariance: Floats,
+    position_ids: Ints,
+    upward: Bools | None = None,
 ) -> tuple[Closure, ...]:
-    """Return the closures of ``angles`` (m,): later positions against the first at their angle."""
+    """Return the closures of ``angles`` (m,): later positions against the first at their angle.
+
+    ``upward`` (m,): from which side the table came; what differs between the sides is a reversal.
+    """
     found = []
     for last in range(1, len(angles)):
         apart = (angles[last] - angles[:last]) / TURN
-        same = np.flatnonzero(np.abs(apart - np.round(apart)) < SAME_ANGLE)
+        meets = np.abs(apart - np.round(apart)) < SAME_ANGLE
+        if upward is not None:
+            meets &= upward[:last] == upward[last]
+        same = np.flatnonzero(meets)
         if len(same):
             first = int(same[0])
             pair = np.ix_([first, last], [first, last])

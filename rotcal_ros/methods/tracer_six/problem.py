@@ -8,7 +8,7 @@ from typing import Any, Final, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.methods.columns import broadcast, indices, matrix, require, vector
 from rotcal_ros.methods.tracer.settings import Datum, TracerLimits
@@ -32,7 +32,8 @@ class SixProblem:
     ``targets``: places of the reflector in the machine's frame, m, the same in all runs;
     ``target_std``: their standard deviation, one number, three, or (n, 3). ``datum`` "prior"
     weighs them by it, "free" takes them as start values only.
-    ``table_angles``: commanded, rad, counter-clockwise about +z.
+    ``table_angles``: commanded, rad, counter-clockwise about +z. ``upward`` (m,): from which side
+    the table came to each position, where it came from both.
     ``places``: where the tracer stands on the table, m, in the frame that turns with it and
     coincides with the machine's at angle zero: good to some millimetres, start values only.
     Machine z along the table axis, origin near it (10 mrad and 10 mm are taken exactly); the
@@ -74,11 +75,17 @@ class SixProblem:
     distance_std: Floats = 0.0  # type: ignore[assignment]
     order: Ints | None = None
     slip: float = _DEFAULTS.slip_m
+    upward: Bools | None = None
     settings: TracerLimits = _DEFAULTS
 
     def __post_init__(self) -> None:
         self._check_names()
         angles = self._store("table_angles", vector("table_angles", self.table_angles))
+        if self.upward is not None and np.shape(self.upward) != angles.shape:
+            raise DataError(
+                f"upward has shape {np.shape(self.upward)}, expected a side for each of the "
+                f"{len(angles)} table_angles"
+            )
         places = self._store("places", matrix("places", self.places))
         targets = self._store("targets", matrix("targets", self.targets))
         position = self._store("position", indices("position", self.position, len(angles)))

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid
@@ -138,7 +138,7 @@ def adjust(problem: SixProblem) -> SixSolution:
         covariance=covariance,
         lengths=lengths,
         scale=scale,
-        closures=_closures(layout, table, covariance),
+        closures=_closures(layout, table, covariance, problem.upward),
         rejected=absent | why,
         n_lengths=len(problem.length) - len(idle),
         n_rejected=len(absent) - len(idle) + len(why),
@@ -224,11 +224,13 @@ def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
 
 
 def _closures(
-    layout: Layout, table: CurvePosterior, covariance: Floats
+    layout: Layout, table: CurvePosterior, covariance: Floats, upward: Bools | None
 ) -> dict[str, tuple[Closure, ...]]:
     """Return for each component what whole turns apart should agree."""
+    ids = layout.position_ids
+    side = None if upward is None else upward[ids]
     columns = np.concatenate([table.curves.translation, table.curves.rotation], axis=1)
     return {
-        name: closures(layout.angles, columns[:, at], covariance[at, :, at], layout.position_ids)
+        name: closures(layout.angles, columns[:, at], covariance[at, :, at], ids, side)
         for name, at in PLACE.items()
     }
