@@ -32,8 +32,9 @@ SETTLED: Final = 1e-10
 class SixTrials:
     """Draws measurements like the given one and solves them; made by :func:`six_trials`.
 
-    The measured lengths, targets and stated tilts get fresh noise, every arrival a fresh scatter.
-    How large that is follows the scatter of the solution: as stated, or as likely as it was found.
+    The measured lengths, targets and stated tilts get fresh noise, every arrival a fresh scatter,
+    and a fringe slips as often as it would stay unseen. How large the scatter is follows that of
+    the solution: as stated, or as likely as it was found.
     """
 
     solution: SixSolution
@@ -56,6 +57,8 @@ class SixTrials:
         spread = root @ rng.standard_normal((len(arms), 3, 1))
         noise = scale * grid.length_std * rng.standard_normal(grid.length.shape)
         length = grid.length + noise + (self.rig.slopes.unit @ spread)[:, :, 0]
+        if self.solution.slips is not None:
+            length += self.solution.slips.draw(grid, rng, 1)[0]
         if layout.tilt_std is not None:
             tilts = scale * layout.tilt_std * rng.standard_normal((len(layout.angles), 2))
             layout = replace(layout, tilts=tilts)
