@@ -127,9 +127,7 @@ def main():
             if chosen.kind and kind not in chosen.kind:
                 continue
             if network is None:
-                found = coverage(
-                    chosen.runs, size, arrivals=arrivals, chosen=targets, **options
-                )
+                found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets, **options)
             else:
                 found = linear_coverage(network, chosen.runs, size)
             show(case, kind, level, found)

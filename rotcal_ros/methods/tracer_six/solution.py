@@ -43,9 +43,9 @@ class SixSolution:
     in the order of COMPONENTS, what is known of them in the end: enlarged by ``scale`` for what
     the noise leaves unexplained, and for a scatter that few contrasts tell, and with what unseen
     ``slips`` of a fringe add. ``closures`` are tested without these: such a slip may open them.
-    ``lengths``: test of chi-squared with the noise that was used. ``rejected`` says by row why a length was not used;
-    ``n_lengths`` could have been used, ``n_rejected`` of them were not. ``jumps`` of zeros, whose
-    segment is a zero of the ``layout``.
+    ``lengths``: test of chi-squared with the noise that was used. ``rejected`` says by row why a
+    length was not used; ``n_lengths`` could have been used, ``n_rejected`` of them were not.
+    ``jumps`` of zeros, whose segment is a zero of the ``layout``.
     """
 
     problem: SixProblem
@@ -204,7 +204,6 @@ def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest,
 def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
     """Return the covariance (6, m, 6, m) with what is not known of the scatter."""
     rig, after = fit.posterior.rig, fit.posterior
-    m = len(rig.layout.angles)
     covariance = table.covariance
     if fit.scatter.estimated:
         gain = table.jacobian @ after.covariance[rig.layout.size :] @ pulled(rig).T

@@ -1,7 +1,5 @@
 """The joint solve against scipy, a dense covariance, and simulated truth."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy_tracer_six import SparseSix
