@@ -99,9 +99,11 @@ def main():
     parser.add_argument("--whole", action="store_true", help="solve every measurement whole")
     parser.add_argument("--broken", action="store_true", help="the beam is broken on the way")
     parser.add_argument("--slips", action="store_true", help="the counter slips a fringe")
+    parser.add_argument("--no-slip", action="store_true", help="it is known not to: slip_m is 0")
     parser.add_argument("--angles", type=int, default=12, help="to first order only")
     parser.add_argument("--kind", choices=["none", *KINDS], action="append", help="default: all")
     chosen = parser.parse_args()
+    options = {"slip": 0.0} if chosen.no_slip else {}
     names = "".join(f"{name:>7}" for name in COMPONENTS)
     print(f"{'':26}{'scatter':10}level {names}   {'U':6}{names} um, urad")
     if chosen.broken:
@@ -112,10 +114,11 @@ def main():
     for case in chosen.case or CASES:
         arrivals, targets = CASES[case]
         if chosen.slips:
-            size = KINDS["both"]
-            found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets, slips=True)
-            show(case, "both", 1.0, found)
-            print(f"found in {100 * found.jumped:.0f} %", flush=True)
+            for kind in chosen.kind or ["both"]:
+                size = KINDS.get(kind, (0.0, 0.0))
+                found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets, slips=True)
+                show(case, kind, 1.0, found)
+                print(f"found in {100 * found.jumped:.0f} %", flush=True)
             continue
         network = (
             None if chosen.whole else Linear(good_targets()[targets], arrivals, m=chosen.angles)
@@ -124,7 +127,7 @@ def main():
             if chosen.kind and kind not in chosen.kind:
                 continue
             if network is None:
-                found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets)
+                found = coverage(chosen.runs, size, arrivals=arrivals, chosen=targets, **options)
             else:
                 found = linear_coverage(network, chosen.runs, size)
             show(case, kind, level, found)

@@ -24,7 +24,7 @@ class Linear:
         quiet = {"noise": 0.0, "mounted": 0.0, "curves": (0.0, 0.0)}
         rng = np.random.default_rng(1)
         rows = scene(rng, targets, arrivals=arrivals, **quiet, **layout).rows
-        solution = adjust(SixProblem(**rows, **NONE))
+        solution = adjust(SixProblem(**rows, slip=0.0, **NONE))
         rig, whole = solution.rig, solution.fit.posterior.covariance
         self.arms = rig.state.arms(rig.layout)
         self.contrasts = contrasts(rig, self.arms)

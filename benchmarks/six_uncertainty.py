@@ -11,6 +11,7 @@ from rotcal_ros.methods.tracer_six import SixProblem, solve
 
 CASES = {
     "120 degrees apart, zero per run": {},
+    "the same, a fringe may slip unseen": {"slip": 0.3164e-6},
     "the same, zero per station": {"zero": "per_station"},
     "the same, heights 0, 40, 80 mm": {"zero": "per_station", "heights": [0.0, 0.04, 0.08]},
     "90 degrees apart": {"spacing_deg": 90.0},
@@ -22,13 +23,13 @@ CASES = {
 }
 
 
-def expanded(zero="per_run", datum="prior", tilt_std=None, **layout):
+def expanded(zero="per_run", datum="prior", tilt_std=None, slip=0.0, **layout):
     places = on_circle(**layout)
     quiet = {"noise": 0.0, "mounted": 0.0, "curves": (0.0, 0.0)}
     rows = scene(np.random.default_rng(1), places=places, zero=zero, **quiet).rows
     problem = SixProblem(
-        **rows, datum=datum, tilt_std=tilt_std, scatter_translation_std=0.0,
-        scatter_rotation_std=0.0,
+        **rows, datum=datum, tilt_std=tilt_std, slip=slip,
+        scatter_translation_std=0.0, scatter_rotation_std=0.0,
     )  # fmt: skip
     std = solve(problem).std
     return [2e6 * float(np.sqrt(np.mean(std[name] ** 2))) for name in COMPONENTS]

@@ -130,6 +130,7 @@ def by_tracer_at_places(
         places=places,
         scatter_translation_std=0.0,  # this table comes back to the same place
         scatter_rotation_std=0.0,
+        slip=0.0,  # and its tracer's counter does not slip
     )
 
 

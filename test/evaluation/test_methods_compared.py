@@ -15,7 +15,7 @@ from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six
 from rotcal_ros.units import ARCSEC
 
 BALLS = (0, 3, 4, 9, 14, 20)
-RUNS = 40
+RUNS = 32
 pytestmark = pytest.mark.slow
 
 

@@ -25,12 +25,13 @@ SHORT = (
     "plan.table_positions=3",
     "plan.table_step_deg=120.0",
     "plan.bidirectional=true",
-    "plan.box_points=[3, 2, 2]",
+    "plan.box_points=[2, 2, 2]",
     "planner.preflight_timeout_s=30.0",
     "simulation.tracer.misplaced_place=1",
     "simulation.tracer.misplaced_mm=40.0",
 )
-PER_PLACE = 2 * 3 * 12
+TARGETS = 8
+PER_PLACE = 2 * 3 * TARGETS
 
 
 def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
@@ -59,7 +60,7 @@ def test_the_planner_waits_for_the_tracer_at_every_place_and_sees_a_wrong_one(
     assert recording.same_as_recorded
     assert recording.solve().to_json() == text
     # The first angle of the second place was measured twice; what counts is the second time.
-    assert len([o for o in recording.recorded if o.station == 1]) == PER_PLACE + 12
+    assert len([o for o in recording.recorded if o.station == 1]) == PER_PLACE + TARGETS
 
     result = Result.from_dict(json.loads(text))
     assert result.components == COMPONENTS

@@ -107,17 +107,7 @@ def _slip(solution: TracerSolution) -> tuple[Protection, ...]:
     moved = slips.size * slips.shifts.moved @ (bearing - bearing[0]).T
     std = solution.angles.std
     share = np.abs(moved[:, std > 0.0]) / std[std > 0.0]
-    hidden = share[slips.missed > 1.0 - POWER]
-    worst = float(hidden.max()) if hidden.size else 0.0
-    what = f"a counter that slips a fringe of {slips.size:.3g} m"
-    if slips.found >= POWER:
-        why = f"{what} makes the lengths disagree, and is found"
-        return (Protection("slip", "tested", why, worst),)
-    why = (
-        f"{what} is found in {100 * slips.found:.0f} % of the cases, by these lengths in this "
-        "order; the uncertainty holds what the others do"
-    )
-    return (Protection("slip", "bounded", why, worst),)
+    return (slips.protection(share.max(axis=1, initial=0.0)),)
 
 
 def _moved(effect: Effect, worst: Worst, solution: TracerSolution, what: str) -> Protection:

@@ -2,8 +2,9 @@
 
 A measurement with one slip is held to be as likely as one with none (SLIPPED), and any moment of
 it as any other. With which probability the test of :mod:`.jumps` misses a slip follows from the
-geometry, and so does what it then does to the stations. The covariance is the expected square of
-that. Like all of a covariance it does not depend on the readings, and can be told in advance.
+geometry, and so does what it then does to the stations, or to the curves of a whole table. The
+covariance is the expected square of that. Like all of a covariance it does not depend on the
+readings, and can be told in advance.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy.special import ndtr
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.shifts import Shifts
+from rotcal_ros.protection import POWER, TOLERABLE, Protection
 
 SLIPPED: Final = 0.5
 """Probability that a measurement holds a slip."""
@@ -44,9 +46,30 @@ class Slips:
         return SLIPPED / len(self.missed) * self.missed
 
     def covariance(self) -> Floats:
-        """Return what unseen slips add to the covariance (3 m, 3 m) of the stations, m^2."""
+        """Return what unseen slips add to the covariance (q, q) of what the shifts move, SI."""
         moved = self.size * self.shifts.moved
         return np.asarray((moved.T * self.chance) @ moved, dtype=np.float64)
+
+    def protection(self, share: Floats, cure: str = "") -> Protection:
+        """Return the statement about slips.
+
+        ``share`` (t,): the worst that a slip at each moment does, in standard uncertainties. One
+        that may do more than TOLERABLE at a moment where it is not found with POWER is named,
+        although the uncertainty holds it on average; ``cure`` is added then.
+        """
+        hidden = share[self.missed > 1.0 - POWER]
+        worst = float(hidden.max()) if hidden.size else 0.0
+        what = f"a counter that slips a fringe of {self.size:.3g} m"
+        why = (
+            f"{what} is found in {100 * self.found:.0f} % of the cases, by these lengths in this "
+            "order; the uncertainty holds what the others do"
+        )
+        if worst > TOLERABLE:
+            return Protection("slip", "not protected", f"{why} on average{cure}", worst)
+        if self.found >= POWER:
+            why = f"{what} makes the lengths disagree, and is found"
+            return Protection("slip", "tested", why, worst)
+        return Protection("slip", "bounded", why, worst)
 
     def draw(self, grid: Grid, rng: np.random.Generator, count: int) -> Floats:
         """Return what unseen slips do to the lengths of ``count`` trials, (count, p, n) in m."""

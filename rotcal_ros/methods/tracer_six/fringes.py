@@ -3,7 +3,8 @@
 The search of :mod:`rotcal_ros.methods.tracer.jumps`, on the network of a rigid table. Lengths of a
 run that grow by the same amount from some moment on look like a place that rose there, and three
 places always have a plane: where no angle is measured again in the same run, most of a slip is
-taken for tilts and heights of the table.
+taken for tilts and heights of the table. The uncertainty allows for what stays unseen as for the
+tracer (:mod:`rotcal_ros.methods.tracer.slips`).
 """
 
 from __future__ import annotations

@@ -49,7 +49,8 @@ class SixProblem:
     have their own scatter. ``tilt_std`` (rad): prior knowledge of EAC and EBC, which two
     places, or three in a line, need. ``order`` (k,): when each length was taken, in any growing
     numbers; without it run follows run and angle follows angle. ``slip``: a fringe (m) by which
-    the counter may slip unseen; 0: no jump of a zero is looked for.
+    the counter may slip unseen, which the uncertainty allows for; 0: no jump of a zero is looked
+    for.
 
     A pair of station and target has one length in each arrival. Raises DataError for values that
     are not finite, indices out of range and standard deviations that are not positive,

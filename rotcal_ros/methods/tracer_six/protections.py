@@ -11,7 +11,7 @@ from rotcal_ros.methods.tracer_six import response
 from rotcal_ros.methods.tracer_six.response import Worst
 from rotcal_ros.methods.tracer_six.solution import SixSolution
 from rotcal_ros.methods.tracer_six.timing import timing
-from rotcal_ros.protection import POWER, TOLERABLE, Effect, Protection, ordered
+from rotcal_ros.protection import POWER, Effect, Protection, ordered
 
 LARGEST_MOVE: Final = 1e-4
 """Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
@@ -60,10 +60,7 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
 
 
 def _slip(solution: SixSolution) -> tuple[Protection, ...]:
-    """Return the statement about a fringe slipped unseen, where lengths share zeros.
-
-    ``error``: the worst that one does at a moment where it is not found with POWER.
-    """
+    """Return the statement about a fringe slipped unseen, where lengths share zeros."""
     slips = solution.slips
     if slips is None:
         return ()
@@ -71,16 +68,8 @@ def _slip(solution: SixSolution) -> tuple[Protection, ...]:
     std = np.sqrt(np.einsum("ajaj->ja", solution.covariance))  # (m, 6)
     moved = slips.size * slips.shifts.moved.reshape(-1, 2, m, 3).swapaxes(1, 2).reshape(-1, m, 6)
     share = (np.abs(moved) / np.maximum(std, response.NOTHING)).max(axis=(1, 2))
-    hidden = share[slips.missed > 1.0 - POWER]
-    worst = float(hidden.max()) if hidden.size else 0.0
-    why = (
-        f"a counter that slips a fringe of {slips.size:.3g} m is found in "
-        f"{100 * slips.found:.0f} % of the cases, by these lengths in this order"
-    )
-    if worst > TOLERABLE:
-        why += "; several arrivals at each angle (plan.arrivals) show more"
-        return (Protection("slip", "not protected", why, worst),)
-    return (Protection("slip", "tested", why, worst),)
+    cure = "; several arrivals at each angle (plan.arrivals) show more"
+    return (slips.protection(share, cure),)
 
 
 def _moved(solution: SixSolution, effect: Effect, worst: Worst, what: str) -> Protection:

@@ -90,9 +90,16 @@ class Scatter:
         shift, turn = self.weighing(arms)
         if shift == 0.0 and turn == 0.0:
             return None
-        covariance = shift * np.eye(3) + turn * turned(arms)
-        values, vectors = np.linalg.eigh(covariance)
-        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None], dtype=np.float64)
+        return roots_of(shift, turn, arms)
+
+
+def roots_of(shift: float, turn: float, arms: Floats) -> Floats:
+    """Return roots (V, 3, 3) of the covariances of squared shifts (m^2) and turns (rad^2).
+
+    At ``arms`` (V, 3); turns alone leave the direction of the arm at rest, which has no Cholesky.
+    """
+    values, vectors = np.linalg.eigh(shift * np.eye(3) + turn * turned(arms))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None], dtype=np.float64)
 
 
 def turned(arms: Floats) -> Floats:

@@ -30,7 +30,7 @@ class TracerSixSolverSettings(LengthNoiseSettings):
     slip_m: float = setting(
         0.3164e-6,
         doc="m, a fringe by which the counter may slip without a word where lengths share zeros; "
-        "the verdict says how much of it would be found; 0: the counter does not slip",
+        "what would not be found of it is in the uncertainty; 0: the counter does not slip",
         minimum=0.0,
         maximum=1e-5,
     )

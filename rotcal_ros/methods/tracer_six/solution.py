@@ -41,10 +41,11 @@ class SixSolution:
 
     ``table``: curves with their covariance as the network gives it; ``covariance`` (6, m, 6, m),
     in the order of COMPONENTS, what is known of them in the end: enlarged by ``scale`` for what
-    the noise leaves unexplained, and for a scatter that few contrasts tell. ``lengths``: test of
-    chi-squared with the noise that was used. ``rejected`` says by row why a length was not used;
-    ``n_lengths`` could have been used, ``n_rejected`` of them were not. ``jumps`` of zeros, whose
-    segment is a zero of the ``layout``; ``slips`` of a fringe that may stay unseen.
+    the noise leaves unexplained, and for a scatter that few contrasts tell, and with what unseen
+    ``slips`` of a fringe add. ``closures`` are tested without these: such a slip may open them.
+    ``lengths``: test of chi-squared with the noise that was used. ``rejected`` says by row why a
+    length was not used; ``n_lengths`` could have been used, ``n_rejected`` of them were not.
+    ``jumps`` of zeros, whose segment is a zero of the ``layout``.
     """
 
     problem: SixProblem
@@ -126,6 +127,10 @@ def adjust(problem: SixProblem) -> SixSolution:
     table = curve_posterior(fit.posterior.rig, fit.posterior.covariance)
     lengths, scale = _length_test(fit, limits.test_significance)
     covariance = scale**2 * _enlarged(fit, table)
+    slips = None
+    if shifts is not None:
+        slips = slips_among(shifts, problem.slip, limits.rejection_significance, scale)
+    unseen = 0.0 if slips is None else _by_curve(slips.covariance())
     check_curves(table, fit.posterior.rig.state.places, limits.max_station_std)
     idle = {row for row, text in absent.items() if text.startswith("repeats")}
     return SixSolution(
@@ -135,7 +140,7 @@ def adjust(problem: SixProblem) -> SixSolution:
         noise=screened.noise,
         fit=fit,
         table=table,
-        covariance=covariance,
+        covariance=covariance + unseen,
         lengths=lengths,
         scale=scale,
         closures=_closures(layout, table, covariance, problem.upward),
@@ -143,9 +148,7 @@ def adjust(problem: SixProblem) -> SixSolution:
         n_lengths=len(problem.length) - len(idle),
         n_rejected=len(absent) - len(idle) + len(why),
         jumps=jumps,
-        slips=None
-        if shifts is None
-        else slips_among(shifts, problem.slip, limits.rejection_significance, scale),
+        slips=slips,
     )
 
 
@@ -201,7 +204,6 @@ def _length_test(fit: RigidAdjustment, significance: float) -> tuple[GlobalTest,
 def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
     """Return the covariance (6, m, 6, m) with what is not known of the scatter."""
     rig, after = fit.posterior.rig, fit.posterior
-    m = len(rig.layout.angles)
     covariance = table.covariance
     if fit.scatter.estimated:
         gain = table.jacobian @ after.covariance[rig.layout.size :] @ pulled(rig).T
@@ -219,6 +221,12 @@ def _enlarged(fit: RigidAdjustment, table: CurvePosterior) -> Floats:
         used = fit.scatter.weighing(arms)
         factor = enlargement(fit.scatter, used, covariance.diagonal(), slope)
         covariance = covariance * factor * factor[:, None]
+    return _by_curve(covariance)
+
+
+def _by_curve(covariance: Floats) -> Floats:
+    """Return (6, m, 6, m) of a covariance (6 m, 6 m): d of all positions, then c."""
+    m = len(covariance) // 6
     ordered = covariance.reshape(2, m, 3, 2, m, 3).transpose(0, 2, 1, 3, 5, 4)
     return np.ascontiguousarray(ordered.reshape(6, m, 6, m))
 

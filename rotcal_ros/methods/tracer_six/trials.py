@@ -17,13 +17,11 @@ from rotcal_ros.methods.tracer_six.curves import table_curves
 from rotcal_ros.methods.tracer_six.layout import Layout
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.rig import Rig, State, relax, slopes
-from rotcal_ros.methods.tracer_six.scatter import turned
+from rotcal_ros.methods.tracer_six.scatter import roots_of
 from rotcal_ros.methods.tracer_six.solution import SixSolution, adjust
 
 MOST_STEPS: Final = 6
 """Noise of 1e-6 m needs three; what has not settled then is linearised anew."""
-TINY: Final = 1e-30
-"""Squared metres, so that no scatter at all has a root too."""
 SETTLED: Final = 1e-10
 """Squared length, in standard deviations, of a last step that left nothing to do."""
 
@@ -32,8 +30,9 @@ SETTLED: Final = 1e-10
 class SixTrials:
     """Draws measurements like the given one and solves them; made by :func:`six_trials`.
 
-    The measured lengths, targets and stated tilts get fresh noise, every arrival a fresh scatter.
-    How large that is follows the scatter of the solution: as stated, or as likely as it was found.
+    The measured lengths, targets and stated tilts get fresh noise, every arrival a fresh scatter,
+    and a fringe slips as often as it would stay unseen. How large the scatter is follows that of
+    the solution: as stated, or as likely as it was found.
     """
 
     solution: SixSolution
@@ -52,10 +51,11 @@ class SixTrials:
         known = self.solution.scatter
         arms = self.rig.state.arms(layout)
         shift, turn = known.variances[rng.choice(len(known.weights), p=known.weights)]
-        root = np.linalg.cholesky((shift + TINY) * np.eye(3) + turn * turned(arms))
-        spread = root @ rng.standard_normal((len(arms), 3, 1))
+        spread = roots_of(shift, turn, arms) @ rng.standard_normal((len(arms), 3, 1))
         noise = scale * grid.length_std * rng.standard_normal(grid.length.shape)
         length = grid.length + noise + (self.rig.slopes.unit @ spread)[:, :, 0]
+        if self.solution.slips is not None:
+            length += self.solution.slips.draw(grid, rng, 1)[0]
         if layout.tilt_std is not None:
             tilts = scale * layout.tilt_std * rng.standard_normal((len(layout.angles), 2))
             layout = replace(layout, tilts=tilts)

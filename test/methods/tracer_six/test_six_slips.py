@@ -1,17 +1,26 @@
 """A fringe that the counter slips in the midst of a run, and nobody says so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import norm
 from six_coverage import TWELVE
 from six_scene import good_targets, scene
 
 from rotcal_ros.components import COMPONENTS
+from rotcal_ros.methods.tracer import TracerLimits
 from rotcal_ros.methods.tracer_six import SixProblem, solve
 from rotcal_ros.methods.tracer_six.solution import adjust
 from rotcal_ros.protection import TOLERABLE
 
 FRINGE = 0.3164e-6
 M, N = 5, 12
+KNOWN = {"scatter_translation_std": 0.0, "scatter_rotation_std": 0.0}
+KEEP_ALL = TracerLimits(
+    rejection_significance=1e-12, noise_significance=1e-300, test_significance=1e-300
+)
+"""As if there were no rejection and no second thought about noise."""
 PER_ROUND = M * N
 
 
@@ -73,9 +82,59 @@ def test_no_jump_is_seen_where_there_is_none():
 
 def test_one_round_shows_little_and_the_verdict_says_so():
     """A place whose lengths have grown looks as if it rose, and three places have a plane."""
-    once, twice = (solve(measured(3, arrivals=arrivals)[1]) for arrivals in (1, 2))
-    assert once.details["slips"]["found"] < 0.3 < 0.7 < twice.details["slips"]["found"]
+    once, twice = (solve(measured(3, arrivals=arrivals, **KNOWN)[1]) for arrivals in (1, 2))
+    assert once.details["slips"]["found"] < 0.5 < 0.7 < twice.details["slips"]["found"]
     assert slip_of(once).treatment == "not protected"
     assert slip_of(once).error > TOLERABLE
     assert "plan.arrivals" in slip_of(once).why
     assert "slip" in once.unprotected
+
+
+def coverage_of_slips(runs, **options):
+    """Return the share of EZC, EAC and EBC inside their intervals; every run slips a fringe."""
+    rng = np.random.default_rng(11)
+    inside = []
+    for seed in range(runs):
+        at = int(rng.integers(PER_ROUND))
+        truth, problem = measured(seed, at, 1, place=seed % 3, **KNOWN, **options)
+        solution = adjust(problem)
+        curves = np.array(list(solution.deviations().values()))
+        std = np.sqrt(np.einsum("ajaj->aj", solution.covariance))
+        inside.append((np.abs(curves - truth) < 1.96 * std)[2:5].mean())
+    return np.mean(inside)
+
+
+def test_what_stays_unseen_of_a_slip_is_in_the_uncertainty():
+    """One round: a slip tilts the curves. Where none is allowed for, intervals are too narrow."""
+    assert coverage_of_slips(30, slip=0.0) < 0.87
+    assert coverage_of_slips(30) > 0.91
+
+
+def test_the_allowance_is_what_plain_solves_make_of_slips():
+    """Each slip solved whole: what it moves, and by chi-squared how well it can be seen."""
+    made, every = scene(np.random.default_rng(1), good_targets()[TWELVE[:6]], m=4), np.arange(72)
+    problem = SixProblem(**made.rows, **KNOWN, order=every)
+    plain = replace(problem, slip=0.0, settings=KEEP_ALL)
+
+    def shifted(at, size):
+        later = (problem.place == problem.place[at]) & (every >= at)
+        return adjust(replace(plain, length=problem.length + size * later))
+
+    names, alone = ("EZC", "EAC", "EBC"), adjust(plain)
+    begins = every[every % 24 > 0]  # a run that slips as a whole has another zero
+    moved, apart = {name: [] for name in names}, []
+    for at in begins:
+        up, down = shifted(at, FRINGE), shifted(at, -FRINGE)
+        apart.append(np.sqrt(0.5 * (up.fit.chi2 + down.fit.chi2) - alone.fit.chi2))
+        for name in names:
+            moved[name].append(0.5 * (up.deviations()[name] - down.deviations()[name]))
+    solution = adjust(problem)
+    side = np.minimum(begins % 24, 24 - begins % 24)
+    limit = solution.slips.shifts.limit(problem.settings.rejection_significance)
+    missed = np.where(side < 4, 1.0, norm.cdf(limit - np.array(apart)))
+    chance = 0.5 * missed / len(missed)
+    for name in names:
+        curve = np.array(moved[name])
+        allowed = solution.covariance_of(name) - alone.covariance_of(name)
+        assert np.abs(allowed - (curve.T * chance) @ curve).max() < 1e-3 * allowed.max(), name
+        assert allowed.max() > 0.1 * alone.covariance_of(name).max(), name
