@@ -23,11 +23,11 @@ from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.policy.measured import Measured
 from rotcal_ros.planning.policy.noise import (
     LengthNoise,
-    estimate_noise,
-    judge_lengths,
+    estimated_noise,
+    judged_lengths,
     suspect_length,
 )
-from rotcal_ros.planning.policy.residuals import residual_rows
+from rotcal_ros.planning.policy.residuals import contrasts
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.ordering import noisy_problem
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
@@ -201,9 +201,9 @@ class LengthExperiment:
         if not observations:
             return LengthNoise(1.0, 0.0, np.zeros(0), 0.0), None
         zero = measured.segments()[kept] if self.per_segment else None
-        rows = residual_rows(self.scene, observations, zero)
-        found = estimate_noise(*rows) if factor is None else judge_lengths(*rows, factor)
-        suspect = suspect_length(rows, found, significance)
+        told = contrasts(self.scene, observations, zero)
+        found = estimated_noise(told) if factor is None else judged_lengths(told, factor)
+        suspect = suspect_length(told, found, significance)
         return found, None if suspect is None else (observations[suspect[0]], suspect[1])
 
     def _noisier(self, factor: float) -> Scene:
