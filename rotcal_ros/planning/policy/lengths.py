@@ -82,7 +82,7 @@ class LengthExperiment:
         return Measured(self.per_segment)
 
     def information(
-        self, measured: Measured, noise: float, further: Collection[int] = ()
+        self, measured: Measured, noise: float, further: Collection[int] | Ints = ()
     ) -> Information:
         """Return what the ``measured`` lengths tell, and those of ``further`` steps."""
         zeros = len(measured.beams) if self.per_segment else self.stations
@@ -105,7 +105,7 @@ class LengthExperiment:
         measured: Measured,
         noise: float,
         coverage_factor: float,
-        further: Collection[int] = (),
+        further: Collection[int] | Ints = (),
     ) -> float:
         """Return the expanded uncertainty (rad, rms over the angles) that these steps give.
 
