@@ -93,8 +93,9 @@ class UntilGoal:
         self._closing = Closing()
         self._queue = deque((step, "first sweep") for step in self._first_sweep())
         self._go_through(earlier, set(given_up))
-        joining = [(step, "done step, measured again to join the runs") for step in again]
-        self._queue.extendleft(reversed(joining))
+        if self._next().step is not None:  # there is something to be joined
+            joining = [(step, "done step, measured again to join the runs") for step in again]
+            self._queue.extendleft(reversed(joining))
 
     def _go_through(self, earlier: Iterable[Observation], given_up: set[int]) -> None:
         """Follow the earlier runs, whose choices are found again from what they observed."""
