@@ -217,7 +217,8 @@ class LengthExperiment:
                 length_std=factor * self.scene.length_std,
                 length_std_relative=factor * self.scene.length_std_relative,
             )
-            found.__dict__.update(motion=self.scene.motion, bearing=self.scene.bearing)
+            for name in ("motion", "bearing", "turning", "error_motion_angles"):
+                found.__dict__[name] = getattr(self.scene, name)  # the noise has no part in them
         return found
 
 

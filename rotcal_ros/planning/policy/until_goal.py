@@ -208,8 +208,9 @@ class UntilGoal:
 
         They are planned to first order, and so for as much less as the solver allows for slips.
         """
-        planned = self._experiment.planned(self._measured, factor, student)
-        margin = planned / now if math.isfinite(now) else 1.0
+        margin = 1.0
+        if self._experiment.per_segment and math.isfinite(now):
+            margin = self._experiment.planned(self._measured, factor, student) / now
         wish = Wish(margin * self._limits.uncertainty, factor, student)
         beams = self._beams
         return pick(self._experiment, self._measured, beams.allowed, beams.chance, wish)
