@@ -5,8 +5,10 @@ import re
 import signal
 
 import pytest
+from click.testing import CliRunner
 from live_cell import wait_until
 
+from rotcal_ros.cli.main import rotcal as rotcal_verbs
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
@@ -48,5 +50,6 @@ def test_a_killed_run_is_resumed_to_its_goal_and_the_bag_says_why(rotcal, tmp_pa
     assert last.standing.uncertainty <= last.standing.goal
     assert len(recording.choices) < 70  # of 60 steps, eight of them twice
     assert recording.choices_that_differ() == ()
+    assert CliRunner().invoke(rotcal_verbs, ["bag", "choices", str(folder / "bag")]).exit_code == 0
     assert recording.warnings() == ()
     assert recording.solve().to_json() == (folder / "result.json").read_text()
