@@ -10,6 +10,8 @@ is the set that reaches the goal with the planned noise. What is not known is le
 * suspect lengths are measured again, then all lengths of their station; a length that stays
   suspect is replaced by another target;
 * a drift: the first step and the middle step are measured again, to close the sweep.
+
+Where all steps together would miss the goal with the noise as it is, it ends at once.
 """
 
 from __future__ import annotations
