@@ -243,11 +243,11 @@ def blocked_rows(of: LengthExperiment, cases: int) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    """Run both simulations."""
+    """Run the simulations that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--true", type=float, nargs="*", default=TRUE, help="times planned noise")
-    parser.add_argument("--sectors", type=int, default=40)
+    parser.add_argument("--sectors", type=int, default=40, help="directions; 0: none")
     parser.add_argument("--spacing", type=float, default=0.2)
     parser.add_argument("--zero", choices=("per_station", "per_segment"), default="per_station")
     parser.add_argument("--break-after", type=int, help="lengths until the beam breaks once")
@@ -257,7 +257,7 @@ def main() -> None:
     print(f"{len(of.plan.targets)} targets, {len(of.plan.steps)} candidates")
     found = {
         "noise": noise_rows(of, given.runs, given.true, given.break_after),
-        "blocked": blocked_rows(of, given.sectors),
+        "blocked": blocked_rows(of, given.sectors) if given.sectors else [],
     }
     if given.json:
         given.json.write_text(json.dumps(found, indent=1))

@@ -112,6 +112,7 @@ def _say_what_is_left(calibration: Calibration, continuation: Continuation) -> N
     again = f"; {len(continuation.again)} done steps are measured again" * bool(continuation.again)
     left = f"{missing} of {total} steps are left"
     if calibration.configuration.planner.policy != AS_LISTED:
+        again = f"{again} if any is chosen" * bool(again)
         done = len({o.step for o in continuation.observations})
         left = f"{done} steps are done, and the policy chooses on among the {total} offered"
     say(f"run {continuation.run}: {left}{again}")

@@ -7,6 +7,7 @@ import json
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from click.testing import CliRunner, Result
 from rotcal_ros import catalogue
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.errors import DataError
+from rotcal_ros.planning.policy.choices import Choice, Standing
+from rotcal_ros.recordings.choices import RecordedChoice
 from rotcal_ros.results import Result as Solution
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "bags"))
@@ -119,6 +122,25 @@ def test_unreadable_input(verb: str, content: bytes | None, tmp_path: Path) -> N
 
 
 @pytest.mark.usefixtures("solver")
+@pytest.mark.parametrize(("in_streams", "code"), [((), 0), (("run 1, choice 0: other",), 1)])
+def test_choices_are_asked_of_the_streams_where_the_observations_differ(
+    in_streams: tuple[str, ...], code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A killed capture had readings on disk that it never told as an observation."""
+    made = RecordedChoice(1, 0, 0, Choice(7, "first sweep", Standing(25)))
+    found = {"observations": ("run 1, choice 0: 26 left",), "streams": in_streams}
+
+    def read(_: Path, source: str = "streams", **_options: Any) -> Any:
+        return SimpleNamespace(choices=(made,), choices_that_differ=lambda: found[source])
+
+    monkeypatch.setattr("rotcal_ros.recordings.replay.read_recording", read)
+    outcome = run("bag", "choices", tmp_path)
+    assert outcome.exit_code == code
+    assert "run 1     0 step 7: first sweep" in outcome.output
+    assert ("choice 0: other" in outcome.output) == bool(in_streams)
+    assert "26 left" not in outcome.output
+
+
 def test_solve_gives_json_and_nothing_else(bag: Path, tmp_path: Path) -> None:
     output = tmp_path / "result.json"
     result = run("solve", bag, "--json", "-o", output)

@@ -1,6 +1,7 @@
 """Live cells that end with their test."""
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -26,3 +27,26 @@ def cell(tmp_path, monkeypatch):
     yield make
     for made in cells:
         made.processes.end()
+
+
+@pytest.fixture
+def rotcal(monkeypatch):
+    """Return a function that starts ``rotcal run``; what still runs at the end is ended."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    started = []
+
+    def start(*arguments, log, changes=()):
+        parts = [part for change in (*SHORT, *changes) for part in ("--set", change)]
+        command = [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(DEMO), *parts]
+        process = subprocess.Popen(
+            [*command, *map(str, arguments)],
+            stdout=log.with_suffix(".json").open("w"), stderr=log.open("w"),
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(60)

@@ -1,44 +1,18 @@
 """A newcomer kills the calibration and goes on: the whole command, live."""
 
 import json
-import os
 import re
 import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from live_cell import DEMO, SHORT, wait_until
+from live_cell import wait_until
 
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def rotcal(monkeypatch):
-    """Return a function that starts ``rotcal run``; what still runs at the end is ended."""
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    started = []
-
-    def start(*arguments, log):
-        changes = [part for change in SHORT for part in ("--set", change)]
-        command = [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(DEMO), *changes]
-        process = subprocess.Popen(
-            [*command, *map(str, arguments)],
-            stdout=log.with_suffix(".json").open("w"), stderr=log.open("w"),
-        )  # fmt: skip
-        started.append(process)
-        return process
-
-    yield start
-    for process in started:
-        if process.poll() is None:
-            process.terminate()
-            process.wait(60)
 
 
 def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):

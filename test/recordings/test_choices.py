@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rotcal_ros.catalogue import changed, prepare, prepare_to_measure, read_configuration
@@ -21,6 +22,7 @@ SHORT = (
     "planner.goal_arcsec=11.0",
 )
 GIVEN_UP = 3
+SECOND_NS = 1_000_000_000
 
 
 def calibration(*changes):
@@ -34,8 +36,11 @@ def cell():
     return posed, {o.step: o for o in posed.measured({}, seed=3).observations}
 
 
-def run_of(posed, seen, continuation, most=1000):
-    """Return choices and observations of one run; the step that is chosen third is given up."""
+def run_of(posed, seen, continuation, most=1000, zero_m=0.0):
+    """Return choices and observations of one run; the step that is chosen third is given up.
+
+    ``zero_m``: by how much the zero of all lengths has moved since the first run.
+    """
     policy, choices, observed = posed.policy(continuation), [], []
     first = continuation.run * ATTEMPTS_PER_RUN
     while len(choices) < most:
@@ -46,9 +51,15 @@ def run_of(posed, seen, continuation, most=1000):
         if choice.step is None:
             break
         accepted = len(choices) != 3
+        here = seen[choice.step]
         observations = [
             replace(
-                seen[choice.step], attempt=attempt + n, run=continuation.run, accepted=accepted
+                here,
+                attempt=attempt + n,
+                run=continuation.run,
+                accepted=accepted,
+                mean=(here.mean[0] - zero_m,),
+                window_end_ns=SECOND_NS * (1000 * continuation.run + len(choices)),
             )
             for n in range(1 if accepted else GIVEN_UP)
         ]
@@ -76,6 +87,31 @@ def test_an_interrupted_run_and_the_one_that_continues_it_are_made_again(cell):
     assert more[0].choice.reason == "done step, measured again to join the runs"
     assert more[-1].choice.step is None
     assert differences(posed, [*choices, *more], [*observed, *further]) == ()
+
+
+@pytest.mark.parametrize("zero", ["per_station", "per_segment"])
+def test_a_run_interrupted_at_any_step_ends_as_if_it_had_not_been(zero):
+    posed = calibration(f"solver.zero={zero}")
+    seen = {o.step: o for o in posed.measured({}, seed=3).observations}
+    whole, _ = run_of(posed, seen, posed.from_the_start())
+    goal = whole[-1].choice.standing.goal
+    for most in range(len(whole)):
+        choices, observed = run_of(posed, seen, posed.from_the_start(), most=most)
+        rest = continued(
+            posed.plan, posed.configuration.plan_id, 1, observed,
+            max_attempts=GIVEN_UP, join_steps=8,
+        )  # fmt: skip
+        more, further = run_of(posed, seen, rest, zero_m=2e-5)
+        end = more[-1].choice
+        assert end.reason.startswith("goal reached: U "), most
+        assert end.standing.uncertainty <= goal
+        assert differences(posed, [*choices, *more], [*observed, *further]) == ()
+        done = {o.step for o in observed if o.accepted}
+        joined = {o.step for o in further if o.step in done}
+        assert len(joined) == (min(8, len(done)) if len(more) > 1 else 0), most
+        solved = posed.solve([*observed, *further])
+        error = solved.deviations["ECC"]  # of a table without any
+        assert np.all(np.abs(error - error[0]) <= 5.0 * solved.std["ECC"] + 1e-12), most
 
 
 def test_another_observation_leads_to_another_choice(cell):

@@ -159,7 +159,8 @@ def _with_zeros(trials: TracerTrials, run: Ints, joins: Sequence[Join]) -> Trace
         for earlier in join.shares.keys() & number.keys():
             reach[k] += join.shares[earlier] * reach[number[earlier]]
     of_place = np.where(trials.grid.used, run[trials.grid.row], -1)
-    masks = np.array([of_place == join.run for join in joins], dtype=np.float64)
+    later = np.array([join.run for join in joins], dtype=np.int64)  # none: all steps were repeats
+    masks = (of_place == later[:, None, None]).astype(np.float64)
     return replace(trials, zeros=np.tensordot(reach.T, masks, 1))
 
 

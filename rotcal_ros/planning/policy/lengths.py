@@ -23,11 +23,11 @@ from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.policy.measured import Measured
 from rotcal_ros.planning.policy.noise import (
     LengthNoise,
-    estimate_noise,
-    judge_lengths,
+    estimated_noise,
+    judged_lengths,
     suspect_length,
 )
-from rotcal_ros.planning.policy.residuals import residual_rows
+from rotcal_ros.planning.policy.residuals import contrasts
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.ordering import noisy_problem
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
@@ -82,7 +82,7 @@ class LengthExperiment:
         return Measured(self.per_segment)
 
     def information(
-        self, measured: Measured, noise: float, further: Collection[int] = ()
+        self, measured: Measured, noise: float, further: Collection[int] | Ints = ()
     ) -> Information:
         """Return what the ``measured`` lengths tell, and those of ``further`` steps."""
         zeros = len(measured.beams) if self.per_segment else self.stations
@@ -105,7 +105,7 @@ class LengthExperiment:
         measured: Measured,
         noise: float,
         coverage_factor: float,
-        further: Collection[int] = (),
+        further: Collection[int] | Ints = (),
     ) -> float:
         """Return the expanded uncertainty (rad, rms over the angles) that these steps give.
 
@@ -201,9 +201,9 @@ class LengthExperiment:
         if not observations:
             return LengthNoise(1.0, 0.0, np.zeros(0), 0.0), None
         zero = measured.segments()[kept] if self.per_segment else None
-        rows = residual_rows(self.scene, observations, zero)
-        found = estimate_noise(*rows) if factor is None else judge_lengths(*rows, factor)
-        suspect = suspect_length(rows, found, significance)
+        told = contrasts(self.scene, observations, zero)
+        found = estimated_noise(told) if factor is None else judged_lengths(told, factor)
+        suspect = suspect_length(told, found, significance)
         return found, None if suspect is None else (observations[suspect[0]], suspect[1])
 
     def _noisier(self, factor: float) -> Scene:
@@ -217,7 +217,8 @@ class LengthExperiment:
                 length_std=factor * self.scene.length_std,
                 length_std_relative=factor * self.scene.length_std_relative,
             )
-            found.__dict__.update(motion=self.scene.motion, bearing=self.scene.bearing)
+            for name in ("motion", "bearing", "turning", "error_motion_angles"):
+                found.__dict__[name] = getattr(self.scene, name)  # the noise has no part in them
         return found
 
 

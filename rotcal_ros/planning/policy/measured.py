@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from functools import cached_property
 
 import numpy as np
 
@@ -29,12 +30,19 @@ class Measured:
         """Take an observation in place of what it repeats."""
         self._kept[self._key(observation)] = observation
         self._latest = self._beam(observation)
+        self._forget()
 
     def drop(self, observation: Observation) -> None:
         """Forget an observation."""
         del self._kept[self._key(observation)]
+        self._forget()
 
-    @property
+    def _forget(self) -> None:
+        """Have what follows from the observations worked out anew: they have changed."""
+        for name in ("observations", "beams"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
     def observations(self) -> tuple[Observation, ...]:
         """All that count, in an order that does not depend on when they came."""
         return tuple(self._kept[key] for key in sorted(self._kept))
@@ -60,7 +68,7 @@ class Measured:
         """Return what was measured of ``steps``."""
         return Measured(self.per_segment, (o for o in self.observations if o.step in steps))
 
-    @property
+    @cached_property
     def beams(self) -> tuple[tuple[int, int], ...]:
         """Run and segment of every unbroken beam, the one that is read now among them."""
         every = {self._beam(o) for o in self._kept.values()} | {self._latest or (0, 0)}

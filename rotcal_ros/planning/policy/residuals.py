@@ -9,7 +9,7 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.observations import Observation
-from rotcal_ros.planning.policy.noise import Rows
+from rotcal_ros.planning.policy.contrasts import Contrasts
 from rotcal_ros.planning.tracer_design.scene import Scene
 
 PLACING_STEPS: Final = 8
@@ -18,11 +18,11 @@ RIDGE: Final = 1e-12
 """Share of the diagonal that keeps a station in place where its lengths leave a direction open."""
 
 
-def residual_rows(scene: Scene, observations: Sequence[Observation], zero: Ints | None) -> Rows:
-    """Return design, errors of targets, residuals and times of the lengths (k,) of ``scene``.
+def contrasts(scene: Scene, observations: Sequence[Observation], zero: Ints | None) -> Contrasts:
+    """Return what the lengths (k,) of ``scene`` tell about their noise.
 
     ``zero`` (k,): the unknown zero of each length; None: every station has its own, and a later
-    run an offset to the first. In units of the planned standard deviations, times in ns.
+    run an offset to the first. Times in ns.
     """
     position = np.array([o.table_position for o in observations])
     target = np.array([o.target for o in observations])
@@ -38,7 +38,7 @@ def residual_rows(scene: Scene, observations: Sequence[Observation], zero: Ints 
     std = np.sqrt(scene.beams(position, target)[1])
     time = np.array([o.window_end_ns for o in observations], dtype=np.float64)
     errors = errors.reshape(len(target), -1) / std[:, None]
-    return design / std[:, None], errors, y / std, time - time[0]
+    return Contrasts(design / std[:, None], errors, y / std, time - time[0])
 
 
 def _columns(group: Ints) -> Floats:

@@ -10,6 +10,8 @@ is the set that reaches the goal with the planned noise. What is not known is le
 * suspect lengths are measured again, then all lengths of their station; a length that stays
   suspect is replaced by another target;
 * a drift: the first step and the middle step are measured again, to close the sweep.
+
+Where all steps together would miss the goal with the noise as it is, it ends at once.
 """
 
 from __future__ import annotations
@@ -26,9 +28,10 @@ from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
 from rotcal_ros.planning.policy.closing import Closing
 from rotcal_ros.planning.policy.first_sweep import first_sweep
 from rotcal_ros.planning.policy.free_beams import FreeBeams
-from rotcal_ros.planning.policy.further import Wish, as_sweep, best_at, pick
+from rotcal_ros.planning.policy.further import MOST_AT_ONCE, Wish, as_sweep, best_at, pick
 from rotcal_ros.planning.policy.lengths import LengthExperiment
 from rotcal_ros.planning.policy.noise import LengthNoise, student_factor
+from rotcal_ros.planning.policy.reach import Reach
 from rotcal_ros.planning.policy.suspects import Suspects
 from rotcal_ros.units import ARCSEC
 
@@ -85,12 +88,16 @@ class UntilGoal:
         """Whether one of them has become suspect since."""
         self._stated = (1.0, PLANNED_FACTOR)
         """Factor of the noise and coverage factor, as they are known now."""
+        self._now: float | None = None
+        """The uncertainty (rad) of what is measured, with the noise as stated, once worked out."""
+        self._reach = Reach(*self._stated)
         self._suspects = Suspects()
         self._closing = Closing()
         self._queue = deque((step, "first sweep") for step in self._first_sweep())
         self._go_through(earlier, set(given_up))
-        joining = [(step, "done step, measured again to join the runs") for step in again]
-        self._queue.extendleft(reversed(joining))
+        if self._next().step is not None:  # there is something to be joined
+            joining = [(step, "done step, measured again to join the runs") for step in again]
+            self._queue.extendleft(reversed(joining))
 
     def _go_through(self, earlier: Iterable[Observation], given_up: set[int]) -> None:
         """Follow the earlier runs, whose choices are found again from what they observed."""
@@ -119,7 +126,7 @@ class UntilGoal:
 
     def _next(self) -> Choice:
         """Return the choice without its standing."""
-        stop = ""
+        stop = self._beyond_reach()
         while not self._queue and not stop:
             stop = self._plan_further()
         if stop:
@@ -140,6 +147,7 @@ class UntilGoal:
             self._beams.note_free(step)
             self._closing.note(outcome.observation, self._measured)
             self._measured.add(outcome.observation)
+            self._now = None
         elif step not in self._measured:
             self._beams.note_blocked(step)
             self._replace(step, f"step {step} was given up: another target in its place")
@@ -149,9 +157,19 @@ class UntilGoal:
         """Noise of the lengths in units of the planned one: 1 before it is estimated."""
         return self._stated[0]
 
-    def _standing(self) -> Standing:
+    @property
+    def _learnt(self) -> str:
         noise, factor = self._stated
-        now = self._experiment.uncertainty(self._measured, noise, factor)
+        return f"noise {noise:.3g} times the planned (k = {factor:.3g})"
+
+    def _uncertainty(self) -> float:
+        """Return the uncertainty (rad) of what is measured, with the noise as stated."""
+        if self._now is None:
+            self._now = self._experiment.uncertainty(self._measured, *self._stated)
+        return self._now
+
+    def _standing(self) -> Standing:
+        now = self._uncertainty()
         known = now if now < UNKNOWN else math.nan
         return Standing(len(self._queue), known, self._limits.uncertainty)
 
@@ -173,16 +191,17 @@ class UntilGoal:
             self._state(noise)
         factor, student = self._stated
         goal = self._limits.uncertainty
-        now = self._experiment.uncertainty(self._measured, factor, student)
-        learnt = f"noise {factor:.3g} times the planned (k = {student:.3g})"
+        now = self._uncertainty()
         if now <= goal:
-            return f"goal reached: {_in_words(now)} <= {_in_words(goal)}, {learnt}"
+            return f"goal reached: {_in_words(now)} <= {_in_words(goal)}, {self._learnt}"
         more = self._further(factor, student, now)
         if not more:
             lacking = self._experiment.lacking_in_words(self._measured)
             worse = lacking or f"{_in_words(now)} > {_in_words(goal)}"
-            return f"no further step helps: {worse}, {learnt}"
-        why = f"{learnt}: {len(more)} more lengths to {_in_words(goal)}"
+            return f"no further step helps: {worse}, {self._learnt}"
+        if len(more) >= MOST_AT_ONCE:
+            self._reach.doubt()  # worked out for the next choice: this one was long enough
+        why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
         self._queue += ((step, why) for step in as_sweep(self._experiment, more, self._at))
         return ""
 
@@ -191,17 +210,30 @@ class UntilGoal:
 
         They are planned to first order, and so for as much less as the solver allows for slips.
         """
-        planned = self._experiment.planned(self._measured, factor, student)
-        margin = planned / now if math.isfinite(now) else 1.0
+        margin = 1.0
+        if self._experiment.per_segment and math.isfinite(now):
+            margin = self._experiment.planned(self._measured, factor, student) / now
         wish = Wish(margin * self._limits.uncertainty, factor, student)
         beams = self._beams
         return pick(self._experiment, self._measured, beams.allowed, beams.chance, wish)
+
+    def _beyond_reach(self) -> str:
+        """Return that all steps together miss the goal, if that was doubted and is so."""
+        best = self._reach.best(self._experiment, self._measured, self._beams.allowed)
+        goal = self._limits.uncertainty
+        if not goal < best < math.inf:
+            return ""
+        self._queue.clear()
+        missed = f"all steps that are left would give {_in_words(best)} > {_in_words(goal)}"
+        return f"the goal is out of reach: {missed}, {self._learnt}"
 
     def _state(self, noise: LengthNoise) -> None:
         """State the noise from now on as the first stage tells it, if it does."""
         if noise.dof > 0.0:
             share = self._experiment.share_of_noise(self._measured, noise.factor)
             self._stated = (noise.factor, student_factor(noise.dof / share**2))
+            self._now = None
+            self._reach = Reach(*self._stated)
 
     def _measure_again(self, suspect: Observation, value: float) -> None:
         """Queue what a suspect length asks for: the same again, or another target."""
@@ -210,6 +242,7 @@ class UntilGoal:
         self._queue.extend((step, why) for step in again)
         if not again:
             self._measured.drop(suspect)
+            self._now = None
             self._beams.allowed[suspect.step] = False
             self._replace(suspect.step, why)
 

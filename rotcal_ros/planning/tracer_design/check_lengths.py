@@ -20,7 +20,7 @@ from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.planning.tracer_design.depth import LEAST_DEPTH, least_depth
-from rotcal_ros.planning.tracer_design.information import Information, error_motion_angles
+from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
 
 LEAST_REDUNDANCY: Final = 0.25
@@ -114,7 +114,7 @@ class _Search:
                 "the possible targets lie nearly in one plane, in which the tracer has a mirror "
                 "image: offer some at other heights"
             )
-        exact = np.sqrt(np.diagonal(error_motion_angles(self.scene)))
+        exact = np.sqrt(np.diagonal(self.scene.error_motion_angles))
         known = self.known(every)
         whole = np.sqrt(known.variances())
         for what, std in (("exact lengths", exact), (f"lengths to all {n} targets", whole)):

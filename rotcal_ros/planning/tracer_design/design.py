@@ -16,7 +16,7 @@ from rotcal_ros.planning.tracer_design.candidates import candidates, scene_of
 from rotcal_ros.planning.tracer_design.checks import Checks, checks_of
 from rotcal_ros.planning.tracer_design.depth import LEAST_DEPTH, flat_stations
 from rotcal_ros.planning.tracer_design.exchange import fewest_lengths
-from rotcal_ros.planning.tracer_design.information import Information, error_motion_angles
+from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.optimum import Optimum, Progress, ideal_plan
 from rotcal_ros.planning.tracer_design.penalty import Demands
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
@@ -165,7 +165,7 @@ def segments_of(scene: Scene, settings: TracerDesignSettings) -> int:
 
 def _goal(scene: Scene, demands: Demands, settings: TracerDesignSettings) -> float:
     """Return the mean variance (rad^2) that the lengths may leave beside the error motion."""
-    constant = float(np.trace(error_motion_angles(scene))) / len(scene.stations)
+    constant = float(np.trace(scene.error_motion_angles)) / len(scene.stations)
     if demands.mean <= constant:
         raise PlanError(
             f"the error motion alone makes U(ECC) {COVERAGE_FACTOR * constant**0.5 / ARCSEC:.3g} "

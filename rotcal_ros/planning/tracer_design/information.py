@@ -23,7 +23,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.methods.tracer.error_motion import error_motion_covariance
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene, Which
 
 NOMINAL_STD: Final = 0.02
@@ -103,7 +102,7 @@ class Information:
     @cached_property
     def angle_covariance(self) -> Floats:
         """Covariance (m, m) of the angles less their mean, rad^2, without error motion."""
-        turn, n = _centred(self.scene.bearing), self.scene.stations.size
+        turn, n = self.scene.turning, self.scene.stations.size
         covariance = turn @ self.covariance[:n, :n] @ turn.T
         return np.asarray(0.5 * (covariance + covariance.T), dtype=np.float64)
 
@@ -114,7 +113,7 @@ class Information:
 
     def variances(self) -> Floats:
         """Return the variances (m,) of the angles less their mean, rad^2, with error motion."""
-        motion = error_motion_angles(self.scene)
+        motion = self.scene.error_motion_angles
         return np.asarray(np.diagonal(self.angle_covariance + motion), dtype=np.float64)
 
     def cumulative_covariance(self) -> Floats:
@@ -122,7 +121,7 @@ class Information:
 
         This is what the solver will state for the same lengths, rad^2.
         """
-        whole = self.angle_covariance + error_motion_angles(self.scene)
+        whole = self.angle_covariance + self.scene.error_motion_angles
         from_first = np.eye(len(whole))
         from_first[:, 0] -= 1.0
         return np.asarray(from_first @ whole @ from_first.T, dtype=np.float64)
@@ -131,7 +130,7 @@ class Information:
     def _responses(self) -> tuple[Floats, Floats, Floats, Floats]:
         """G K (m, d); for each touched target K W (d, 3), G K W (m, 3) and its block (3, 3)."""
         n = self.scene.stations.size
-        turn = _centred(self.scene.bearing) @ self.covariance[:n]
+        turn = self.scene.turning @ self.covariance[:n]
         through = self.covariance @ self._transfer
         own = self._own + self._transfer.swapaxes(1, 2) @ through
         return turn, through, turn @ self._transfer, own
@@ -196,17 +195,6 @@ class Information:
         """Return - d phi / d weight (k,) of each candidate, rad^2: its gain for a tiny weight."""
         beams = self.beams(candidates)
         return np.asarray(beams.power / beams.variance, dtype=np.float64)
-
-
-def error_motion_angles(scene: Scene) -> Floats:
-    """Return what the error motion adds to the covariance of the zero-mean angles, rad^2."""
-    turn = _centred(scene.bearing)
-    motion = error_motion_covariance(scene.motion, scene.error_motion_std)
-    return np.asarray(turn @ motion @ turn.T, dtype=np.float64)
-
-
-def _centred(bearing: Floats) -> Floats:
-    return np.asarray(bearing - bearing.mean(axis=0), dtype=np.float64)
 
 
 def _spread_of_targets(std: Floats, own: Ints, unit: Floats, weight: Floats) -> Floats:

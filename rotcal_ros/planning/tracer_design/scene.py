@@ -17,6 +17,7 @@ from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer.angles import TableMotion, bearing_jacobian, table_motion
 from rotcal_ros.methods.tracer.circle_prior import circle_contrasts
+from rotcal_ros.methods.tracer.error_motion import error_motion_covariance
 
 Which: TypeAlias = Ints | Bools | slice | list[int]
 """Some of the lengths, by index or mask."""
@@ -75,6 +76,17 @@ class Scene:
     def bearing(self) -> Floats:
         """Jacobian (m, 3 m) of the table's angles by the stations, up to a common turn, rad/m."""
         return bearing_jacobian(self.stations, self.motion)
+
+    @cached_property
+    def turning(self) -> Floats:
+        """Jacobian (m, 3 m) of the angles less their mean by the stations, rad/m."""
+        return np.asarray(self.bearing - self.bearing.mean(axis=0), dtype=np.float64)
+
+    @cached_property
+    def error_motion_angles(self) -> Floats:
+        """What the error motion adds to the covariance (m, m) of the zero-mean angles, rad^2."""
+        motion = error_motion_covariance(self.motion, self.error_motion_std)
+        return np.asarray(self.turning @ motion @ self.turning.T, dtype=np.float64)
 
     def beams(self, position: Ints, target: Ints) -> tuple[Floats, Floats]:
         """Return unit vectors (k, 3) from targets to stations and variances (k,) of lengths."""

@@ -142,6 +142,20 @@ def test_a_probe_that_came_back_elsewhere_is_reduced_along_the_beam():
     assert reduced["offset_m"] == pytest.approx(plain["offset_m"], abs=2e-9)
 
 
+def test_a_run_that_only_repeats_steps_changes_nothing():
+    """It was interrupted before it came to a step that was missing, or none was."""
+    _, whole, *_ = interrupted()
+    alone = Runs(
+        whole, np.zeros(len(whole.length), np.int64), np.zeros((len(whole.length), 3)), []
+    )
+    joined = adjust_joined(alone)
+    result, expected = joined.result(), solve(whole)
+    np.testing.assert_array_equal(result.deviations["ECC"], expected.deviations["ECC"])
+    np.testing.assert_allclose(result.std["ECC"], expected.std["ECC"], rtol=1e-12)
+    assert result.details["joins"] == []
+    assert joined.trials(np.random.default_rng(1), 3).shape == (3, len(whole.table_angles))
+
+
 def test_without_anything_measured_again_there_is_no_result():
     _, _, changed, run, pairs = interrupted()
     none = Pairs(1, pairs.row[:0], pairs.length[:0], pairs.length_std[:0], pairs.shift[:0])
