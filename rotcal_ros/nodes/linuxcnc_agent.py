@@ -4,16 +4,15 @@ LinuxCNC's modules belong to the system's own Python and not to the one that ROS
 file is a program of its own, run by /usr/bin/python3, and imports nothing of rotcal_ros.
 
 The table is ``--axis`` with its ``--joint``, one among all axes of the machine. The machine must
-be on and homed; ``--start`` lets the program do both. It says ``{"event": "ready"}``, then at a
-steady rate ``{"stamp_ns", "angle_deg", "motor_deg", "actual_deg", "errors"}``: the feedback of
-the joint, the motor's command, the value of the pin ``--actual`` (null without one) and what
-LinuxCNC complained about. Standard input takes
+be on and homed; ``--start`` lets the program do both. It says ``{"event": "ready"}``, then all the
+time ``{"stamp_ns", "angle_deg", "motor_deg", "actual_deg", "obeying", "errors"}``: feedback of the
+joint, the motor's command, the pin ``--actual`` (null without one), whether an order is still to
+be carried out, and what LinuxCNC complained about. Standard input takes
 ``{"angle_deg": 90.0, "side": 1, "overshoot_deg": 2.0}``: go there in machine coordinates from
 below (1), from above (-1), or from anywhere (0). The same order again moves nothing; one that
 finds the machine at work is not carried out. The end of standard input ends the program.
 
-``--busy`` asks only whether the machine is at work: exit code 0 if not, also when LinuxCNC does
-not run; 1 and the reason on standard output if so.
+``--busy`` asks whether the machine is at work: exit code 1 and the reason if so, else 0.
 """
 
 from __future__ import annotations
@@ -138,11 +137,11 @@ def say(message: dict[str, Any]) -> None:
 def obey(machine: Machine, orders: queue.Queue[dict[str, float]], errors: list[str]) -> None:
     """Carry out orders, one after the other; what fails is reported, and the next is tried."""
     while True:
-        order = orders.get()
         try:
-            machine.move(order)
+            machine.move(orders.get())
         except Exception as error:
             errors.append(str(error))
+        orders.task_done()
 
 
 def listen(orders: queue.Queue[dict[str, float]]) -> None:
@@ -190,7 +189,8 @@ def main() -> None:
         angle, motor = (hal.get_value(f"joint.{arguments.joint}.{pin}") for pin in pins)
         state = {"stamp_ns": time.time_ns(), "angle_deg": angle, "motor_deg": motor}
         actual = hal.get_value(arguments.actual) if arguments.actual else None
-        say({**state, "actual_deg": actual, "errors": errors[:]})
+        obeying = orders.unfinished_tasks > 0
+        say({**state, "actual_deg": actual, "obeying": obeying, "errors": errors[:]})
         errors.clear()
         time.sleep(1.0 / arguments.rate)
     component.exit()

@@ -95,13 +95,19 @@ class LinuxCncDriver(CellNode):
             self._publish(reading)
 
     def _publish(self, reading: Mapping[str, Any]) -> None:
-        """Publish the joint's angle; its speed is the motor's, which the correction moves too."""
+        """Publish the joint's angle; its speed is the motor's, which the correction moves too.
+
+        A table that has an order and has not begun to move is not at rest where it was sent: if
+        it stands there by chance, before it comes again from the other side, nobody hears of it.
+        """
         stamp_ns, angle = reading["stamp_ns"], reading["angle_deg"] * DEGREE
         speed = 0.0
         if self._last is not None and stamp_ns > self._last.stamp_ns:
             moved = (reading["motor_deg"] - self._motor_deg) * DEGREE
             speed = moved / ((stamp_ns - self._last.stamp_ns) * NANOSECOND)
         self._last, self._motor_deg = TableSample(stamp_ns, angle, speed), reading["motor_deg"]
+        if reading["obeying"] and speed == 0.0:
+            return
         self._positions.publish(conversions.table_message(self._last, self._joint))
         if reading["actual_deg"] is not None:
             actual = TableSample(stamp_ns, reading["actual_deg"] * DEGREE, speed)

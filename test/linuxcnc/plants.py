@@ -40,9 +40,9 @@ class Plant:
 
 
 def machine_with(plant, folder):
-    """A machine that is homed beside the first angle of every plan."""
+    """A machine that is homed where most plans begin: it stands there and has yet to arrive."""
     chain = plant_hal(-30.0, 420.0, 5.0, plant.error_deg, plant.play_deg)
-    return Axis(folder, chain, limits=(-360, 720), velocity=360, acceleration=2000, home=-10)
+    return Axis(folder, chain, limits=(-360, 720), velocity=360, acceleration=2000)
 
 
 def true_deviations(axis):

@@ -1,10 +1,12 @@
 """The agent beside LinuxCNC, with a stand-in for its modules: which axis moves, and when not."""
 
+import queue
+from threading import Event, Thread
 from types import SimpleNamespace
 
 import pytest
 
-from rotcal_ros.nodes.linuxcnc_agent import Machine
+from rotcal_ros.nodes.linuxcnc_agent import Machine, obey
 
 
 class Program:
@@ -117,3 +119,24 @@ def test_a_linuxcnc_that_has_just_been_started_is_waited_for():
     program.early_polls = 3
     Machine(program, "A", 3).take()
     assert program.commands == ["mode 3"]
+
+
+def test_an_order_counts_as_open_until_it_is_carried_out_or_has_failed():
+    begun, may_end = Event(), Event()
+
+    def move(order):
+        begun.set()
+        may_end.wait(10.0)
+        if order["angle_deg"] > 90.0:
+            raise RuntimeError("no")
+
+    orders, errors = queue.Queue(), []
+    Thread(target=obey, args=(SimpleNamespace(move=move), orders, errors), daemon=True).start()
+    for angle in (10.0, 100.0):
+        orders.put({"angle_deg": angle})
+    assert begun.wait(10.0)
+    assert orders.unfinished_tasks == 2
+    may_end.set()
+    orders.join()
+    assert orders.unfinished_tasks == 0
+    assert errors == ["no"]
