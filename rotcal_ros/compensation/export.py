@@ -177,11 +177,11 @@ def _refuse_harm(residual: ResidualBudget, lag: Lag, title: str) -> None:
             f"{residual.stated / ARCSEC:.4g}: nothing was written"
         )
     if residual.simulated > residual.before + 1e-14:
-        coarse = "the control's resolution or the spacing is too coarse for it"
+        coarse = ("the control's resolution or the spacing is too coarse for it",)
+        why = "; ".join(lag.notes if lag.simulated else coarse)
         raise DataError(
             f"{title}: the table would leave {residual.simulated / ARCSEC:.4g} arcsec of a "
-            f"deviation of {residual.before / ARCSEC:.4g}: {'; '.join(lag.notes) or coarse}; "
-            "nothing was written"
+            f"deviation of {residual.before / ARCSEC:.4g}: {why}; nothing was written"
         )
 
 

@@ -64,7 +64,7 @@ class Contrasts:
         self._length, self._slope = unexplained(length), unexplained(time - time.mean())
         self._free = 1.0 - (explained**2).sum(axis=1)
         self._by_target = through @ axes
-        self._told, self._drifted = (
+        self._measured, self._drifted = (
             self._by_target.T @ self._length,
             self._by_target.T @ self._slope,
         )
@@ -79,14 +79,14 @@ class Contrasts:
         square = self._plain / variance**2 + (known**2).sum()
         left = (
             self._length @ self._length
-            - (self._told**2 * known * (2.0 - self._spread * known)).sum()
+            - (self._measured**2 * known * (2.0 - self._spread * known)).sum()
         )
         return Moments(float(trace), float(square), float(left / variance**2))
 
     def moments_without(self, row: int) -> MomentsAt:
         """Return the same without the length ``row``, which others check."""
         free, length, by_target = self._free[row], self._length[row], self._by_target[row]
-        alone, crossed = by_target**2, by_target * self._told
+        alone, crossed = by_target**2, by_target * self._measured
 
         def moments(variance: float) -> Moments:
             known = 1.0 / (variance + self._spread)
@@ -115,14 +115,14 @@ class Contrasts:
     def pull(self, variance: float) -> Floats:
         """Return W y (k,)."""
         known = 1.0 / (variance + self._spread)
-        left = self._length - self._by_target @ (known * self._told)
+        left = self._length - self._by_target @ (known * self._measured)
         return np.asarray(left / variance, dtype=np.float64)
 
     def drift(self, variance: float) -> float:
         """Return the change of all lengths in proportion to time, in standard deviations."""
         known = 1.0 / (variance + self._spread)
         weight = self._slope @ self._slope - (known * self._drifted**2).sum()
-        value = self._slope @ self._length - (known * self._drifted * self._told).sum()
+        value = self._slope @ self._length - (known * self._drifted * self._measured).sum()
         return float(value / np.sqrt(variance * weight)) if weight > 0.0 else 0.0
 
 

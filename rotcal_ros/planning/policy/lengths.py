@@ -201,9 +201,9 @@ class LengthExperiment:
         if not observations:
             return LengthNoise(1.0, 0.0, np.zeros(0), 0.0), None
         zero = measured.segments()[kept] if self.per_segment else None
-        told = contrasts(self.scene, observations, zero)
-        found = estimated_noise(told) if factor is None else judged_lengths(told, factor)
-        suspect = suspect_length(told, found, significance)
+        residuals = contrasts(self.scene, observations, zero)
+        found = estimated_noise(residuals) if factor is None else judged_lengths(residuals, factor)
+        suspect = suspect_length(residuals, found, significance)
         return found, None if suspect is None else (observations[suspect[0]], suspect[1])
 
     def _noisier(self, factor: float) -> Scene:
