@@ -70,9 +70,8 @@ def choices(bag: Path, as_json: bool) -> int:
     with progress("reading") as shown:
         recording = read_recording(bag, "observations", progress=shown)
     differing = recording.choices_that_differ()
-    if (
-        differing
-    ):  # nodes that were killed had readings on disk before they could tell what they are
+    if differing:
+        # Nodes that were killed had readings on disk before they could tell what they are.
         with progress("reading the streams") as shown:
             differing = read_recording(bag, progress=shown).choices_that_differ()
     rows = [

@@ -112,7 +112,8 @@ class Recording:
     def choices_that_differ(self) -> tuple[str, ...]:
         """Return where the policy chooses otherwise with the observations of this recording.
 
-        It is that of the configuration in the bag, with which the steps were chosen.
+        It is that of the configuration in the bag, with which the steps were chosen. This plans
+        the measurement once more, which takes longer than to solve it.
         """
         try:
             calibration = self._as_chosen()
@@ -129,7 +130,6 @@ class Recording:
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
-        texts += self.choices_that_differ()
         if clash := contradiction(self.calibration.in_force(self.announced)):
             texts.append(clash)
         return tuple(texts)
