@@ -10,28 +10,23 @@ import numpy as np
 
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.compare import Comparison, compare_all
-from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six
 from rotcal_ros.report.comparison import curves_and_errors
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "test" / "evaluation"))
 import one_table
 
-BALLS = (0, 3, 4, 9, 14, 20)
+NAMES = {
+    "tracer": "laser tracer",
+    "plate": "ball plate",
+    "mirror": "plane mirror",
+    "six": "tracer at three places",
+}
 
 
 def measure(seed: int) -> dict[str, MeasuredCurve]:
     """Draw a table and instruments, measure with every method and return the curves."""
-    rng = np.random.default_rng(seed)
-    table = one_table.table_deviations(24, rng)
-    results = {
-        "laser tracer": tracer.solve(one_table.by_tracer(table, rng, every=2)),
-        "ball plate": ball_plate.solve(one_table.by_ball_plate(table, rng, BALLS)),
-        "plane mirror": plane_mirror.solve(one_table.by_mirror(table, rng)),
-        "tracer at three places": tracer_six.solve(
-            one_table.by_tracer_at_places(table, np.random.default_rng([seed, 1]), every=2)
-        ),
-    }
-    return {name: measured_curve(result) for name, result in results.items()}
+    _, results = one_table.by_every_method(seed)
+    return {NAMES[method]: measured_curve(result) for method, result in results.items()}
 
 
 def rates(runs: int) -> None:

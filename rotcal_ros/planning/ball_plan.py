@@ -110,12 +110,8 @@ def plan_measurement(
     if closing:
         turns, ball = _closed(grid, turns, ball, backlash)
         upward = np.append(upward, np.full(len(turns) - n_once, True))
-    step = 2.0 * np.pi / grid
-    angle = np.asarray(turns * step, dtype=np.float64)
-    lead_in = float(angle[0]) - (step if backlash else 0.0)
-    moves = np.diff(angle, prepend=lead_in)
-    if bidirectional:
-        moves = _with_overshoot(moves, upward, step)
+    angle = np.asarray(turns * 2.0 * np.pi / grid, dtype=np.float64)
+    lead_in, moves = _moves(angle, upward, 2.0 * np.pi / grid, backlash, bidirectional)
     directions = np.sign(moves[moves != 0.0])
     return BallPlan(
         grid=grid,
@@ -129,6 +125,15 @@ def plan_measurement(
         reversals=int(np.count_nonzero(np.diff(directions))),
         duration=_duration(grid, turns, ball, moves, radius, kinematics or Kinematics()),
     )
+
+
+def _moves(
+    angle: Floats, upward: Bools, step: float, backlash: bool, bidirectional: bool
+) -> tuple[float, Floats]:
+    """Return the angle from which the first of ``angle`` (n,) is approached, and all ways (n,)."""
+    lead_in = float(angle[0]) - (step if backlash else 0.0)
+    moves = np.diff(angle, prepend=lead_in)
+    return lead_in, _with_overshoot(moves, upward, step) if bidirectional else moves
 
 
 def _check_steps(grid: int, balls: Ints, cmm: Ints) -> None:

@@ -226,3 +226,15 @@ class Tap(socketserver.ThreadingTCPServer):
     def __exit__(self, *arguments):
         self.shutdown()
         super().__exit__(*arguments)
+
+
+@contextlib.contextmanager
+def serving(folder):
+    """Run our own server, with certificates in ``folder``, as long as the block lasts."""
+    make_certificates(folder)
+    server = python_server(folder)
+    server.start()
+    try:
+        yield server
+    finally:
+        server.end()

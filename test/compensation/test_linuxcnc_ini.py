@@ -110,6 +110,10 @@ def test_an_export_for_a_machine_knows_joint_limits_and_period(machine, tmp_path
     assert copy.value("JOINT_3", "COMP_FILE_TYPE") == "1"
     assert exported(machine, max_acceleration_deg_s2=5.0).controller.max_acceleration_deg_s2 == 5.0
     assert agent_command(str(machine), "A", 0)[-4:] == ["--axis", "A", "--joint", "3"]
+    assert controller.home_deg == 0.0
+    machine.write_text(TEXT.replace("MAX_LIMIT = 720", "MAX_LIMIT = 720\nHOME = 7.5"))
+    assert exported(machine).controller.home_deg == 7.5
+    assert exported(machine, home_deg=-5.0).controller.home_deg == -5.0
 
 
 @pytest.mark.parametrize(

@@ -20,12 +20,8 @@ CSV = "c_csv.csv"
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    work = tmp_path_factory.mktemp("opcua")
-    opcua_bench.make_certificates(work)
-    made = opcua_bench.python_server(work)
-    made.start()
-    yield made
-    made.end()
+    with opcua_bench.serving(tmp_path_factory.mktemp("opcua")) as server:
+        yield server
 
 
 class Machine:

@@ -17,13 +17,16 @@ from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, ring_cell,
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings, block_of_targets
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.curves.measured import MeasuredCurve
+from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six
 from rotcal_ros.methods.ball_plate import BallPlateProblem
 from rotcal_ros.methods.plane_mirror import PlaneMirrorProblem
 from rotcal_ros.methods.tracer import TracerProblem
 from rotcal_ros.methods.tracer_six import SixProblem
 from rotcal_ros.planning.points import block
+from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
+BALLS: Final = (0, 3, 4, 9, 14, 20)
 MOUNT: Final = np.array([0.065, 0.0, 0.12])
 """Where the tracer stands on the table, m."""
 
@@ -189,3 +192,16 @@ def _carried(points: Floats, angles: Floats, deviations: Floats) -> Floats:
     """Return where the table carries ``points`` (k, 3) of its own frame, (n, k, 3)."""
     poses = [table_pose(a, d) for a, d in zip(angles.tolist(), deviations, strict=True)]
     return np.stack([points @ rotation.T + shift for rotation, shift in poses])
+
+
+def by_every_method(seed: int) -> tuple[Floats, dict[str, Result]]:
+    """Draw a table of 24 steps and all instruments; return its deviations and the results."""
+    rng = np.random.default_rng(seed)
+    table = table_deviations(24, rng)
+    places = by_tracer_at_places(table, np.random.default_rng([seed, 1]), every=2)
+    return table, {
+        "tracer": tracer.solve(by_tracer(table, rng, every=2)),
+        "plate": ball_plate.solve(by_ball_plate(table, rng, BALLS)),
+        "mirror": plane_mirror.solve(by_mirror(table, rng)),
+        "six": tracer_six.solve(places),
+    }

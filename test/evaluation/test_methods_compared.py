@@ -11,10 +11,9 @@ from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import without_polygon
-from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six
+from rotcal_ros.methods import ball_plate
 from rotcal_ros.units import ARCSEC
 
-BALLS = (0, 3, 4, 9, 14, 20)
 RUNS = 32
 pytestmark = pytest.mark.slow
 
@@ -24,16 +23,7 @@ def tables():
     """Many tables with their results of four methods; everything is drawn anew in each."""
     found = []
     for seed in range(RUNS):
-        rng = np.random.default_rng(seed)
-        table = one_table.table_deviations(24, rng)
-        results = {
-            "tracer": tracer.solve(one_table.by_tracer(table, rng, every=2)),
-            "plate": ball_plate.solve(one_table.by_ball_plate(table, rng, BALLS)),
-            "mirror": plane_mirror.solve(one_table.by_mirror(table, rng)),
-            "six": tracer_six.solve(
-                one_table.by_tracer_at_places(table, np.random.default_rng([seed, 1]), every=2)
-            ),
-        }
+        table, results = one_table.by_every_method(seed)
         assert [r.verdict for r in results.values()].count("failed") == 0
         found.append((table, results))
     return found
