@@ -10,14 +10,11 @@ unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .PHONY: demo resume test bench power mutants lint setup clean help
 
-demo: setup  ## calibrate the simulated cell over ROS 2, compensate, verify; in out/demo
-	@$(BIN)/rotcal run config/tracer_demo.yaml --output out/demo --keep-previous \
-		--no-report --no-export
-	@$(BIN)/rotcal verify config/verify_demo.yaml --output out/demo/verify \
-		--check 'plan.box_points=[2, 3, 2]' --files out/demo/compensation --report-of out/demo
+demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
+	@$(BIN)/rotcal verify config/tracer_demo.yaml --output out/demo --keep-previous
 
 resume: setup  ## continue a demo that was interrupted
-	@$(BIN)/rotcal run config/tracer_demo.yaml --resume out/demo
+	@$(BIN)/rotcal verify --resume out/demo
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 	@scripts/test.sh $(PYTEST_ARGS)

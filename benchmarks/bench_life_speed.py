@@ -65,7 +65,7 @@ def measured(output: Path) -> Path:
         "-m",
         "rotcal_ros.cli.main",
         "run",
-        str(ROOT / "config/tracer.yaml"),
+        str(ROOT / "config/tracer_simulated.yaml"),
     ]
     command += ["--output", str(output), "--no-report", "--no-export"]
     command += [part for change in QUICK_MACHINE for part in ("--set", change)]

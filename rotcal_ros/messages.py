@@ -120,12 +120,14 @@ def observation(message: Any) -> Observation:
         accepted=bool(message.accepted),
         reason=message.reason,
         table_angle_measured=message.table_angle_measured,
-        temperature_c=None if math.isnan(message.temperature) else message.temperature,
+        temperature_c=_number(message.temperature),
         window_start_ns=stamp_ns(message.window_start),
         window_end_ns=stamp_ns(message.window_end),
         # Before there was a field for it, a run counted its attempts from 100 times its number.
         run=message.run if hasattr(message, "run") else message.attempt // 100,
         segment=getattr(message, "segment", -1),
+        pressure_pa=_number(getattr(message, "pressure", math.nan)),
+        humidity=_number(getattr(message, "humidity", math.nan)),
     )
 
 
@@ -134,6 +136,11 @@ def _known(kind: type[E], number: int) -> E:
         return kind(number)
     except ValueError:
         return kind(0)
+
+
+def _number(value: float) -> float | None:
+    """Return a number of a message, in which NaN says that there is none."""
+    return None if math.isnan(value) else value
 
 
 def _floats(values: Iterable[Any]) -> tuple[float, ...]:

@@ -123,7 +123,7 @@ class Observation:
     says why in ``reason``; an accepted one has an empty reason. ``run`` counts from 0 how often an
     interrupted plan had been taken up again. Observations of a run with equal
     ``segment`` were read from one unbroken beam of a tracer, that is from the same zero; -1 in
-    recordings from before there was a field for it.
+    recordings from before there was a field for it. ``humidity`` is relative, 0 to 1.
 
     >>> import rotcal_ros as rc
     >>> first = rc.read_bag("examples/data/ball_plate_bag").observations[0]
@@ -152,3 +152,5 @@ class Observation:
     window_end_ns: int
     run: int = 0
     segment: int = 0
+    pressure_pa: float | None = None
+    humidity: float | None = None

@@ -16,8 +16,9 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.circumstances import SIMULATED, Circumstances
 from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.in_force import UNKNOWN, check_in_force
 from rotcal_ros.protection import Effect, Protection, ordered, unprotected
 from rotcal_ros.units import DEGREE
@@ -125,7 +126,8 @@ class Result:
     say what was done about each effect that could spoil the result; empty when not stated.
     ``directions`` maps the components that were measured from both sides to what they are from
     each; ``deviations`` then holds the mean. ``measured_on`` is the compensation table in force
-    meanwhile: the hash of the controller's files, "none" or "unknown".
+    meanwhile: the hash of the controller's files, "none" or "unknown". ``circumstances`` say who
+    measured what, when and how warm it was; a method leaves them to those who call it.
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")
@@ -152,6 +154,12 @@ class Result:
     protections: tuple[Protection, ...] = ()
     directions: Mapping[str, Directions] = field(default_factory=dict)
     measured_on: str = UNKNOWN
+    circumstances: Circumstances = field(default_factory=Circumstances)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulation was measured instead of a table."""
+        return self.circumstances.simulated
 
     @property
     def unprotected(self) -> tuple[Effect, ...]:
@@ -161,10 +169,11 @@ class Result:
     @property
     def verdict_line(self) -> str:
         """The verdict as people read it: never without what it does not cover."""
+        verdict = f"{self.verdict} ({SIMULATED})" if self.simulated else self.verdict
         if not self.protections:
-            return f"{self.verdict}, protection against drift and the like not stated"
+            return f"{verdict}, protection against drift and the like not stated"
         against = ", ".join(self.unprotected)
-        return f"{self.verdict}, not protected against {against}" if against else self.verdict
+        return f"{verdict}, not protected against {against}" if against else verdict
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -193,6 +202,8 @@ class Result:
         data: dict[str, Any] = {
             "schema": SCHEMA,
             "method": self.method,
+            "simulated": self.simulated,
+            "circumstances": self.circumstances.to_dict(),
             "angles_rad": self.angles,
             "deviations": self.deviations,
             "std": self.std,
@@ -272,10 +283,11 @@ class Result:
                 runs=runs,
                 directions=_directions(data.get("directions", {})),
                 measured_on=check_in_force(data.get("measured_on", UNKNOWN)),
+                circumstances=Circumstances.from_dict(data.get("circumstances", {})),
             )
         except KeyError as error:
             raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
-        except (AttributeError, TypeError, ValueError) as error:
+        except (AttributeError, ConfigurationError, TypeError, ValueError) as error:
             raise DataError(f"damaged rotcal result: {error}") from error
 
 

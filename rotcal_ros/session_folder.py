@@ -11,6 +11,8 @@ RESULTS_TABLE: Final = "results.parquet"
 OVERVIEW: Final = "overview.html"
 VERIFICATION: Final = "verification.json"
 """The figures of two sessions, before and after compensation, beside their folders."""
+REQUEST: Final = "verify.json"
+"""What a verification was asked for, beside its first session."""
 CONFIGURATION: Final = "configuration.yaml"
 """In a session's folder, and as an attachment in its bag."""
 

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Final
 
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.continuation import Continuation
+from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.catalogue.method import Adaptive, Method, Trials
+from rotcal_ros.circumstances import Circumstances, Counts, Range
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.in_force import UNKNOWN, agreed
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.policy.as_listed import AsListed
 from rotcal_ros.planning.policy.choices import Policy
-from rotcal_ros.planning.policy.names import AS_LISTED
+from rotcal_ros.planning.policy.names import AS_LISTED, UNTIL_GOAL
 from rotcal_ros.results import Result
 
+_DATED_NS: Final = 10**17
+"""A stamp before 1973 counts from the start of something: it is no date."""
 RunStep = tuple[int, int]
 """Number of the run, step."""
 
@@ -52,7 +56,31 @@ class Calibration:
         used = self._that_count(observations)
         result = self.method.solve(self.configuration, self.plan, used)
         measured_on = agreed(self.in_force(announced))
-        return result if measured_on == UNKNOWN else replace(result, measured_on=measured_on)
+        if measured_on != UNKNOWN:
+            result = replace(result, measured_on=measured_on)
+        return replace(result, circumstances=self._circumstances(used))
+
+    def _circumstances(self, used: Sequence[Observation]) -> Circumstances:
+        """Return under which circumstances the observations ``used`` were made."""
+        steps = {o.step for o in used}
+        retried = {o.step for o in used if o.attempt % ATTEMPTS_PER_RUN}
+        planned = len(self.plan.steps)
+        # Offline the group planner has done its work and is not read.
+        chosen = UNTIL_GOAL in self.configuration.text
+        dated = [o for o in used if o.window_start_ns > _DATED_NS]
+        return Circumstances(
+            simulated=self.configuration.simulated,
+            axis=self.configuration.cell.axis,
+            identity=self.configuration.identity,
+            begun_ns=min((o.window_start_ns for o in dated), default=None),
+            ended_ns=max((o.window_end_ns for o in dated), default=None),
+            temperature_c=Range.of([o.temperature_c for o in used]),
+            pressure_pa=Range.of([o.pressure_pa for o in used]),
+            humidity=Range.of([o.humidity for o in used]),
+            counts=Counts(
+                planned, len(steps), 0 if chosen else planned - len(steps), len(retried)
+            ),
+        )
 
     def in_force(self, announced: Iterable[str]) -> tuple[str, ...]:
         """Return what configuration and cell say about the table in force."""

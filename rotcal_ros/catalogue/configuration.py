@@ -21,6 +21,7 @@ from rotcal_ros.catalogue.method import Method, find_method, method_names
 from rotcal_ros.catalogue.plan_files import PlanFile, with_contents
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.identity import Identity
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.plugins import nearest
@@ -33,13 +34,15 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "recorder": RecorderSettings,
     "bridge": BridgeSettings,
     "topics": TopicSettings,
+    "identity": Identity,
 }
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
-    "cell", "plan", "capture", "solver", "planner", "recorder", "bridge", "topics", "simulation",
+    "identity", "cell", "plan", "capture", "solver", "planner", "recorder", "bridge", "topics",
+    "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
-OFFLINE_GROUPS: Final = ("cell", "plan", "capture", "solver", "topics")
+OFFLINE_GROUPS: Final = ("identity", "cell", "plan", "capture", "solver", "topics")
 """Groups that a recording is solved with; the others have done their work."""
 
 
@@ -59,8 +62,8 @@ class Configuration:
 
     The classes of ``plan``, ``solver`` and ``simulation`` are those of the method. ``given`` holds
     the names of the groups that the text has, and of their settings as ``group.setting``; all
-    others are at their defaults. ``text`` is the
-    YAML as given, ``source`` names it in error texts.
+    others are at their defaults. ``simulated``: the cell is a simulated one, the text has a group
+    ``simulation``. ``text`` is the YAML as given, ``source`` names it in error texts.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -77,7 +80,9 @@ class Configuration:
     recorder: RecorderSettings
     bridge: BridgeSettings
     topics: TopicSettings
+    identity: Identity
     simulation: Any
+    simulated: bool
     given: frozenset[str]
     text: str
     source: str
@@ -86,11 +91,6 @@ class Configuration:
     def plan_id(self) -> str:
         """SHA-256 of the text, in hexadecimal: equal for two runs that were configured alike."""
         return hashlib.sha256(self.text.encode()).hexdigest()
-
-    @property
-    def simulated(self) -> bool:
-        """Whether the cell is a simulated one."""
-        return "simulation" in self.given
 
 
 def read_configuration(path: Path) -> Configuration:
@@ -134,7 +134,12 @@ def parse_configuration(
     }
     settings = (f"{group}.{setting}" for group in given for setting in values[group] or ())
     return Configuration(
-        method=method, **loaded, given=given.union(settings), text=text, source=source
+        method=method,
+        **loaded,
+        simulated="simulation" in values,
+        given=given.union(settings),
+        text=text,
+        source=source,
     )
 
 

@@ -53,6 +53,7 @@ def print_line(text: str) -> None:
 
 def print_verdict(verdict_line: str, text: str) -> None:
     """Print the last line: the verdict, what it does not cover, and what it rests on."""
-    verdict, *reserve = verdict_line.split(",", 1)
-    colour = "red" if verdict != "ok" else "yellow" if reserve else "green"
+    colour = "green" if verdict_line == "ok" else "yellow"
+    if not verdict_line.startswith("ok"):
+        colour = "red"
     click.secho(f"verdict {verdict_line}: {text}", fg=colour)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rotcal_ros.circumstances import SIMULATED
 from rotcal_ros.cli.console import (
     INTERRUPTED,
     VERDICT_EXIT_CODES,
@@ -15,14 +16,14 @@ from rotcal_ros.cli.console import (
     print_line,
     print_verdict,
 )
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.verification import Verification
 
 
 @click.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.argument("configuration", type=path_type, metavar="[CONFIG]", required=False)
 @click.option("-o", "--output", "--out", type=path_type, help="New folder; default: out/NAME.")
 @click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change both.")
 @click.option(
@@ -30,61 +31,69 @@ if TYPE_CHECKING:
 )
 @click.option("--spacing", default=10.0, show_default=True, help="deg between rows of the tables.")
 @click.option("--to", "controllers", multiple=True, help="Controller to write files for, too.")
-@click.option("--files", type=path_type, help="Folder of these; default: OUTPUT/compensation.")
 @click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet, too.")
 @click.option("--again", is_flag=True, help="Add what is left to the table, and measure again.")
-@click.option("--report-of", type=path_type, help="Report of this earlier run, not of OUTPUT.")
+@click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
+@click.option(
+    "--resume", type=path_type, metavar="FOLDER", help="Go on with an interrupted verification."
+)
 @json_option
 def command(
-    configuration: Path,
+    configuration: Path | None,
     output: Path | None,
     changes: tuple[str, ...],
     check: tuple[str, ...],
     spacing: float,
     controllers: tuple[str, ...],
-    files: Path | None,
     accept_unverified: bool,
     again: bool,
-    report_of: Path | None,
+    keep_previous: bool,
+    resume: Path | None,
     as_json: bool,
 ) -> int:
     """Measure the simulated cell of CONFIG, give its control the table, and measure again.
 
-    OUTPUT/before and OUTPUT/after hold the two runs, OUTPUT/verification.json the figures. The
-    exit code is 0 when no more is left than the uncertainties explain.
+    OUTPUT is the first run and holds all that 'rotcal run' leaves; OUTPUT/after is the second
+    one, OUTPUT/verification.json has the figures. The exit code is 0 when no more is left than the
+    uncertainties explain. Ctrl-C cancels; --resume goes on, with the options as they were.
     """
+    from rotcal_ros.sessions.verification import Request, begin
+
+    if (configuration is None) == (resume is None):
+        raise click.UsageError("give a CONFIG, or --resume FOLDER")
+    if configuration is not None:
+        folder = (output or Path("out") / configuration.stem).absolute()
+        request = Request(check, spacing, controllers, accept_unverified, again)
+        begin(configuration, folder, changes, request, keep_previous=keep_previous)
+    else:
+        assert resume is not None
+        folder = resume.absolute()
+    return _verify(folder, as_json)
+
+
+def _verify(folder: Path, as_json: bool) -> int:
+    """Do what is left to do in ``folder`` and print the outcome; return the exit code."""
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.session_folder import VERIFICATION, SessionFolder
     from rotcal_ros.sessions.products import goal_line, write_report
     from rotcal_ros.sessions.verification import verify
 
-    folder = (output or Path("out") / configuration.stem).absolute()
-    shown = SessionFolder((report_of or folder / "before").absolute())
-    verified = verify(
-        configuration,
-        folder,
-        changes,
-        check,
-        spacing=spacing * DEGREE,
-        controllers=controllers,
-        files=files,
-        accept_unverified=accept_unverified,
-        report_of=report_of and report_of.absolute(),
-        again=again,
-    )
+    verified = verify(folder)
     if verified is None:
         return INTERRUPTED
     verification, written = verified
-    write_report(shown, [verification_section(verification)])
+    session = SessionFolder(folder)
+    if not session.report.is_file():
+        write_report(session, [verification_section(verification)])
     if as_json:
         click.echo((folder / VERIFICATION).read_text(encoding="utf-8"), nl=False)
     else:
-        click.echo(f"controllers:   {', '.join(written)}")
+        click.echo(f"result:        {session.result}")
+        click.echo(f"compensation:  {session.compensation} ({', '.join(written)})")
         click.echo(f"verification:  {folder / VERIFICATION}")
-        click.echo(f"report:        {shown.report}")
+        click.echo(f"report:        {session.report}")
         _print(verification)
-        if report_of is not None:
-            print_line(goal_line(shown))
+        print_line(goal_line(session))
     return VERDICT_EXIT_CODES[verification.verdict]
 
 
@@ -105,7 +114,7 @@ def _print(verification: Verification) -> None:
     for line in verification.reserves:
         click.echo(line)
     print_verdict(
-        verification.verdict,
+        f"{verification.verdict} ({SIMULATED})",
         f"measured E {before.systematic / ARCSEC:.3f} arcsec before, "
         f"{after.systematic / ARCSEC:.3f} after compensation, "
         f"{verification.ratio:.0f} times smaller",

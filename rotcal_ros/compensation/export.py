@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.circumstances import SIMULATED
 from rotcal_ros.compensation.controller import Controller, Lag
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held import in_force_of
@@ -87,8 +88,9 @@ def prepare_export(
 
     ``axis`` is the axis they are meant for (refused when the table is another's), ``spacing``
     and ``reference_angle`` are radians, ``settings`` go to the controller, ``stem`` is the file
-    name without extension, ``sources`` maps what the numbers come from (a bag, a result) to its
-    SHA-256. What nobody has verified about a controller is refused unless ``accept_unverified``.
+    name without extension (else axis and controller, and that of a simulation says so),
+    ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. What nobody has
+    verified about a controller is refused unless ``accept_unverified``.
 
     Raises DataError for a verdict other than "ok" or a file that would make things worse, and
     ConfigurationError for limits, names and settings. Writes nothing.
@@ -99,7 +101,8 @@ def prepare_export(
     _require_axis(table, axis)
     if not accept_unverified:
         _refuse_unverified(controller)
-    name = check_stem(stem or default_stem(table.axis, controller_name))
+    marked = f"_{SIMULATED.lower()}" if table.simulated else ""
+    name = check_stem(stem or default_stem(table.axis, controller_name) + marked)
     shifted = resample(table, reference_angle=reference_angle)
     rows = resample(shifted, spacing)
     files = controller.write(rows, name)
@@ -188,6 +191,8 @@ def _refuse_harm(residual: ResidualBudget, lag: Lag, title: str) -> None:
 def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ...]:
     line = table.verdict_line
     reserve = (f"the result is {line}",) if line not in ("", "ok") else ()
+    if table.simulated:
+        reserve = (f"{SIMULATED}: no instrument measured this table", *reserve)
     unverified = (f"not verified: {text}" for text in controller.unverified)
     known = averaged(table).warnings if controller.one_direction else table.warnings
     return (*reserve, *known, *unverified)
@@ -199,6 +204,8 @@ def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str])
         "schema": SCHEMA,
         WRITTEN: now.isoformat(timespec="seconds"),
         "axis": table.axis,
+        "item": table.item,
+        "simulated": table.simulated,
         "method": table.method,
         "verdict": table.verdict,
         "verdict_line": table.verdict_line,

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
-from rotcal_ros.compensation.export import WRITTEN, ExportFiles, prepare_export
+from rotcal_ros.compensation.export import WRITTEN, ExportFiles, default_stem, prepare_export
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, write_files
 from rotcal_ros.errors import DataError
@@ -71,6 +71,8 @@ def make_offer(
         spacing=settings.spacing_deg * DEGREE,
         reference_angle=None if reference is None else reference * DEGREE,
         settings=settings.controller_settings,
+        # The controller knows its file under one name, whatever is in it.
+        stem=default_stem(table.axis, settings.controller),
         accept_unverified=settings.accept_unverified,
     )
     if not settings.output_folder:

@@ -51,6 +51,7 @@ class CompensationTable:
     ``verdict_line`` is the verdict with what it does not cover; empty where that is not known, as
     in a message. ``measured_on`` is the table in force during the measurement (hash of the
     controller's files, "none" or "unknown"), ``adds_to`` the one that the corrections contain.
+    ``item`` says what was measured, empty where that is not known; ``simulated``: nothing was.
     Raises DataError when the arrays do not fit together.
 
     >>> import rotcal_ros as rc
@@ -75,6 +76,8 @@ class CompensationTable:
     widest_gap: float = 0.0
     measured_on: str = UNKNOWN
     adds_to: str = ""
+    item: str = ""
+    simulated: bool = False
 
     def __post_init__(self) -> None:
         check_axis(self.axis)
@@ -146,6 +149,8 @@ class CompensationTable:
         for name in ("measured_on", "adds_to"):
             if (known := getattr(self, name)) not in ("", UNKNOWN):
                 digest.update(f"{name} {known}\0".encode())
+        if self.simulated or self.item:
+            digest.update(f"simulated {self.simulated} {self.item}\0".encode())
         for block in (scalars, *columns):
             digest.update(np.asarray(block, dtype="<f8").tobytes())
         return digest.hexdigest()
@@ -210,6 +215,8 @@ def table_from_result(
         between_std=between,
         widest_gap=float(np.max(gaps_of(curve.angles, curve.period))),
         measured_on=_measured_on(result, reverse),
+        item=result.circumstances.identity.title,
+        simulated=result.simulated or (reverse is not None and reverse.simulated),
     )
 
 

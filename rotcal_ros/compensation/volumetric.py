@@ -49,6 +49,8 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "sign": SIGN,
         "units": {name: _si_unit(name) for name in deviations},
         "method": result.method,
+        "simulated": result.simulated,
+        "item": result.circumstances.identity.title,
         "verdict": result.verdict,
         "verdict_line": result.verdict_line,
         "not_protected": list(result.unprotected),

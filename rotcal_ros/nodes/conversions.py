@@ -95,10 +95,16 @@ def observation_message(captured: Observation) -> ObservationMsg:
         captured.window_end_ns,
         TRACER,
         table_index=captured.table_position,
-        temperature=math.nan if captured.temperature_c is None else captured.temperature_c,
+        temperature=_or_nan(captured.temperature_c),
+        pressure=_or_nan(captured.pressure_pa),
+        humidity=_or_nan(captured.humidity),
         window_start=time_message(captured.window_start_ns),
         window_end=time_message(captured.window_end_ns),
     )
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def choice_message(

@@ -169,9 +169,10 @@ def read_recording(
         raise BagError(f"the bag {path} holds no messages")
     attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
-    _require_its_method(configuration, (attached, *found.planned), path)
+    recorded = tuple(_recorded_configurations((attached, *found.planned)))
+    _require_its_method(configuration, recorded, path)
     return Recording(
-        calibration=calibration,
+        calibration=replace(calibration, configuration=_as_recorded(configuration, recorded)),
         source=source,
         observations=tuple(feeder.observations if source == "streams" else found.recorded),
         recorded=tuple(found.recorded),
@@ -241,17 +242,38 @@ def find_configuration(files: tuple[Path, ...], topics: Topics) -> Configuration
     )
 
 
-def _require_its_method(configuration: Configuration, recorded: Iterable[str], path: Path) -> None:
-    """Refuse a set-up of another method than that of the configurations ``recorded`` in a bag."""
-    for text in recorded:
+def _recorded_configurations(texts: Iterable[str]) -> Iterator[Configuration]:
+    """Yield the configurations in a bag that can be read."""
+    for text in texts:
         with suppress(ConfigurationError):
-            method = parse_configuration(text, names.CONFIGURATION, OFFLINE_GROUPS).method.name
-            if method != configuration.method.name:
-                raise DataError(
-                    f"{path} was recorded with the method {method}, but {configuration.source} "
-                    f"sets up {configuration.method.name}: give the set-up that belongs to it, "
-                    "or none, then the one in the bag is taken"
-                )
+            yield parse_configuration(text, names.CONFIGURATION, OFFLINE_GROUPS)
+
+
+def _require_its_method(
+    configuration: Configuration, recorded: Iterable[Configuration], path: Path
+) -> None:
+    """Raise DataError when the method of ``configuration`` is not that of those ``recorded``."""
+    for method in (known.method.name for known in recorded):
+        if method != configuration.method.name:
+            raise DataError(
+                f"{path} was recorded with the method {method}, but {configuration.source} "
+                f"sets up {configuration.method.name}: give the set-up that belongs to it, "
+                "or none, then the one in the bag is taken"
+            )
+
+
+def _as_recorded(configuration: Configuration, recorded: Iterable[Configuration]) -> Configuration:
+    """Return the configuration with what no other set-up can change about a recording.
+
+    A simulation stays one, and who and what was measured stands in the bag unless it is given.
+    """
+    for known in recorded:
+        identity = configuration.identity
+        if "identity" not in configuration.given:
+            identity = known.identity
+        simulated = configuration.simulated or known.simulated
+        configuration = replace(configuration, simulated=simulated, identity=identity)
+    return configuration
 
 
 def _as_planned(

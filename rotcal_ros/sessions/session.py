@@ -21,11 +21,15 @@ from rotcal_ros.session_folder import SessionFolder
 
 @dataclass(frozen=True)
 class Session:
-    """A calibration and its folder; ``continuation`` is what an interrupted run has left."""
+    """A calibration and its folder; ``continuation`` is what an interrupted run has left.
+
+    ``continued_by`` is the command line that goes on with the whole of which it is a part.
+    """
 
     calibration: Calibration
     folder: SessionFolder
     continuation: Continuation | None = None
+    continued_by: str = ""
 
     @property
     def configuration(self) -> Configuration:
@@ -50,7 +54,10 @@ class Session:
     @property
     def resume_command(self) -> str:
         """The command line that continues this session."""
-        return f"rotcal run {self.folder.configuration} --resume {self.folder.path}"
+        return (
+            self.continued_by
+            or f"rotcal run {self.folder.configuration} --resume {self.folder.path}"
+        )
 
 
 def prepare_session(

@@ -1,11 +1,14 @@
-"""Measure the simulated cell, give its control the correction table, and measure again."""
+"""Measure the simulated cell, give its control the correction table, and measure again.
+
+What is done stands on the disk, so that an interrupted verification goes on where it was.
+"""
 
 from __future__ import annotations
 
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +20,7 @@ from rotcal_ros.compensation.adding import combined
 from rotcal_ros.compensation.export import ExportFiles
 from rotcal_ros.compensation.held import held_table, in_force_of
 from rotcal_ros.compensation.table import table_from_result
+from rotcal_ros.compensation.writing import of_the_controller
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
 from rotcal_ros.evaluation.verification import Verification, positioning
@@ -25,12 +29,14 @@ from rotcal_ros.in_force import NONE
 from rotcal_ros.recordings.sources import Source, read_source
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.results import Result
-from rotcal_ros.session_folder import VERIFICATION, SessionFolder
+from rotcal_ros.session_folder import REQUEST, VERIFICATION, SessionFolder
 from rotcal_ros.sessions.environment import require_ros
 from rotcal_ros.sessions.following import calibrate
 from rotcal_ros.sessions.products import export_files, write_exports, write_truth
+from rotcal_ros.sessions.resume import resume_session
 from rotcal_ros.sessions.session import Session, checked_calibration, prepare_session
 from rotcal_ros.simulation.positioning import true_runs
+from rotcal_ros.units import DEGREE
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
 APPLIED: Final = "csv"
@@ -41,79 +47,20 @@ ISO_TARGETS: Final = 47
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A finished session and its result."""
+class Request:
+    """What is asked of a verification beside the configuration of the first measurement.
 
-    session: Session
-    source: Source
-
-
-def verify(
-    configuration: Path,
-    folder: Path,
-    changes: Sequence[str] = (),
-    check: Sequence[str] = (),
-    *,
-    spacing: float,
-    controllers: Sequence[str] = (),
-    files: Path | None = None,
-    accept_unverified: bool = False,
-    report_of: Path | None = None,
-    again: bool = False,
-) -> tuple[Verification, tuple[str, ...]] | None:
-    """Return the outcome and the controllers that got files; None when the user ended it.
-
-    ``folder`` gets ``before``, ``after`` and verification.json. ``changes`` hold for both
-    measurements, ``check`` for the second one. Files with rows every ``spacing`` rad are written
-    for CONTROLLERS and ``controllers`` into ``files`` (``folder``/compensation), as they would be
-    with ``accept_unverified``. ``again`` adds what the second measurement leaves to the table in
-    force and measures a third time, into ``again``. ``report_of`` is an earlier run whose report
-    will tell the outcome.
-    Raises ConfigurationError before anything is measured, DataError for a result that is not ok.
+    ``check`` are changes of the second measurement, ``spacing_deg`` is that of the rows of the
+    tables. Files are written for CONTROLLERS and ``controllers``, as they would be with
+    ``accept_unverified``. ``again`` adds what the second measurement leaves to the table in force
+    and measures a third time.
     """
-    wanted = _Wanted(spacing, controllers, files or folder / "compensation", accept_unverified)
-    _check(configuration, folder, changes, check)
-    _check_report(folder, report_of)
-    _rehearse(wanted, checked_calibration(configuration, changes), folder)
-    require_ros()
-    before = _measure(configuration, folder / "before", changes)
-    if before is None:
-        return None
-    exports = wanted.files(before.source, before.session.configuration.cell.axis)
-    write_exports(exports, wanted.folder)
-    first = exports[APPLIED]
-    after = _measure(configuration, folder / "after", (*changes, *check, *_applied(first)))
-    if after is None:
-        return None
-    rounds = {"before": before, "after": after}
-    if again:
-        further = wanted.added(after.source, after.session.configuration.cell.axis, first)
-        write_exports({APPLIED: further}, folder / "compensation_added")
-        third = _measure(configuration, folder / "again", (*changes, *check, *_applied(further)))
-        if third is None:
-            return None
-        rounds["again"] = third
-    verification = Verification(
-        before=positioning(before.source.result),
-        after=positioning(after.source.result),
-        again=positioning(rounds["again"].source.result) if again else None,
-        stated=first.residual.stated,
-        iso={when: _true_figures(measured) for when, measured in rounds.items()},
-        verdict_lines={when: m.source.result.verdict_line for when, m in rounds.items()},
-    )
-    data = verification.to_dict() | {"controllers": list(exports)}
-    write_atomically(folder / VERIFICATION, json.dumps(data, indent=1) + "\n")
-    return verification, tuple(exports)
 
-
-@dataclass(frozen=True)
-class _Wanted:
-    """The controller files that are wanted: rows every ``spacing`` rad, into ``folder``."""
-
-    spacing: float
-    controllers: Sequence[str]
-    folder: Path
-    accept_unverified: bool
+    check: tuple[str, ...] = ()
+    spacing_deg: float = 10.0
+    controllers: tuple[str, ...] = ()
+    accept_unverified: bool = False
+    again: bool = False
 
     def files(self, source: Source, axis: str) -> dict[str, ExportFiles]:
         """Return the files of all controllers for ``source``, by controller."""
@@ -124,7 +71,7 @@ class _Wanted:
             source,
             table,
             list(dict.fromkeys(names)),
-            self.spacing,
+            self.spacing_deg * DEGREE,
             accept_unverified=self.accept_unverified,
         )
 
@@ -132,40 +79,114 @@ class _Wanted:
         """Return the file of the control, with what ``source`` found added to ``first``."""
         held = held_table(plain_csv.PlainCsv(), first.files)
         table = combined(table_from_result(source.result, axis=axis), lambda: held)
-        return export_files(source, table, [APPLIED], self.spacing)[APPLIED]
+        return export_files(source, table, [APPLIED], self.spacing_deg * DEGREE)[APPLIED]
 
 
-def _check(
-    configuration: Path, folder: Path, changes: Sequence[str], check: Sequence[str]
+@dataclass(frozen=True)
+class Measured:
+    """A finished session and its result."""
+
+    session: Session
+    source: Source
+
+    @property
+    def axis(self) -> str:
+        """The letter of the axis."""
+        return self.session.configuration.cell.axis
+
+
+def begin(
+    configuration: Path,
+    folder: Path,
+    changes: Sequence[str],
+    request: Request,
+    *,
+    keep_previous: bool = False,
 ) -> None:
-    """Raise ConfigurationError unless both measurements can begin."""
-    checked_calibration(configuration, (*changes, *check))
-    if not checked_calibration(configuration, changes).configuration.simulated:
+    """Check all that will be measured and written, then make ``folder`` with what was asked.
+
+    ``changes`` hold for all measurements. Raises ConfigurationError before anything is made.
+    """
+    calibration = checked_calibration(configuration, changes)
+    checked_calibration(configuration, (*changes, *request.check))
+    if not calibration.configuration.simulated:
         raise ConfigurationError(
             f"{configuration} has no group 'simulation': with a real cell measure (rotcal run), "
             "export, load the table, measure again, and compare (rotcal compare)"
         )
-    if folder.exists():
-        raise ConfigurationError(f"{folder} exists already and nothing is overwritten")
+    _rehearse(request, calibration)
+    above = next(path for path in (folder, *folder.parents) if path.exists())
+    if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+        raise ConfigurationError(f"{folder} cannot be made: {above} takes no new files")
+    require_ros()
+    prepare_session(configuration, folder, changes, keep_previous=keep_previous)
+    write_atomically(folder / REQUEST, json.dumps(asdict(request), indent=1) + "\n")
 
 
-def _check_report(folder: Path, report_of: Path | None) -> None:
-    """Raise ConfigurationError unless the run ``report_of`` can be given its report."""
-    if report_of is None:
-        return
-    run = SessionFolder(report_of)
-    if run.report.exists():
-        raise ConfigurationError(f"{run.report} exists already and nothing is overwritten")
-    if not run.bag.is_dir() and report_of not in (folder / "before", folder / "after"):
+def verify(folder: Path) -> tuple[Verification, tuple[str, ...]] | None:
+    """Do what is left of the verification in ``folder``; None when the user ended it.
+
+    Returns the outcome and the controllers that got files. ``folder`` is the session of the first
+    measurement and gets ``compensation``, the session ``after`` and verification.json; with
+    ``again`` the session of that name too. Raises DataError for a result that is not ok,
+    ConfigurationError where no verification was begun.
+    """
+    request = _read_request(folder)
+    first = SessionFolder(folder)
+    before = _measure(first.configuration, folder, (), folder)
+    if before is None:
+        return None
+    exports = request.files(before.source, before.axis)
+    _write_once(exports, first.compensation)
+    changes = (*request.check, *_applied(exports[APPLIED]))
+    after = _measure(first.configuration, folder / "after", changes, folder)
+    if after is None:
+        return None
+    rounds = {"before": before, "after": after}
+    if request.again:
+        further = request.added(after.source, after.axis, exports[APPLIED])
+        _write_once({APPLIED: further}, folder / "compensation_added")
+        changes = (*request.check, *_applied(further))
+        third = _measure(first.configuration, folder / "again", changes, folder)
+        if third is None:
+            return None
+        rounds["again"] = third
+    verification = _outcome(rounds, exports[APPLIED].residual.stated)
+    data = verification.to_dict() | {"controllers": list(exports)}
+    write_atomically(folder / VERIFICATION, json.dumps(data, indent=1) + "\n")
+    return verification, tuple(exports)
+
+
+def _read_request(folder: Path) -> Request:
+    try:
+        data = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+        lists = {name: tuple(data[name]) for name in ("check", "controllers")}
+        return Request(**{**data, **lists})
+    except OSError:
         raise ConfigurationError(
-            f"--report-of {report_of}: there is no {run.bag}; name the folder of a finished run"
-        )
+            f"{folder} holds no verification: its {REQUEST} is missing; begin one with 'rotcal "
+            "verify CONFIG', or go on with a single measurement: rotcal run CONFIG --resume"
+        ) from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise ConfigurationError(f"{folder / REQUEST} is damaged: {error}") from error
 
 
-def _rehearse(wanted: _Wanted, calibration: Calibration, folder: Path) -> None:
+def _outcome(rounds: dict[str, Measured], stated: float) -> Verification:
+    again = rounds.get("again")
+    return Verification(
+        before=positioning(rounds["before"].source.result),
+        after=positioning(rounds["after"].source.result),
+        again=positioning(again.source.result) if again else None,
+        stated=stated,
+        iso={when: _true_figures(measured) for when, measured in rounds.items()},
+        verdict_lines={when: m.source.result.verdict_line for when, m in rounds.items()},
+    )
+
+
+def _rehearse(request: Request, calibration: Calibration) -> None:
     """Make the controller files of a perfect table, and raise ConfigurationError where they fail.
 
-    So a misspelt controller, rows that it cannot hold, or a name that is taken are told at once.
+    So a misspelt controller, or rows that it cannot hold, are told at once.
     """
     angles = np.unique(calibration.plan.table_angles)
     nothing = {"ECC": np.zeros(len(angles))}
@@ -173,33 +194,53 @@ def _rehearse(wanted: _Wanted, calibration: Calibration, folder: Path) -> None:
     perfect = Result(
         calibration.plan.method, angles, nothing, nothing, covariance, 1.0, 0, 0, measured_on=NONE
     )
-    exports = wanted.files(Source(perfect, {}), calibration.configuration.cell.axis)
-    target = wanted.folder.absolute()
-    if folder / "after" in (target, *target.parents):
-        raise ConfigurationError(f"--files {target}: this folder is for the second measurement")
-    for path in (target / name for export in exports.values() for name in export.files):
-        if os.path.lexists(path):
-            raise ConfigurationError(f"--files: {path} exists already, nothing is overwritten")
-    for place in (folder, target):
-        above = next(path for path in (place, *place.parents) if path.exists())
-        if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
-            raise ConfigurationError(f"{place} cannot be made: {above} takes no new files")
+    request.files(Source(perfect, {}), calibration.configuration.cell.axis)
 
 
-def _measure(configuration: Path, folder: Path, changes: Sequence[str]) -> Measured | None:
-    """Run one calibration; DataError unless its verdict is ok, None when the user ended it."""
-    session = prepare_session(configuration, folder, changes)
-    say(f"measuring {folder.name} compensation")
-    if calibrate(session).get("interrupted"):
-        return None
-    write_truth(session)
-    source = read_source(session.folder.result)
+def _measure(
+    configuration: Path, path: Path, changes: Sequence[str], whole: Path
+) -> Measured | None:
+    """Return the measurement in the session ``path``, carried out as far as it is not yet.
+
+    DataError unless its verdict is ok, None when the user ended it.
+    """
+    folder = SessionFolder(path)
+    if not folder.configuration.is_file():
+        session = prepare_session(configuration, path, changes)
+    elif folder.result.is_file() or not folder.bag.is_dir():
+        session = Session(checked_calibration(folder.configuration, ()), folder)
+    else:
+        session = resume_session(folder.configuration, path, ())
+    if not folder.result.is_file():
+        say(f"measuring {'before' if path == whole else path.name} compensation")
+        session = replace(session, continued_by=f"rotcal verify --resume {whole}")
+        if calibrate(session).get("interrupted"):
+            return None
+    if not folder.truth.is_file():
+        write_truth(session)
+    source = read_source(folder.result)
     if source.result.verdict != "ok":
         raise DataError(
-            f"the measurement {folder} has the verdict {source.result.verdict}: "
+            f"the measurement {path} has the verdict {source.result.verdict}: "
             f"{'; '.join(source.result.warnings)}"
         )
     return Measured(session, source)
+
+
+def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
+    """Write the files that an interrupted verification has not written yet.
+
+    Raises DataError where one that is there holds another table.
+    """
+    left = {}
+    for name, export in exports.items():
+        for file, text in of_the_controller(export.files).items():
+            if (folder / file).is_file() and (folder / file).read_text("latin-1") != text:
+                raise DataError(f"{folder / file} was changed since it was written")
+        there = {file: text for file, text in export.files.items() if (folder / file).exists()}
+        rest = {file: text for file, text in export.files.items() if file not in there}
+        left[name] = replace(export, files=rest)
+    write_exports(left, folder)
 
 
 def _applied(export: ExportFiles) -> list[str]:

@@ -88,13 +88,8 @@ def test_a_configuration_file(refused, tmp_path, arguments, change, nearest):
         (["--spacing", 0], "spacing 0 deg"),
         (["--spacing", -10], "spacing -10 deg"),
         (["--spacing", 0.5], "the controller holds 256"),
-        (["--files", "file"], "takes no new files"),
-        (["--files", "file/folder"], "takes no new files"),
-        (["--files", "taken"], "c_csv.csv exists already"),
-        (["--files", "out/after/files"], "second measurement"),
         (["-o", "file/out"], "takes no new files"),
-        (["--report-of", "taken"], "there is no"),
-        (["--report-of", "reported"], "report.html exists already"),
+        (["-o", "taken"], "exists already and nothing is overwritten"),
         (["--to", "heidenhain", "--accept-unverified", "--set", "plan.table_positions=12"],
          "measure the full circle"),
     ],
@@ -103,7 +98,5 @@ def test_a_configuration_file(refused, tmp_path, arguments, change, nearest):
 def test_what_verify_will_write_is_checked_before_it_measures(refused, tmp_path, options, words):
     (tmp_path / "file").write_text("")
     (tmp_path / "taken").mkdir()
-    (tmp_path / "taken" / "c_csv.csv").write_text("")
-    (tmp_path / "reported" / "bag").mkdir(parents=True)
-    (tmp_path / "reported" / "report.html").write_text("")
     assert words in refused("verify", CONFIG / "verify_demo.yaml", "-o", "out", *options)
+    assert not (tmp_path / "out").exists()

@@ -17,7 +17,7 @@ from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions import verification
 from rotcal_ros.sessions.session import Session
 from rotcal_ros.simulation.positioning import true_runs
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.units import ARCSEC
 
 DEMO = Path(__file__).parents[2] / "config" / "verify_demo.yaml"
 QUIET = (
@@ -49,9 +49,9 @@ def rounds(monkeypatch):
     """Measure without ROS; the configurations of all rounds by their names."""
     found = {}
 
-    def measure(configuration, folder, changes):
+    def measure(configuration, folder, changes, _whole):
         made = prepare(changed(read_configuration(configuration), changes))
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         found[folder.name] = made.configuration
         empty = not made.configuration.simulation.table.compensation.angles_deg
         result = made.solve(lengths(made, len(found)), ["none" if empty else "unknown"])
@@ -67,8 +67,9 @@ def rounds(monkeypatch):
 def test_the_second_round_is_not_worse_than_the_first(tmp_path, rounds, more):
     folder = tmp_path / "out"
     changes = (*QUIET, *more)
-    found, _ = verification.verify(DEMO, folder, changes, spacing=10.0 * DEGREE, again=True)
-    assert list(rounds) == ["before", "after", "again"]
+    verification.begin(DEMO, folder, changes, verification.Request(again=True))
+    found, _ = verification.verify(folder)
+    assert list(rounds) == ["out", "after", "again"]
     assert found.verdict == "ok"
     std = max(np.max(found.after.std), np.max(found.again.std))
     assert found.after.systematic < found.before.systematic / 30

@@ -136,7 +136,7 @@ def test_both_orders_of_measuring_give_true_lengths(order):
 
 
 def test_a_real_machine_needs_no_more_than_its_settings():
-    plan, simulation, settings, solver = load("tracer.yaml")
+    plan, simulation, settings, solver = load("tracer_simulated.yaml")
     assert simulation.time_scale == 1.0
     assert solver.variant == "joint"
     plan = replace(plan, steps=plan.steps[:2])

@@ -1,0 +1,83 @@
+"""Under which circumstances a result came about: who and what, when, how warm, how many.
+
+They follow from the configuration and the observations that count, live and offline alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
+
+from rotcal_ros.identity import Identity
+
+SIMULATED: Final = "SIMULATED"
+"""How all that comes from a simulation is marked."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Mean and extremes of a quantity over the observations that count."""
+
+    mean: float
+    lowest: float
+    highest: float
+
+    @classmethod
+    def of(cls, values: Collection[float | None]) -> Range | None:
+        """Return the range of the values that are known; None without any."""
+        known = [value for value in values if value is not None]
+        return cls(sum(known) / len(known), min(known), max(known)) if known else None
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """How many steps there were.
+
+    ``planned``: in the plan, for a policy those on offer; ``used``: observed and accepted;
+    ``skipped``: given up after all attempts, 0 where a policy chooses; ``retried``: accepted after
+    one attempt or more had been rejected.
+    """
+
+    planned: int
+    used: int
+    skipped: int
+    retried: int
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """Circumstances of a measurement.
+
+    ``simulated``: no instrument measured, a simulation did. Times are nanoseconds since 1970 of
+    the machine's clock, None where a table has none; ``temperature_c`` degrees Celsius,
+    ``pressure_pa`` of the air, ``humidity`` relative, 0 to 1. ``refraction`` says in words who
+    corrects the lengths for the index of refraction of the air; empty without lengths.
+    """
+
+    simulated: bool = False
+    axis: str = ""
+    identity: Identity = field(default_factory=Identity)
+    begun_ns: int | None = None
+    ended_ns: int | None = None
+    temperature_c: Range | None = None
+    pressure_pa: Range | None = None
+    humidity: Range | None = None
+    refraction: str = ""
+    counts: Counts | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what is known in plain types, as it stands in result.json."""
+        data = asdict(self) | {"identity": self.identity.to_dict()}
+        return {k: v for k, v in data.items() if v not in (None, "", {})}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Circumstances:
+        """Rebuild them from :meth:`to_dict`; raises TypeError or ConfigurationError."""
+        known = dict(data)
+        known["identity"] = Identity.from_dict(known.get("identity", {}))
+        ranges = dict.fromkeys(("temperature_c", "pressure_pa", "humidity"), Range)
+        for name, kind in (*ranges.items(), ("counts", Counts)):
+            if name in known:
+                known[name] = kind(**known[name])
+        return cls(**known)
