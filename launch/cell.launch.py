@@ -35,10 +35,15 @@ def generate_launch_description():
 
     def wanted(context, group, name):
         """Start a node with a group of its own; the simulated cell only when asked to."""
-        if group == "simulation":
-            asked = LaunchConfiguration("simulated").perform(context) == "true"
-        else:
-            asked = group in read_configuration(Path(configuration.perform(context))).given
+        file = configuration.perform(context)
+        asked = group in read_configuration(Path(file)).given
+        if group == "simulation" and LaunchConfiguration("simulated").perform(context) == "true":
+            if not asked:
+                raise RuntimeError(
+                    f"simulated:=true, but {file} is for a real cell: it has no group 'simulation'"
+                )
+        elif group == "simulation":
+            asked = False
         return [node(name)] if asked else []
 
     return LaunchDescription(

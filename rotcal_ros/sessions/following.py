@@ -9,6 +9,7 @@ from queue import Empty
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
+from rotcal_ros.circumstances import SIMULATED
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.files import write_atomically
 from rotcal_ros.planning.plan import PAUSED
@@ -42,6 +43,8 @@ def calibrate(session: Session, *, at_once: bool = False) -> dict[str, Any]:
     ``interrupted`` is true when the user ended it, else its ``verdict_line`` says how far to
     trust the result. Raises RotcalError when it failed.
     """
+    if session.configuration.simulated:
+        say(f"{SIMULATED}: no machine is measured, the cell is a simulation")
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
         outcome = _solve_bag(session) if session.finished else _run(session, at_once)

@@ -76,6 +76,21 @@ def test_the_launch_file_starts_what_is_listed(monkeypatch, tmp_path, bridge, si
     text = (ROOT / "config" / "tracer_paper.yaml").read_text()
     file = tmp_path / "cell.yaml"
     file.write_text(text + ("    bridge: {controller: csv}\n" if bridge else ""))
+    started, later = launched(monkeypatch, file, simulated=simulated)
+    for function in later:
+        function(None)
+    further = [FURTHER_NODES["bridge"]] * bridge + [FURTHER_NODES["simulation"]] * simulated
+    assert started == [*NODES, *further]
+
+
+def test_a_real_configuration_starts_no_simulation(monkeypatch):
+    _, later = launched(monkeypatch, ROOT / "config" / "tracer.yaml", simulated=True)
+    with pytest.raises(RuntimeError, match="is for a real cell"):
+        [function(None) for function in later]
+
+
+def launched(monkeypatch, file, *, simulated):
+    """Return the nodes that the launch file starts at once, and what it decides later."""
     values = {"configuration": str(file), "simulated": str(simulated).lower()}
     started, later = [], []
     launch = MagicMock()
@@ -89,10 +104,7 @@ def test_the_launch_file_starts_what_is_listed(monkeypatch, tmp_path, bridge, si
             )
             monkeypatch.setitem(sys.modules, name + module, stub)
     runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
-    for function in later:
-        function(None)
-    further = [FURTHER_NODES["bridge"]] * bridge + [FURTHER_NODES["simulation"]] * simulated
-    assert started == [*NODES, *further]
+    return started, later
 
 
 def test_the_page_of_interfaces_has_a_row_for_every_node():
