@@ -42,6 +42,8 @@ GROUPS: Final = (
     "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
+SIMULATION: Final = "simulation"
+"""A configuration with this group is that of a simulated cell."""
 OFFLINE_GROUPS: Final = ("identity", "cell", "plan", "capture", "solver", "topics")
 """Groups that a recording is solved with; the others have done their work."""
 
@@ -136,11 +138,21 @@ def parse_configuration(
     return Configuration(
         method=method,
         **loaded,
-        simulated="simulation" in values,
+        simulated=SIMULATION in values,
         given=given.union(settings),
         text=text,
         source=source,
     )
+
+
+def read_subject(text: str, source: str = "configuration") -> tuple[Identity, bool]:
+    """Return what a configuration measures and whether a simulation does, and nothing else.
+
+    Raises ConfigurationError where even that cannot be read.
+    """
+    _, values = _parameters(text, source)
+    identity = load(Identity, values.get("identity"), f"{source}: identity")
+    return identity, SIMULATION in values
 
 
 def changed(configuration: Configuration, changes: Sequence[str]) -> Configuration:

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from rotcal_ros.circumstances import SIMULATED
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress, say
 
@@ -138,7 +139,9 @@ def _print(summary: dict[str, Any]) -> None:
         start = datetime.fromtimestamp(summary["start_ns"] / 1e9, timezone.utc)
         click.echo(f"begin     {start:%Y-%m-%d %H:%M:%S} UTC")
         click.echo(f"duration  {summary['duration_s']:.3f} s")
-    for name in ("method", "plan_id"):
+    if summary["simulated"]:
+        click.echo(f"{SIMULATED}: no instrument measured this")
+    for name in ("method", "item", "plan_id"):
         if summary[name]:
             click.echo(f"{name:9} {summary[name]}")
     if summary["attachments"]:

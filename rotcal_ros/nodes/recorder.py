@@ -23,7 +23,7 @@ from rotcal_ros.nodes.listening import HeardTopic, Listener
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.recording import Messages, Receipt, Recording, SessionBags
 from rotcal_ros.nodes.running import run
-from rotcal_ros.nodes.surroundings import parameters_json, versions_json
+from rotcal_ros.nodes.surroundings import parameters_json, subject, versions_json
 
 CLOSE_TIMEOUT_S: Final = 15.0
 
@@ -130,6 +130,7 @@ class RecorderNode(CellNode):
         recording = Recording(writer, self._settings.queue_bytes, self._confirm)
         configuration = request.configuration.encode()
         recording.attach(names.CONFIGURATION, "application/yaml", configuration)
+        recording.note(names.SUBJECT, subject(request.configuration))
         recording.attach(names.VERSIONS, "application/json", versions_json().encode())
         self._recording = recording
         self.executor.create_task(self._attach_parameters, recording)

@@ -6,6 +6,7 @@ import json
 import os
 import platform
 from collections.abc import Iterable
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final
 
@@ -16,10 +17,23 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from rotcal_ros import __version__
+from rotcal_ros.catalogue.configuration import read_subject
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.nodes.cell_node import until
 
 TIMEOUT_S: Final = 3.0
 _PACKAGES = ("numpy", "scipy", "mcap", "rclpy", "ros-rclpy", "rotcal_msgs")
+
+
+def subject(configuration_text: str) -> dict[str, str]:
+    """Return what a configuration measures, for a bag's metadata; empty when it says nothing.
+
+    The method is not loaded: that takes longer than a recorder may be silent.
+    """
+    with suppress(ConfigurationError):
+        identity, simulated = read_subject(configuration_text)
+        return {"item": identity.title, "simulated": str(simulated).lower()}
+    return {}
 
 
 def versions_json() -> str:

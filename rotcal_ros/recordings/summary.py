@@ -50,6 +50,8 @@ class Summary:
             "topics": topics,
             "attachments": list(self.attachments),
             "method": self.configuration.method.name if self.configuration else None,
+            "simulated": self.configuration.simulated if self.configuration else None,
+            "item": self.configuration.identity.title if self.configuration else None,
             "plan_id": self.configuration.plan_id if self.configuration else None,
             "losses_recorded": session_losses(self.files),
         }
