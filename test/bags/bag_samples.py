@@ -141,6 +141,11 @@ def _command(r: Command) -> list[tuple[str, bytes]]:
     return [(names.TABLE_ANGLE, table), (names.PROBE_TARGET, probe)]
 
 
+def number(value: float | None) -> float:
+    """Return a number of a message, NaN where there is none."""
+    return float("nan") if value is None else value
+
+
 def _observation(r: Observation) -> list[tuple[str, bytes]]:
     data = serialised(
         TYPES[names.OBSERVATION], stamp_ns=r.window_end_ns, step=r.step, attempt=r.attempt,
@@ -148,10 +153,10 @@ def _observation(r: Observation) -> list[tuple[str, bytes]]:
         table_angle=r.table_angle, table_angle_measured=r.table_angle_measured,
         mean=floats(r.mean), std=floats(r.std), scatter=floats(r.scatter),
         probe_position=floats(r.probe_position),
-        temperature=float("nan") if r.temperature_c is None else r.temperature_c,
+        temperature=number(r.temperature_c),
         n_samples=r.n_samples, n_used=r.n_used, accepted=r.accepted, reason=r.reason,
         window_start=time_message(r.window_start_ns), window_end=time_message(r.window_end_ns),
-        run=r.run, segment=r.segment,
+        run=r.run, segment=r.segment, pressure=number(r.pressure_pa), humidity=number(r.humidity),
     )  # fmt: skip
     return [(names.OBSERVATION, data)]
 

@@ -82,9 +82,10 @@ def test_surface_and_centre_measurements_agree():
 
 def test_attempts_and_order_do_not_change_a_bit(measured):
     calibration, observations = measured
-    text = calibration.solve(observations).to_json()
-    again = measure(calibration, turn_s=0.37, order=reversed_streams)
-    assert calibration.solve(reversed(again)).to_json() == text
+    first = calibration.solve(observations)
+    again = calibration.solve(reversed(measure(calibration, turn_s=0.37, order=reversed_streams)))
+    # They were made at another time, when it was warmer.
+    assert replace(again, circumstances=first.circumstances).to_json() == first.to_json()
 
 
 def reversed_streams(records):

@@ -143,7 +143,7 @@ def test_the_play_gets_from_the_plate_to_the_controller(touched):
     calibration, observations = touched
     table = table_from_result(calibration.solve(observations))
     made = prepare_export(table, "linuxcnc", now=datetime.now(timezone.utc), spacing=10.0 * DEGREE)
-    _, up, down = np.loadtxt(made.files["c_linuxcnc.comp"].splitlines()).T * DEGREE
+    _, up, down = np.loadtxt(made.files["c_linuxcnc_simulated.comp"].splitlines()).T * DEGREE
     np.testing.assert_allclose(up - down, PLAY, atol=5 * np.max(table.std))
     assert made.residual.direction == 0.0
 

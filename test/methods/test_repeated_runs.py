@@ -154,7 +154,7 @@ def test_play_that_was_measured_gets_to_the_controller():
     made = prepare_export(
         table_from_result(result), "linuxcnc", now=datetime.now(timezone.utc), spacing=5 * DEGREE
     )
-    angle, up, down = np.loadtxt(made.files["c_linuxcnc.comp"].splitlines()).T * DEGREE
+    angle, up, down = np.loadtxt(made.files["c_linuxcnc_simulated.comp"].splitlines()).T * DEGREE
     commands = np.linspace(0.0, 2.0 * np.pi, 721)
     worst = []
     for column, extra in ((up, 0.0), (down, play)):

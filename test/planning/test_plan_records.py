@@ -45,7 +45,8 @@ def test_an_observation_without_scatter():
         "station": 3, "kind": PointKind.MIRRORED, "mean": (1.5, -2.5), "std": (0.0, 0.0),
         "scatter": (0.0, 0.0), "probe_position": (0.1, 0.2, 0.3), "n_samples": 1, "n_used": 1,
         "accepted": True, "reason": "", "table_angle_measured": 0.75, "temperature_c": None,
-        "window_start_ns": 0, "window_end_ns": 0, "run": 0, "segment": 0,
+        "window_start_ns": 0, "window_end_ns": 0, "run": 0, "segment": 0, "pressure_pa": None,
+        "humidity": None,
     }  # fmt: skip
     assert STEP.observed((1.0,), PointKind.CENTRE).kind is PointKind.CENTRE
 
