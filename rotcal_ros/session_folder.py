@@ -25,8 +25,13 @@ class SessionFolder:
 
     @property
     def configuration(self) -> Path:
-        """The configuration, which is the parameter file of the nodes too."""
+        """The configuration, as the user wrote it."""
         return self.path / CONFIGURATION
+
+    @property
+    def parameters(self) -> Path:
+        """The configuration as a parameter file of the nodes."""
+        return self.path / "parameters.yaml"
 
     @property
     def bag(self) -> Path:

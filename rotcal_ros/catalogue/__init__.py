@@ -11,6 +11,7 @@ from rotcal_ros.catalogue.calibration import (
     last_accepted,
     prepare,
     prepare_to_measure,
+    prepare_whole,
 )
 from rotcal_ros.catalogue.configuration import (
     Configuration,
@@ -32,5 +33,6 @@ __all__ = [
     "parse_configuration",
     "prepare",
     "prepare_to_measure",
+    "prepare_whole",
     "read_configuration",
 ]

@@ -155,7 +155,17 @@ def prepare(configuration: Configuration) -> Calibration:
 
 
 def prepare_to_measure(configuration: Configuration) -> Calibration:
-    """Return :func:`prepare` of a configuration that will be measured.
+    """Return :func:`prepare_whole` of a configuration that will be measured.
+
+    Raises ConfigurationError or PlanError, too, where its policy cannot reach its goal.
+    """
+    calibration = prepare_whole(configuration)
+    calibration.policy(calibration.from_the_start())
+    return calibration
+
+
+def prepare_whole(configuration: Configuration) -> Calibration:
+    """Return :func:`prepare` of a configuration whose plan is meant to be measured as a whole.
 
     Raises PlanError, with the place, where the data of the whole plan could not be solved. What is
     recorded already may be less than that, and is read all the same.
@@ -166,7 +176,6 @@ def prepare_to_measure(configuration: Configuration) -> Calibration:
             calibration.method.check_plan(configuration, calibration.plan)
         except PlanError as error:
             raise PlanError(f"{configuration.source}: plan: {error}") from error
-    calibration.policy(calibration.from_the_start())
     return calibration
 
 

@@ -25,7 +25,7 @@ from rotcal_ros.identity import Identity
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.plugins import nearest
-from rotcal_ros.settings import load
+from rotcal_ros.settings import declarations, load, to_mapping
 
 SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "cell": CellSettings,
@@ -127,7 +127,8 @@ def parse_configuration(
         raise ConfigurationError(f"{source}: {error}") from error
     for group in values:
         if group not in GROUPS:
-            hint = nearest(str(group), ("method", *GROUPS))
+            hint = _without_its_group(method, str(group))
+            hint = hint or nearest(str(group), ("method", *GROUPS))
             raise ConfigurationError(f"{source}: unknown group {group!r}{hint}")
     given = frozenset(values) & frozenset(groups)
     loaded: dict[str, Any] = {
@@ -176,6 +177,37 @@ def replaced(configuration: Configuration, group: str, values: Mapping[str, Any]
     """Return the text of a configuration whose ``group`` has only these ``values``."""
     name, groups = _parameters(configuration.text, configuration.source)
     return dump_configuration(name, {**groups, group: values})
+
+
+def _without_its_group(method: Method, name: str) -> str:
+    """Return a hint where ``name`` is no group but a setting, or a group, inside of one."""
+    found = [
+        f"{group}.{name}"
+        for group, cls in settings_classes(method).items()
+        if any(declared.name.partition(".")[0] == name for declared in declarations(cls))
+    ]
+    return f"; it belongs to a group: {' or '.join(found)}" if found else ""
+
+
+def node_parameters(configuration: Configuration) -> str:
+    """Return what the configuration states as a parameter file that ROS reads.
+
+    ROS takes one type in a list, and no group that is empty: here every number of a float setting
+    has its point, and what is not given, or None, is left out.
+    """
+    parameters: dict[str, Any] = {"method": configuration.method.name}
+    for group in GROUPS:
+        values = to_mapping(getattr(configuration, group))
+        given = {n: v for n, v in values.items() if f"{group}.{n}" in configuration.given}
+        parameters[group] = _without_none(given)
+    document = {"/**": {"ros__parameters": {n: v for n, v in parameters.items() if v != {}}}}
+    return str(yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
+
+
+def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested groups without what is None and without groups that are empty."""
+    kept = {n: _without_none(v) if isinstance(v, Mapping) else v for n, v in values.items()}
+    return {name: value for name, value in kept.items() if value is not None and value != {}}
 
 
 def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> str:

@@ -203,12 +203,12 @@ def order(
     as_json: bool,
 ) -> int:
     """Print the measuring order of a ball plate configuration with its predicted duration."""
-    from rotcal_ros.catalogue import prepare
+    from rotcal_ros.catalogue import prepare_whole
     from rotcal_ros.catalogue.ball_plate.plan import measuring_order
     from rotcal_ros.catalogue.configuration import read_configuration
     from rotcal_ros.planning.ball_plan import Kinematics
 
-    prepared = prepare(read_configuration(configuration))
+    prepared = prepare_whole(read_configuration(configuration))
     settings = prepared.configuration.plan
     kinematics = Kinematics(
         table_velocity=table_deg_s * DEGREE,

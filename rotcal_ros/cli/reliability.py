@@ -59,10 +59,10 @@ def command(
     The observations are listed by what a slightly smaller error, which may stay unseen, would do
     to the deviations, in their standard uncertainties.
     """
-    from rotcal_ros.catalogue import changed, prepare, read_configuration
+    from rotcal_ros.catalogue import changed, prepare_whole, read_configuration
     from rotcal_ros.evaluation.reliability import effects_on_deviations, reliability
 
-    calibration = prepare(changed(read_configuration(configuration), changes))
+    calibration = prepare_whole(changed(read_configuration(configuration), changes))
     observations = _predicted(calibration)
     result = calibration.solve(observations)
     if result.residuals is None:

@@ -53,13 +53,13 @@ def command(
     as_json: bool,
 ) -> int:
     """Find the quickest order of a tracer plan in which drifts and knocks would be seen."""
-    from rotcal_ros.catalogue import changed, prepare, read_configuration
+    from rotcal_ros.catalogue import changed, prepare_whole, read_configuration
     from rotcal_ros.catalogue.tracer.plan_tables import write_pairs
     from rotcal_ros.catalogue.tracer.timing import cell_run, cell_time, plan_seconds
     from rotcal_ros.planning.sequence_choice import best_order
     from rotcal_ros.planning.sequence_time import stated_time
 
-    calibration = prepare(changed(read_configuration(configuration), changes))
+    calibration = prepare_whole(changed(read_configuration(configuration), changes))
     if calibration.method.name != "tracer_multistation":
         raise ConfigurationError(f"{configuration}: only plans of a laser tracer have such orders")
     model = stated_time(turn_s, length_s)

@@ -86,12 +86,12 @@ def _read(source: Path, setup: Path | None, targets: Path | None) -> Measurement
             raise click.UsageError("a table needs its set-up: --setup SETUP.yaml")
         return read_measurements(source, read_setup(setup), targets)
     if source.suffix in (".yaml", ".yml"):
-        from rotcal_ros.catalogue import prepare
+        from rotcal_ros.catalogue import prepare_whole
         from rotcal_ros.catalogue.configuration import read_configuration
 
         if setup is not None:
             raise click.UsageError("--setup belongs to a table or a bag, not to a configuration")
-        calibration = prepare(read_configuration(source))
+        calibration = prepare_whole(read_configuration(source))
         return PlannedMeasurements(calibration, calibration.nominal_observations())
     from rotcal_ros.recordings.replay import read_recording
 

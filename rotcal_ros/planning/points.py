@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
+from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import PlanError
 from rotcal_ros.planning.plan import Point
+
+_ROUNDING: Final = 1e-9
 
 
 def triples(values: tuple[float, ...], name: str) -> tuple[Point, ...]:
@@ -38,3 +43,9 @@ def block(
 def _zigzag(row: int) -> int:
     """Return the direction of travel (1 or -1) of a row of a serpentine."""
     return -1 if row % 2 else 1
+
+
+def in_a_line(points: Floats) -> bool:
+    """Return whether ``points`` (n, 3) lie in a line, or in fewer places, but for rounding."""
+    sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return len(points) < 3 or bool(sizes[1] <= _ROUNDING * sizes[0])

@@ -20,7 +20,7 @@ def node_names(session: Session) -> list[str]:
 
 def node_command(session: Session, name: str) -> list[str]:
     """Return the command line of a node."""
-    command = [*_start(session, name), "--params-file", str(session.folder.configuration)]
+    command = [*_start(session, name), "--params-file", str(session.folder.parameters)]
     if name == "recorder":
         # In quotes, so that a folder called 2024 does not become a number.
         command += ["-p", f"recorder.folder:={json.dumps(str(session.folder.path.parent))}"]

@@ -18,6 +18,7 @@ from rotcal_ros.planning.policy.names import AS_LISTED
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.session_folder import SessionFolder
+from rotcal_ros.sessions.disk_space import require_space
 from rotcal_ros.sessions.session import Session, checked_calibration
 
 LOCK_TIMEOUT_S: Final = 40.0
@@ -53,6 +54,7 @@ def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
         max_attempts=settings.max_attempts,
         join_steps=settings.join_steps if calibration.method.joins_runs else 0,
     )
+    require_space(calibration, folder.path, len(continuation.steps))
     session = Session(calibration, folder, continuation)
     session.log_folder.mkdir(exist_ok=True)
     write_atomically(folder.continuation(continuation.run), continuation.to_json())

@@ -10,7 +10,8 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any
 
-from rotcal_ros.files import FolderLock
+from rotcal_ros.catalogue.configuration import node_parameters
+from rotcal_ros.files import FolderLock, write_atomically
 from rotcal_ros.sessions.commands import CLIENT, client_command, node_command, node_names
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
@@ -57,6 +58,7 @@ def running(session: Session) -> Iterator[RunningSession]:
     """
     lock = FolderLock(session.folder.path)
     try:
+        write_atomically(session.folder.parameters, node_parameters(session.configuration))
         with Processes(session.log_folder, node_environment(), (lock.descriptor,)) as processes:
             for name in node_names(session):
                 processes.start(name, node_command(session, name))

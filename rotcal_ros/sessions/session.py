@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +16,9 @@ from rotcal_ros.catalogue import (
 )
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.files import write_atomically
+from rotcal_ros.files import FolderLock, write_atomically
 from rotcal_ros.session_folder import SessionFolder
+from rotcal_ros.sessions.disk_space import require_space
 
 
 @dataclass(frozen=True)
@@ -66,11 +68,14 @@ def prepare_session(
     """Check the whole configuration, then make the folder; nothing is ever overwritten.
 
     ``changes`` are ``group.name=value`` with the value in YAML. With ``keep_previous`` an
-    existing folder is moved aside to the first free ``<folder>-<number>``.
+    existing folder is moved aside to the first free ``<folder>-<number>``. A folder that a run has
+    left before anything was recorded is taken again. Raises ConfigurationError where the disk has
+    no room for the bag.
     """
     calibration = checked_calibration(source, changes)
     folder = folder.absolute()
-    if folder.exists():
+    require_space(calibration, folder)
+    if folder.exists() and not _taken_again(SessionFolder(folder)):
         if not keep_previous:
             raise ConfigurationError(
                 f"{folder} exists already and nothing is overwritten; choose another --output, "
@@ -78,9 +83,29 @@ def prepare_session(
             )
         folder.rename(free_name(folder))
     session = Session(calibration, SessionFolder(folder))
-    session.log_folder.mkdir(parents=True)
+    session.log_folder.mkdir(parents=True, exist_ok=True)
     write_atomically(session.folder.configuration, calibration.configuration.text)
     return session
+
+
+def _taken_again(folder: SessionFolder) -> bool:
+    """Return whether nothing was measured in ``folder``; the logs of its run are then removed.
+
+    Anything that a run does not leave before its first message keeps the folder as it is.
+    Raises BagError when a run is still at work there.
+    """
+    path = folder.path
+    beginnings = (folder.configuration, folder.parameters, folder.log(), folder.bag)
+    if not path.is_dir() or not set(path.iterdir()) <= set(beginnings):
+        return False
+    if folder.bag.exists() and (not folder.bag.is_dir() or any(folder.bag.iterdir())):
+        return False
+    FolderLock(path).release()
+    if folder.bag.exists():
+        folder.bag.rmdir()
+    if folder.log().is_dir():
+        shutil.rmtree(folder.log())
+    return True
 
 
 def checked_calibration(source: Path, changes: Sequence[str]) -> Calibration:

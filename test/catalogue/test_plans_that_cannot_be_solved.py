@@ -31,6 +31,11 @@ def made(name, *changes):
          "= 61 unknowns"),
         ("tracer_paper", ["plan.box_size_m=[0, 0, 0]"], "64 targets at 1 places"),
         ("tracer_paper", ["plan.box_size_m=[0.4, 0, 0.4]"], "64 targets at 16 places"),
+        ("tracer_paper", ["plan.box_points=[5, 1, 1]"], "5 targets lie in a line"),
+        ("tracer_paper", ["plan.box_points=[1, 1, 9]"], "9 targets lie in a line"),
+        ("plane_mirror_demo", ["plan.table_positions=2"], "2 table angles: the plane in which"),
+        ("tracer_six_demo", ["plan.table_positions=2"], "2 table angles"),
+        ("tracer_six_demo", ["plan.box_points=[5, 1, 1]"], "5 targets"),
         ("tracer_paper", [*ONE_STOP, "plan.runs=3", "plan.table_positions=2"], "2 table angles"),
         ("plane_mirror_demo", ["solver.range_std_m=0", "solver.range_std_relative=0"],
          "solver: .*range_std_m and range_std_relative"),
@@ -52,7 +57,9 @@ def test_it_is_refused_with_its_place(name, changes, words):
         # 4 x 16 = 64 lengths, 16 + 48 unknowns
         ("tracer_paper", [FREE, "plan.table_positions=4", "plan.box_points=[4, 4, 1]"]),
         # the machine tells the targets: 4 lengths of a station for its place and zero, one more
-        ("tracer_paper", ["plan.table_positions=4", "plan.box_points=[5, 1, 1]"]),
+        ("tracer_paper", ["plan.table_positions=4", "plan.box_points=[3, 2, 1]"]),
+        ("plane_mirror_demo", ["plan.table_positions=3"]),
+        ("tracer_six_demo", ["plan.table_positions=3"]),
         ("tracer_paper", ["plan.box_size_m=[0.4, 0, 0.4]", "plan.box_points=[4, 1, 4]"]),
         ("tracer_paper", [*ONE_STOP, "plan.runs=2", "plan.table_positions=3"]),
         ("plane_mirror_demo", ["solver.range_std_m=0", "solver.transverse_std_relative=0"]),

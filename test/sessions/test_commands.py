@@ -38,7 +38,7 @@ def test_a_simulated_cell_has_one_node_more(session, tmp_path):
 def test_the_nodes_of_the_first_run(session):
     for name in node_names(session):
         command = node_command(session, name)
-        assert command[command.index("--params-file") + 1] == str(session.folder.configuration)
+        assert command[command.index("--params-file") + 1] == str(session.folder.parameters)
         assert "__ns:=/north" in command
     found = parameters(node_command(session, "recorder"))
     assert found == {

@@ -4,8 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import changed, read_configuration
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.files import FolderLock
+from rotcal_ros.sessions.disk_space import expected_bytes
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.following import describe
 from rotcal_ros.sessions.session import free_name, prepare_session
@@ -40,7 +43,13 @@ def test_changes_reach_their_settings(tmp_path):
         ("plan.tabel_positions=9", "did you mean 'table_positions'"),
         ("plan.box_points.x=9", "box_points is a value"),
         ("plan.box_points=[1", "not a YAML value"),
-        ("planer.max_attempts=2", "unknown group 'planer'"),
+        ("planer.max_attempts=2", "unknown group 'planer'; did you mean 'planner'"),
+        ("table_positions=12", "unknown group 'table_positions'; .*plan.table_positions"),
+        ("writer.sync_interval_s=1", "unknown group 'writer'; .*recorder.writer"),
+        ("plan=3", "plan: expected a group of settings, found 3"),
+        ("plan=[3]", "plan: expected a group of settings"),
+        ("plan=text", "plan: expected a group of settings"),
+        ('cell.namespace="/cell "', "'/cell ' is no name in ROS"),
         ("planner.max_attempts=0", "out of range"),
         ("recorder.writer.sync_interval_s=5.0", "out of range"),
         ("method=unheard", "unknown method 'unheard'"),
@@ -61,6 +70,51 @@ def test_an_existing_folder_is_never_touched(tmp_path):
     assert (tmp_path / "out-1" / "old").read_text() == "old"
     assert not (tmp_path / "out" / "old").exists()
     assert free_name(tmp_path / "out") == tmp_path / "out-2"
+
+
+def test_what_a_run_left_before_anything_was_recorded_is_taken_again(tmp_path):
+    first = prepare_session(DEMO, tmp_path / "out", [])
+    (first.log_folder / "planner.log").write_text("no answer")
+    first.folder.parameters.write_text("")
+    first.folder.bag.mkdir()
+    again = prepare_session(DEMO, tmp_path / "out", ["plan.table_positions=6"])
+    assert again.configuration.plan.table_positions == 6
+    assert read_configuration(again.folder.configuration).plan.table_positions == 6
+    assert not list(again.log_folder.iterdir())
+
+
+@pytest.mark.parametrize("data", ["bag/bag_0.mcap", "result.json", "notes.txt", "log_1/x.log"])
+def test_a_folder_with_anything_else_is_kept(tmp_path, data):
+    kept = prepare_session(DEMO, tmp_path / "out", []).folder.path / data
+    kept.parent.mkdir(exist_ok=True)
+    kept.write_text("mine")
+    with pytest.raises(ConfigurationError, match="exists already"):
+        prepare_session(DEMO, tmp_path / "out", [])
+    assert kept.read_text() == "mine"
+
+
+def test_a_folder_where_a_run_is_at_work_is_kept(tmp_path):
+    session = prepare_session(DEMO, tmp_path / "out", [])
+    lock = FolderLock(session.folder.path)
+    with pytest.raises(BagError, match="another process"):
+        prepare_session(DEMO, tmp_path / "out", [])
+    lock.release()
+    assert session.log_folder.is_dir()
+
+
+def test_a_full_disk_is_told_before_anything_is_made(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"MB free, 1,000,\d+,\d+ MB are needed"):
+        prepare_session(DEMO, tmp_path / "out", ["recorder.writer.min_free_bytes=1000000000000000"])
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_size_of_a_bag_follows_from_steps_turns_and_rates():
+    calm = ["simulation.tracer.rate_hz=1000", "simulation.table.feedback_rate_hz=99"]
+    slow = ["planner.step_s=5", "planner.turn_s=10", "simulation.temperature.rate_hz=1"]
+    calibration = prepare(changed(read_configuration(DEMO), calm + slow))
+    # 704 steps, the table turns to every one: 703 turns of 10 s; 1100 messages of 100 bytes a s
+    assert expected_bytes(calibration) == pytest.approx((704 * 5 + 703 * 10) * 1100 * 100)
+    assert expected_bytes(calibration, 352) == pytest.approx(expected_bytes(calibration) / 2)
 
 
 def test_changes_do_not_alter_the_given_configuration():

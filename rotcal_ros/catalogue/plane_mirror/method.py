@@ -16,6 +16,7 @@ from rotcal_ros.catalogue.plane_mirror.figures import figures
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import TrackerStation
 from rotcal_ros.catalogue.plane_mirror.plan import (
     MirrorPlanSettings,
+    check_plan,
     nominal_mirror,
     older_plan,
     plan,
@@ -57,6 +58,7 @@ METHOD: Final = Method(
     simulation_settings=MirrorSimulationSettings,
     plan=plan,
     older_plans=(older_plan,),
+    check_plan=check_plan,
     capture=CaptureRules(
         {kind: points(mean_point) for kind in table.KINDS.values()},
         lambda _plan: (TrackerCheck(),),

@@ -29,6 +29,8 @@ from rotcal_ros.units import DEGREE
 
 MIRROR: Final = "mirror"
 REFLECTORS: Final = "reflectors"
+LEAST_ANGLES: Final = 3
+"""Different table angles below which the mirror's normals show no plane of rotation."""
 _CLOSING: Final = "leave the tracker where it is; the station is measured again"
 _MIN_TRIANGLE: Final = 0.1
 """Nests reach at least this far (m) to the side of the line through them."""
@@ -127,6 +129,16 @@ def plan(configuration: Configuration) -> Plan:
     the way lacks nests or shared positions.
     """
     return _plan(configuration, nests_once=False)
+
+
+def check_plan(configuration: Configuration, planned: Plan) -> None:
+    """Raise PlanError for a plan whose points show no plane in which the table turns."""
+    angles = len(planned.distinct_angles)
+    if configuration.plan.carries == MIRROR and angles < LEAST_ANGLES:
+        raise PlanError(
+            f"{angles} table angles: the plane in which the mirror turns needs at least "
+            f"{LEAST_ANGLES}: raise table_positions"
+        )
 
 
 def older_plan(configuration: Configuration) -> Plan:

@@ -22,7 +22,7 @@ from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.points import block
+from rotcal_ros.planning.points import block, in_a_line
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.tracer_design.candidates import candidates
 from rotcal_ros.planning.tracer_design.scene import Scene, on_table
@@ -165,6 +165,11 @@ def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
         missing = (
             f"{n} targets at {places} places: targets_m repeats one, or box_size_m is 0 where "
             "box_points are several"
+        )
+    if not on_circle and not missing and in_a_line(np.array(planned.targets)):
+        missing = (
+            f"the {n} targets lie in a line, about which every station could be turned without a "
+            "trace in the lengths: put some aside"
         )
     if (angles := len(set(planned.table_angles))) < LEAST_ANGLES:
         missing = missing or f"{angles} table angles: a circle needs at least {LEAST_ANGLES}"
