@@ -18,6 +18,14 @@ from rotcal_ros.errors import BagError, DataError
 
 Header = tuple[str, ...]
 
+_SPREADSHEETS: Final = (".xlsx", ".xlsm", ".xls", ".ods")
+_OFFICE: Final = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""How the files of spreadsheet programs begin."""
+_TEXTS: Final = (".csv", ".txt", ".tsv", ".dat", "")
+_OTHERS: Final = (".mcap", ".db3", ".json", ".yaml", ".yml", ".html")
+"""Endings of files that are something else."""
+_SEPARATORS: Final = {";": "semicolons", "\t": "tabs"}
+_LOOK: Final = 4096
 _FARTHEST: Final = 50.0
 """Metres; no target or length of such a calibration is farther away."""
 
@@ -90,11 +98,38 @@ class Table:
         return rows
 
 
+def is_table(path: Path) -> bool:
+    """Return whether ``path`` is a plain table: ends in .csv, or its first line has columns.
+
+    Raises BagError for a spreadsheet, whatever it is called.
+    """
+    ending = path.suffix.lower()
+    if ending in _OTHERS or not path.is_file():
+        return ending == ".csv"
+    with path.open("rb") as file:
+        begin = file.read(_LOOK)
+    if ending in _SPREADSHEETS or (ending in _TEXTS and begin.startswith(_OFFICE)):
+        raise BagError(
+            f"{path} is a spreadsheet: save it as CSV (comma-separated, UTF-8) and name that file"
+        )
+    if ending == ".csv":
+        return True
+    if b"\0" in begin:
+        return False
+    text = begin.decode("utf-8-sig", errors="replace")
+    first = next((line for line in text.splitlines() if line.strip() and line[0] != "#"), "")
+    return any(separator in first for separator in (",", *_SEPARATORS))
+
+
 def read_table(path: Path) -> Table:
     """Read a table file; raises BagError when that is not possible."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise BagError(
+            f"cannot read the table {path}: it is no text in UTF-8: save it as CSV UTF-8 ({error})"
+        ) from error
+    except OSError as error:
         raise BagError(f"cannot read the table {path}: {error}") from error
     lines = [
         (number, tuple(cell.strip() for cell in cells))
@@ -103,6 +138,12 @@ def read_table(path: Path) -> Table:
         for cells in csv.reader([line])
     ]
     header = lines[0][1] if lines else ()
+    for separator, name in _SEPARATORS.items():
+        if len(header) == 1 and separator in header[0]:
+            raise BagError(
+                f"{path}: its columns are separated by {name}: save it with commas between the "
+                "columns, and points in the numbers"
+            )
     return Table(path, header, tuple(lines[1:]))
 
 

@@ -52,8 +52,8 @@ def scan_file(path: Path) -> Scan:
         return McapScan(path)
     if path.suffix != ".db3":
         raise BagError(
-            f"{path} is no bag: expected a folder or a file ending in .mcap or .db3 (a plain "
-            "table ends in .csv)"
+            f"{path} is no bag: expected a folder or a file ending in .mcap or .db3; a plain "
+            "table is text with commas between its columns"
         )
     # rosbags' reader takes a while to load, and few bags need it.
     from rotcal_ros.bags.sqlite_scan import SqliteScan

@@ -156,21 +156,24 @@ def read_subject(text: str, source: str = "configuration") -> tuple[Identity, bo
     return identity, SIMULATION in values
 
 
-def changed(configuration: Configuration, changes: Sequence[str]) -> Configuration:
+def changed(
+    configuration: Configuration, changes: Sequence[str], groups: Collection[str] = GROUPS
+) -> Configuration:
     """Return the configuration with ``group.name=value`` changes, values in YAML.
 
-    Without any the text stays as it is. Raises ConfigurationError for what cannot be set.
+    Only ``groups`` are looked at. Without any changes the text stays as it is. Raises
+    ConfigurationError for what cannot be set.
     """
     if not changes:
         return configuration
-    name, groups = _parameters(configuration.text, configuration.source)
-    parameters: dict[str, Any] = {"method": name, **groups}
+    name, given = _parameters(configuration.text, configuration.source)
+    parameters: dict[str, Any] = {"method": name, **given}
     for change in changes:
         _change(parameters, change)
     text = dump_configuration(str(parameters.pop("method")), parameters)
     source = f"{configuration.source} with --set"
     text = with_contents(text, source, Path(configuration.source).parent, _plan_files)
-    return parse_configuration(text, source)
+    return parse_configuration(text, source, groups)
 
 
 def replaced(configuration: Configuration, group: str, values: Mapping[str, Any]) -> str:

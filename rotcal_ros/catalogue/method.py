@@ -41,6 +41,10 @@ class Measurements(Protocol):
     """What was measured, ready to be solved; ``sha256`` maps file names to hashes."""
 
     @property
+    def configuration(self) -> Configuration:
+        """What it is solved with."""
+
+    @property
     def sha256(self) -> Mapping[str, str]:
         """Hashes of the files by their names."""
 

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
+from rotcal_ros.cli.curve_options import polygon_faces, reference_option
 from rotcal_ros.report.terminal.console import say
+from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.component_groups import Enlargement
@@ -30,12 +32,14 @@ if TYPE_CHECKING:
     type=path_type,
     help="Calibrated face errors by table angle, taken off every reference table.",
 )
+@reference_option
 @json_option
 def command(
     sources: tuple[Path, ...],
     output: Path | None,
     enlarge: Enlargement,
     polygon: Path | None,
+    reference_u: float | None,
     as_json: bool,
 ) -> int:
     """Combine results of one table: result.json, bags, sessions, reference tables (.csv).
@@ -46,14 +50,12 @@ def command(
     exit code is 0 for the verdict ok and 1 for suspect.
     """
     from rotcal_ros.evaluation.combination import combine
-    from rotcal_ros.evaluation.reference import read_reference
     from rotcal_ros.files import write_atomically
-    from rotcal_ros.recordings.sources import read_measured, read_text
+    from rotcal_ros.recordings.sources import read_measured
 
-    faces = None if polygon is None else read_reference(read_text(polygon), str(polygon))
-    if faces is not None and not any(source.suffix.lower() == ".csv" for source in sources):
-        raise click.UsageError("--polygon belongs to a reference table (.csv), none is given")
-    combined = combine([read_measured(source, faces) for source in sources], enlarge)
+    faces = polygon_faces(polygon, sources)
+    std = None if reference_u is None else reference_u * ARCSEC
+    combined = combine([read_measured(source, faces, std) for source in sources], enlarge)
     result = combined.result
     text = result.to_json()
     if output is not None:
@@ -61,9 +63,9 @@ def command(
     if as_json:
         print_json(text)
     else:
-        from rotcal_ros.report.terminal.tables import print_groups, print_result
+        from rotcal_ros.report.terminal.tables import print_result, say_groups
 
-        print_groups(combined.groups)
+        say_groups(combined.groups)
         print_result(result)
     if output is not None:
         say(f"result written to {output.absolute()}")

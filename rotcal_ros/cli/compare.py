@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import draw, json_option, path_type, print_json
-from rotcal_ros.cli.curve_options import align_option, component_option
+from rotcal_ros.cli.curve_options import (
+    align_option,
+    component_option,
+    polygon_faces,
+    reference_option,
+)
+from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.curves.measured import MeasuredCurve
@@ -24,6 +30,7 @@ if TYPE_CHECKING:
     type=path_type,
     help="Calibrated face errors by table angle, taken off every reference table.",
 )
+@reference_option
 @component_option
 @align_option
 @click.option(
@@ -33,6 +40,7 @@ if TYPE_CHECKING:
 def command(
     sources: tuple[Path, ...],
     polygon: Path | None,
+    reference_u: float | None,
     component: str,
     align_order: int,
     output: Path | None,
@@ -40,7 +48,8 @@ def command(
 ) -> int:
     """Compare results of one table pair by pair: result.json, bags, sessions, references (.csv).
 
-    A reference table has the columns angle_deg, deviation_arcsec and, if known, u_arcsec. The
+    A reference table has the columns angle_deg, deviation_arcsec and u_arcsec, the last one unless
+    --reference-u states it. The
     offset that no method can know is taken off. The exit code is 1 when some pair disagrees
     by more than chance explains (|E_n| singly and together).
     """
@@ -48,7 +57,7 @@ def command(
 
     if len(sources) < 2 or len(set(sources)) < len(sources):
         raise click.UsageError("give at least two different results to compare")
-    curves = _read(sources, polygon, component)
+    curves = _read(sources, polygon, component, reference_u)
     comparisons = compare_all(curves, align_order)
     if output is not None:
         from rotcal_ros.report.comparison import comparison_page, curves_and_errors
@@ -66,15 +75,13 @@ def command(
 
 
 def _read(
-    sources: tuple[Path, ...], polygon: Path | None, component: str
+    sources: tuple[Path, ...], polygon: Path | None, component: str, reference_u: float | None
 ) -> dict[str, MeasuredCurve]:
-    from rotcal_ros.evaluation.reference import read_reference
-    from rotcal_ros.recordings.sources import read_curve, read_text
+    from rotcal_ros.recordings.sources import read_curve
 
-    faces = None if polygon is None else read_reference(read_text(polygon), str(polygon))
-    if faces is not None and not any(source.suffix.lower() == ".csv" for source in sources):
-        raise click.UsageError("--polygon belongs to a reference table (.csv), none is given")
-    return {str(source): read_curve(source, component, faces) for source in sources}
+    faces = polygon_faces(polygon, sources)
+    std = None if reference_u is None else reference_u * ARCSEC
+    return {str(source): read_curve(source, component, faces, std) for source in sources}
 
 
 def _plain(comparisons: Mapping[tuple[str, str], Comparison], component: str) -> Mapping[str, Any]:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from rotcal_ros.components import COMPONENTS
+
+if TYPE_CHECKING:
+    from rotcal_ros.curves.measured import MeasuredCurve
 
 component_option: Final = click.option(
     "--component",
@@ -22,3 +27,25 @@ align_option: Final = click.option(
     show_default=True,
     help="Harmonics taken off beside the offset; 1 for radial deviations of other origins.",
 )
+reference_option: Final = click.option(
+    "--reference-u",
+    type=click.FloatRange(min=0.0),
+    metavar="ARCSEC",
+    help="Standard uncertainty (k = 1) of reference tables that state none; 0: exact.",
+)
+
+
+def polygon_faces(polygon: Path | None, sources: Iterable[Path]) -> MeasuredCurve | None:
+    """Return the calibrated faces in the file ``polygon``, if one is given.
+
+    Raises UsageError where no reference table is among ``sources`` to take them off.
+    """
+    if polygon is None:
+        return None
+    from rotcal_ros.evaluation.reference import read_reference
+    from rotcal_ros.recordings.sources import read_text
+    from rotcal_ros.tables import is_table
+
+    if not any(map(is_table, sources)):
+        raise click.UsageError("--polygon belongs to a reference table, none is given")
+    return read_reference(read_text(polygon), str(polygon))

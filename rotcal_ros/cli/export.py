@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.input_options import setup_options
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.units import DEGREE
@@ -26,19 +27,26 @@ DEFAULT_AXIS: Final = "C"
 
 
 @click.command(epilog="Controllers and their settings: docs/compensation.md.")
-@click.argument("source", type=path_type, metavar="BAG|RESULT")
+@click.argument("source", type=path_type, metavar="BAG|TABLE|RESULT")
+@setup_options
 @click.option("--to", "controller", required=True, help="Controller, or 'volumetric'.")
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
 @click.option("--spacing", type=float, metavar="DEG", help="Distance of the rows.")
 @click.option("--axis", help=f"Letter of the axis; default: the bag's, {DEFAULT_AXIS} else.")
 @click.option("--reference", type=float, metavar="DEG", help="Angle with correction zero.")
-@click.option("--reverse", type=path_type, metavar="BAG|RESULT", help="The other direction.")
+@click.option("--reverse", type=path_type, metavar="BAG|TABLE|RESULT", help="The other direction.")
 @click.option("--harmonics", type=int, metavar="N", help="Fit N harmonics, not a spline.")
 @click.option(
     "--revolutions", metavar="FIRST:LAST", help="Travel, for controllers that do not wrap."
 )
 @click.option("--machine-ini", type=path_type, metavar="FILE", help="LinuxCNC's; see below.")
-@click.option("--set", "options", multiple=True, metavar="NAME=VALUE", help="Controller setting.")
+@click.option(
+    "--set",
+    "options",
+    multiple=True,
+    metavar="[GROUP.]NAME=VALUE",
+    help="Setting of the controller; with its GROUP one of the configuration.",
+)
 @click.option("--name", help="File name without extension; default: axis_controller.")
 @click.option("--replace", is_flag=True, help="No table was in force during the measurement.")
 @click.option("--add-to", type=path_type, metavar="FOLDER", help="Files of the table in force.")
@@ -46,6 +54,8 @@ DEFAULT_AXIS: Final = "C"
 @json_option
 def command(
     source: Path,
+    setup: Path | None,
+    targets: Path | None,
     controller: str,
     out: Path,
     spacing: float | None,
@@ -62,7 +72,7 @@ def command(
     accept_unverified: bool,
     as_json: bool,
 ) -> int:
-    """Write the table of BAG (a folder, .mcap, .db3) or RESULT (.json) for a controller.
+    """Write the table of BAG (a folder, .mcap, .db3), TABLE or RESULT (.json) for a controller.
 
     The files are read back and applied by the controller's own rule before they are written,
     all or none, and nothing is ever overwritten. Only the verdict ok may be fed. What was measured
@@ -76,9 +86,12 @@ def command(
     from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
 
-    settings = _settings(options, revolutions, machine_ini)
-    forward = _read(source)
-    backward = None if reverse is None else _read(reverse)
+    changes = tuple(option for option in options if _of_configuration(option))
+    settings = _settings(
+        tuple(option for option in options if option not in changes), revolutions, machine_ini
+    )
+    forward = _read(source, setup, targets, changes)
+    backward = None if reverse is None else _read(reverse, setup, targets, changes)
     measured = forward.axis or axis or DEFAULT_AXIS
     sources = {**forward.sha256, **(backward.sha256 if backward else {})}
     if controller == VOLUMETRIC:
@@ -123,11 +136,21 @@ def _radians(degrees: float | None) -> float | None:
     return None if degrees is None else degrees * DEGREE
 
 
-def _read(path: Path) -> Source:
-    """Read a result or a bag; show what the reader of a bag must know."""
+def _of_configuration(option: str) -> bool:
+    """Return whether ``option`` names its group, as settings of a configuration do."""
+    from rotcal_ros.catalogue.configuration import GROUPS
+
+    return option.partition("=")[0].partition(".")[0] in GROUPS
+
+
+def _read(
+    path: Path, setup: Path | None, targets: Path | None, changes: tuple[str, ...]
+) -> Source:
+    """Read a result, a bag or a table; show what the reader of a bag must know."""
+    from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.sources import read_source
 
-    source = read_source(path)
+    source = read_source(path, Input(path, setup, targets, changes))
     for warning in source.warnings:
         say(f"warning: {warning}")
     return source

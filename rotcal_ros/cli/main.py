@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Final
@@ -14,6 +15,8 @@ from rotcal_ros.cli.console import INTERRUPTED
 from rotcal_ros.errors import RotcalError
 
 UNREADABLE: Final = 2
+BROKEN_PIPE: Final = 141
+"""As the shell reports a program that SIGPIPE ended."""
 
 VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
@@ -68,12 +71,17 @@ class LazyGroup(click.Group):
     def invoke(self, context: click.Context) -> None:
         """Run a verb; an error becomes one red line and an exit code, not a traceback.
 
-        A verb may return its exit code. A broken pipe and wrong usage are click's own matter.
+        A verb may return its exit code. Wrong usage is click's own matter. Who reads standard
+        output may have read enough (``| head``): that ends the verb without a word.
         """
         try:
             code = super().invoke(context)
-        except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
+            sys.stdout.flush()
+        except (click.ClickException, click.exceptions.Exit):
             raise
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            code = BROKEN_PIPE
         except (KeyboardInterrupt, click.Abort):
             _complain("interrupted")
             code = INTERRUPTED
@@ -89,7 +97,7 @@ class LazyGroup(click.Group):
     context_settings={"help_option_names": ["-h", "--help"]},
     subcommand_metavar="VERB ...",
     epilog="Exit codes: 0 good, 1 the verdict is bad, 2 wrong usage or unreadable input, "
-    "3 not enough or contradictory data, 130 interrupted.",
+    "3 not enough or contradictory data, 130 interrupted, 141 the reader of the output left.",
 )
 @click.version_option(__version__, prog_name="rotcal")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")

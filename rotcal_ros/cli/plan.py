@@ -14,7 +14,7 @@ from rotcal_ros.cli.order_forecast import forecast_dict, forecast_lines
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import PlanError
 from rotcal_ros.report.terminal.console import progress
-from rotcal_ros.units import DEGREE, MICROMETRE
+from rotcal_ros.units import DEGREE, HOUR, MICROMETRE
 
 if TYPE_CHECKING:
     from rotcal_ros.planning.ball_layout import Layout
@@ -263,15 +263,20 @@ def _print_layout(layout: Layout, std: dict[str, float]) -> None:
 
 
 def _print_effort(component: str, limit: float, rows: list[dict[str, Any]]) -> None:
+    from rotcal_ros.report.terminal.columns import Column, column_of, print_table, print_words
+
     unit, label = unit_of(component)
-    click.echo(f"for U({component}) <= {limit:g} {label} (k = 2), the least work first:")
-    click.echo("balls  CMM positions  centres  hours  U        ball steps")
-    for row in rows:
-        steps = " ".join(map(str, row["ball_steps"]))
-        click.echo(
-            f"{row['balls']:5d}  {row['cmm_positions']:13d}  {row['centres']:7d}  "
-            f"{row['duration_s'] / 3600.0:5.1f}  {row['expanded'] / unit:7.4f}  {steps}"
-        )
+    print_words(f"for U({component}) <= {limit:g} {label} (k = 2), the least work first:")
+    print_table(
+        [
+            Column("balls", [row["balls"] for row in rows]),
+            Column("CMM positions", [row["cmm_positions"] for row in rows]),
+            Column("centres", [row["centres"] for row in rows]),
+            column_of("hours", [row["duration_s"] for row in rows], HOUR, ".1f"),
+            column_of(f"U/{label}", [row["expanded"] for row in rows], unit, ".4f"),
+            Column("ball steps", [" ".join(map(str, row["ball_steps"])) for row in rows]),
+        ]
+    )
 
 
 def _order_dict(rows: BallPlan) -> dict[str, Any]:

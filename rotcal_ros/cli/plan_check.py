@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
+import numpy as np
 
 from rotcal_ros.cli.check_options import rule_of, rule_options
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.goal_settings import goal_settings
 from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -112,30 +114,33 @@ def _planned(
 
 
 def _print_angles(plan: CheckPlan) -> None:
-    click.echo("angle/deg  lengths  U/arcsec  valid up to/arcsec")
-    for position, angle in enumerate(plan.angles):
-        count = int((plan.pairs[:, 0] == position).sum())
-        click.echo(
-            f"{angle / DEGREE:9.4f}  {count:7d}  "
-            f"{COVERAGE_FACTOR * plan.std[position] / ARCSEC:8.3f}  "
-            f"{plan.acceptance[position] / ARCSEC:18.3f}"
-        )
+    lengths = np.bincount(plan.pairs[:, 0], minlength=len(plan.angles))
+    print_table(
+        [
+            Column("angle/deg", plan.angles / DEGREE, ".4f"),
+            Column("lengths", lengths),
+            Column("U/arcsec", COVERAGE_FACTOR * plan.std / ARCSEC, ".3f"),
+            Column("valid up to/arcsec", plan.acceptance / ARCSEC, ".3f"),
+        ]
+    )
 
 
 def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
-    click.echo(
+    print_words(
         f"{len(plan.pairs)} lengths to {len(plan.targets)} targets (offered: {plan.offered}), "
         f"smallest redundancy {plan.least_redundancy:.2f}"
     )
-    click.echo(
+    print_words(
         f"{plan.seconds / 60.0:.1f} min by the simulated cell's clock; unseen drift at most "
         f"{plan.unseen.drift:.2g}, unseen knock {plan.unseen.knock:.2g} standard uncertainties"
     )
     if every > 1:
-        click.echo(f"nothing will be known of {every - 1} of {every} angles of the earlier result")
+        print_words(
+            f"nothing will be known of {every - 1} of {every} angles of the earlier result"
+        )
     if least_redundancy < LEAST_REDUNDANCY:
-        click.echo("warning: little checks some lengths: an error of one may turn the verdict")
-    click.echo(
+        print_words("warning: little checks some lengths: an error of one may turn the verdict")
+    print_words(
         f"a table that has only aged as stated is found within {plan.rule.limit / ARCSEC:.4g} "
         f"arcsec with a probability of at least {100 * plan.assurance:.3g} %"
     )

@@ -9,6 +9,7 @@ import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.errors import DataError
+from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.units import MICROMETRE
 
 if TYPE_CHECKING:
@@ -86,24 +87,25 @@ def _predicted(calibration: Calibration) -> tuple[Observation, ...]:
 
 
 def _print(data: dict[str, Any]) -> None:
-    click.echo(
+    print_words(
         f"{data['n_observations']} observations, mean redundancy {data['mean_redundancy']:.2f}, "
-        f"{data['n_unchecked']} checked by no other"
-    )
-    click.echo(
+        f"{data['n_unchecked']} checked by no other",
         f"smallest error found with {100.0 * data['power']:g} % (alpha {data['alpha']:g}), and "
-        "what it does to the deviations:"
+        "what it does to the deviations:",
     )
-    click.echo("position  target  redundancy  error/um  error/std  effect/std")
-    for row in data["worst"]:
-        metres = row.get("detectable_m")
-        click.echo(
-            f"{row['table_index']:8d}  {row['target']:6d}  {row['redundancy']:10.3f}  "
-            f"{_number(metres, MICROMETRE)}  {_number(row['detectable_std']):>9}  "
-            f"{_number(row['effect_std']):>10}"
-        )
+    worst = data["worst"]
+    print_table(
+        [
+            Column("position", [row["table_index"] for row in worst]),
+            Column("target", [row["target"] for row in worst]),
+            Column("redundancy", [row["redundancy"] for row in worst], ".3f"),
+            _size("error/um", [row.get("detectable_m") for row in worst], MICROMETRE),
+            _size("error/std", [row["detectable_std"] for row in worst]),
+            _size("effect/std", [row["effect_std"] for row in worst]),
+        ]
+    )
 
 
-def _number(value: float | None, unit: float = 1.0) -> str:
-    """Return a number in 8 characters; of an observation that nothing checks there is none."""
-    return f"{'any' if value is None else format(value / unit, '.3f'):>8}"
+def _size(heading: str, values: list[float | None], unit: float = 1.0) -> Column:
+    """Return a column of sizes; of an observation that nothing checks there is none."""
+    return Column(heading, ["any" if v is None else v / unit for v in values], ".3f")

@@ -8,13 +8,16 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES
+from rotcal_ros.cli.input_options import set_option, setup_options
 from rotcal_ros.errors import BagError
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.session_folder import SessionFolder
 
 
 @click.command()
-@click.argument("source", type=click.Path(exists=True, path_type=Path), metavar="BAG|RESULT")
+@click.argument("source", type=click.Path(exists=True, path_type=Path), metavar="BAG|TABLE|RESULT")
+@setup_options
+@set_option
 @click.option(
     "-o",
     "--output",
@@ -26,15 +29,24 @@ from rotcal_ros.session_folder import SessionFolder
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="truth.json of a simulation, drawn beside the result.",
 )
-def command(source: Path, output: Path | None, truth: Path | None) -> int:
-    """Solve BAG again and write the report: figures, tables, warnings, verdict, fingerprints.
+def command(
+    source: Path,
+    setup: Path | None,
+    targets: Path | None,
+    changes: tuple[str, ...],
+    output: Path | None,
+    truth: Path | None,
+) -> int:
+    """Solve BAG, or TABLE with its --setup, and write the report.
+
+    It has figures, tables, warnings, verdict and fingerprints.
 
     RESULT (.json): about a result as it is, be it a combination or one whose bag is elsewhere.
     """
     # Figures take a second to load; a wrong option should not wait for them.
-    from rotcal_ros.recordings.replay import read_recording
+    from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.sources import read_source
-    from rotcal_ros.report.recorded import write_recorded, write_result
+    from rotcal_ros.report.recorded import write_measured, write_result
 
     session = SessionFolder(source)
     source = session.bag if session.bag.is_dir() else source
@@ -42,9 +54,10 @@ def command(source: Path, output: Path | None, truth: Path | None) -> int:
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
     injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
+    given = Input(source, setup, targets, changes)
     if source.suffix == ".json":
-        result = write_result(read_source(source), output, injected)
+        result = write_result(read_source(source, given), output, injected)
     else:
-        result = write_recorded(read_recording(source), output, injected)
+        result = write_measured(given.read(), output, injected)
     say(f"report: {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]

@@ -13,6 +13,7 @@ from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.reliability import SEED
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.protection import TOLERABLE
+from rotcal_ros.report.terminal.columns import Column, print_table, print_words
 from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
@@ -115,18 +116,26 @@ def _row(way: MeasuringOrder) -> dict[str, Any]:
 
 
 def _print(data: dict[str, Any]) -> None:
-    click.echo(
+    print_words(
         f"{data['lengths']} lengths: {data['listed_s']:.0f} s as listed, no order in less than "
         f"{data['bound_s']:.0f} s"
     )
     if "clock_s" in data:
-        click.echo(f"the simulated cell takes {data['clock_s']:.1f} s for it as listed")
-    click.echo("order     seconds  unseen drift, knock (std)")
-    for row in data["orders"]:
-        unseen = ", ".join(_number(row["unseen_std"][name]) for name in ("drift", "knock"))
-        mark = "   <- taken" if row["order"] == data["best"] else ""
-        click.echo(f"{row['order']:9s} {row['seconds']:7.1f}  {unseen}{mark}")
+        print_words(f"the simulated cell takes {data['clock_s']:.1f} s for it as listed")
+    orders = data["orders"]
+    unseen = {
+        name: [_bounded(row["unseen_std"].get(name)) for row in orders]
+        for name in ("drift", "knock")
+    }
+    print_table(
+        [
+            Column("order", [row["order"] for row in orders]),
+            Column("time/s", [row["seconds"] for row in orders], ".1f"),
+            *(Column(f"unseen {name} (std)", cells, ".2f") for name, cells in unseen.items()),
+            Column("taken", ["yes" * (row["order"] == data["best"]) for row in orders]),
+        ]
+    )
 
 
-def _number(value: float | None) -> str:
-    return "any" if value is None or not isfinite(value) else f"{value:.2f}"
+def _bounded(value: float | None) -> float | str:
+    return "any" if value is None or not isfinite(value) else value

@@ -9,18 +9,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
+from rotcal_ros.cli.input_options import set_option, setup_options
 from rotcal_ros.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.method import Measurements
     from rotcal_ros.evaluation.ways import Evaluation
+    from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.replay import Recording
 
 
 @click.command()
 @click.argument("source", type=path_type, metavar="BAG|TABLE")
-@click.option("--setup", type=path_type, help="Configuration; default: the one in the bag.")
+@setup_options
+@set_option
 @click.option(
     "--from",
     "taken_from",
@@ -30,7 +33,6 @@ if TYPE_CHECKING:
     help="Capture the raw streams again, or take the recorded observations.",
 )
 @click.option("--namespace", default="", help="Cell to solve, when the bag holds several.")
-@click.option("--targets", type=path_type, help="Target positions of a tracer table.")
 @click.option(
     "--balls",
     multiple=True,
@@ -48,15 +50,16 @@ if TYPE_CHECKING:
 def command(
     source: Path,
     setup: Path | None,
-    taken_from: str,
-    namespace: str,
     targets: Path | None,
+    changes: tuple[str, ...],
+    taken_from: Any,
+    namespace: str,
     balls: tuple[str, ...],
     coarser: tuple[int, ...],
     output: Path | None,
     as_json: bool,
 ) -> int:
-    """Solve BAG (a folder, .mcap or .db3 file) or TABLE (.csv).
+    """Solve BAG (a folder, .mcap or .db3 file) or TABLE (text with commas, and --setup).
 
     The bag's raw streams go through the same capture and solver as in the live run, so the
     result is the same to the last bit. A cut-off or damaged bag is read as far as it goes.
@@ -64,10 +67,9 @@ def command(
     combinations and compared with the first one. The exit code is 0 for the verdict ok and 1
     for suspect or failed.
     """
-    if source.suffix.lower() == ".csv":
-        data: Recording | Measurements = _read_table(source, setup, targets)
-    else:
-        data = _read_bag(source, setup, taken_from, namespace)
+    from rotcal_ros.recordings.inputs import Input
+
+    data = _read(Input(source, setup, targets, changes, taken_from, namespace))
     if balls or coarser:
         from rotcal_ros.catalogue.measurements import PlannedMeasurements
         from rotcal_ros.evaluation.ways import evaluate, ways
@@ -75,7 +77,7 @@ def command(
 
         if not (
             isinstance(data, Recording | PlannedMeasurements)
-            and hasattr(data.calibration.configuration.solver, "balls")
+            and hasattr(data.configuration.solver, "balls")
         ):
             raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
         evaluations = evaluate(data.calibration, data.observations, ways(balls, coarser))
@@ -100,31 +102,15 @@ def command(
     return VERDICT_EXIT_CODES[result.verdict]
 
 
-def _read_bag(source: Path, setup: Path | None, taken_from: Any, namespace: str) -> Recording:
-    from rotcal_ros.catalogue.setup_file import read_setup
-    from rotcal_ros.recordings.replay import read_recording
-    from rotcal_ros.recordings.topics import Topics
+def _read(given: Input) -> Recording | Measurements:
+    """Read a bag or a table; show what the reader of a bag must know."""
+    from rotcal_ros.recordings.replay import Recording
 
     with progress("reading") as shown:
-        recording = read_recording(
-            source,
-            taken_from,
-            configuration=None if setup is None else read_setup(setup),
-            topics=Topics(namespace),
-            progress=shown,
-        )
-    for warning in recording.warnings():
+        measured = given.read(shown)
+    for warning in measured.warnings() if isinstance(measured, Recording) else ():
         say(f"warning: {warning}")
-    return recording
-
-
-def _read_table(source: Path, setup: Path | None, targets: Path | None) -> Measurements:
-    from rotcal_ros.catalogue.measurements import read_measurements
-    from rotcal_ros.catalogue.setup_file import read_setup
-
-    if setup is None:
-        raise click.UsageError("a table needs its set-up: --setup SETUP.yaml")
-    return read_measurements(source, read_setup(setup), targets)
+    return measured
 
 
 def _show_evaluations(

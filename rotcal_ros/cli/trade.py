@@ -8,8 +8,9 @@ from pathlib import Path
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.cli.trade_tables import Table, mirror_table, plate_table, tracer_table
+from rotcal_ros.cli.trade_tables import Trade, mirror_table, plate_table, tracer_table
 from rotcal_ros.errors import PlanError
+from rotcal_ros.report.terminal.columns import print_table, print_words
 
 shown_option = partial(click.option, show_default=True)
 positive = click.FloatRange(min=0.0, min_open=True)
@@ -23,9 +24,11 @@ def command(context: click.Context, as_json: bool) -> int:
     if context.invoked_subcommand is None:
         tables = {"tracer": tracer_table(), "plate": plate_table(), "mirror": mirror_table()}
         if as_json:
-            print_json({name: data for name, (data, _) in tables.items()})
-        else:
-            click.echo("\n\n".join("\n".join(lines) for _, lines in tables.values()))
+            print_json({name: table.data for name, table in tables.items()})
+            return 0
+        for number, table in enumerate(tables.values()):
+            click.echo("\n" * bool(number), nl=False)
+            _show(table)
     return 0
 
 
@@ -125,13 +128,17 @@ def mirror(
     return _print(table, as_json)
 
 
-def _print(table: Table, as_json: bool) -> int:
-    data, lines = table
+def _print(table: Trade, as_json: bool) -> int:
     if as_json:
-        print_json(data)
+        print_json(table.data)
     else:
-        click.echo("\n".join(lines))
+        _show(table)
     return 0
+
+
+def _show(table: Trade) -> None:
+    print_table(table.columns, table.title)
+    print_words(*table.notes)
 
 
 def _whole(text: str, option: str) -> list[int]:

@@ -1,17 +1,27 @@
-"""The trade tables of the methods, for programs and, as lines, for people."""
+"""The trade tables of the methods, for programs and for people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.units import ARCSEC, MICROMETRE
+from rotcal_ros.report.terminal.columns import Column, column_of
+from rotcal_ros.units import ARCSEC, HOUR, MICROMETRE
 
-Table = tuple[dict[str, Any], list[str]]
-"""In SI for programs; lines for people."""
+
+@dataclass(frozen=True)
+class Trade:
+    """A trade table: ``data`` in SI for programs; ``columns``, a title and ``notes`` for people."""
+
+    data: dict[str, Any]
+    columns: Sequence[Column]
+    title: str
+    notes: tuple[str, ...] = ()
+
+
 PAPER_ANGLES: dict[str, Any] = {
     "table_start_deg": -145.0,
     "table_step_deg": 30.0,
@@ -31,7 +41,7 @@ def tracer_table(
     zero: str = "run",
     turn_s: float = 10.0,
     length_s: float = 5.0,
-) -> Table:
+) -> Trade:
     """Return how many targets and lengths each radius and noise takes."""
     from rotcal_ros.planning.sequence_time import stated_time
     from rotcal_ros.planning.tracer_design.settings import (
@@ -55,22 +65,22 @@ def tracer_table(
             settings, radii_m, [sigma * MICROMETRE for sigma in sigmas_um],
             time=stated_time(turn_s, length_s), progress=shown,
         )  # fmt: skip
-    lines = [
+    title = (
         f"laser tracer, {settings.table_positions} table angles, for U(ECC) <= {need_arcsec:g} "
-        f"arcsec (k = 2, rms), a zero per {zero}; every length checked",
-        "   R/mm  sigma/um  targets  lengths  no plan below  hours  U/arcsec",
+        f"arcsec (k = 2, rms), a zero per {zero}; every length checked"
+    )
+    columns = [
+        column_of("R/mm", [row.radius for row in rows], 1e-3, ".1f"),
+        column_of("sigma/um", [row.sigma for row in rows], MICROMETRE, ".2f"),
+        Column("targets", [row.targets for row in rows]),
+        Column("lengths", [row.lengths for row in rows]),
+        Column("no plan below", [row.bound for row in rows], ".1f"),
+        column_of("hours", [row.seconds for row in rows], HOUR, ".2f"),
+        column_of("U/arcsec", [row.expanded for row in rows], ARCSEC, ".3f"),
     ]
-    for row in rows:
-        head = f"{row.radius * 1e3:7.1f}  {row.sigma / MICROMETRE:8.2f}"
-        if row.lengths is None:
-            lines.append(f"{head}  out of reach: {row.expanded / ARCSEC:.3f} with all lengths")
-            continue
-        bound, seconds = row.bound or 0.0, row.seconds or 0.0
-        lines.append(
-            f"{head}  {row.targets:7d}  {row.lengths:7d}  {bound:13.1f}  {seconds / 3600.0:5.2f}"
-            f"  {row.expanded / ARCSEC:8.3f}"
-        )
-    return {"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, lines
+    beyond = any(row.lengths is None for row in rows)
+    notes = ("without a number of lengths it is out of reach: U is that of all lengths",) * beyond
+    return Trade({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, notes)
 
 
 def plate_table(
@@ -80,7 +90,7 @@ def plate_table(
     radius_m: float = 0.185,
     sigma_um: float = 0.05,
     centre_s: float = 35.0,
-) -> Table:
+) -> Trade:
     """Return what each number of balls gives, and what radius or noise it takes."""
     from rotcal_ros.planning.plate_trade import plate_trade
 
@@ -93,20 +103,24 @@ def plate_table(
         centre_s=centre_s,
     )
     least, most = min(row.saving for row in rows), max(row.saving for row in rows)
-    lines = [
+    title = (
         f"ball plate, {grid} table angles, R = {1e3 * radius_m:g} mm, sigma = {sigma_um:g} um; "
-        f"what U(ECC) <= {need_arcsec:g} arcsec takes (k = 2)",
-        "balls  centres  hours  U/arcsec  or R/mm  or sigma/um  no plan saves more than",
-        *(
-            f"{row.balls:5d}  {row.centres:7d}  {row.seconds / 3600.0:5.1f}  "
-            f"{row.expanded / ARCSEC:8.4f}  {1e3 * row.radius:7.1f}  "
-            f"{row.sigma / MICROMETRE:11.4f}  {100.0 * row.saving:5.1f} % of the centres"
-            for row in rows
-        ),
-        f"whichever balls at whichever positions: {100.0 * least:.0f} to {100.0 * most:.0f} % is "
-        "all that a plan could gain; only R, sigma and the number of centres matter",
+        f"what U(ECC) <= {need_arcsec:g} arcsec takes (k = 2)"
+    )
+    columns = [
+        Column("balls", [row.balls for row in rows]),
+        Column("centres", [row.centres for row in rows]),
+        column_of("hours", [row.seconds for row in rows], HOUR, ".1f"),
+        column_of("U/arcsec", [row.expanded for row in rows], ARCSEC, ".4f"),
+        column_of("or R/mm", [row.radius for row in rows], 1e-3, ".1f"),
+        column_of("or sigma/um", [row.sigma for row in rows], MICROMETRE, ".4f"),
+        column_of("no plan saves more than/%", [row.saving for row in rows], 0.01, ".1f"),
     ]
-    return {"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, lines
+    note = (
+        f"whichever balls at whichever positions: {100.0 * least:.0f} to {100.0 * most:.0f} % of "
+        "the centres is all that a plan could gain; only R, sigma and the number of centres matter"
+    )
+    return Trade({"need_rad": need_arcsec * ARCSEC, **_rows(rows)}, columns, title, (note,))
 
 
 def mirror_table(
@@ -116,7 +130,7 @@ def mirror_table(
     move_s: float = 600.0,
     pair_s: float = 50.0,
     nest_s: float = 10.0,
-) -> Table:
+) -> Trade:
     """Return U and hours of each number of stations and reflectors."""
     from rotcal_ros.catalogue import parse_configuration, read_configuration
     from rotcal_ros.catalogue.plane_mirror.trade import USUAL, mirror_trade
@@ -129,16 +143,16 @@ def mirror_table(
         pair_s=pair_s,
         nest_s=nest_s,
     )
-    lines = [
-        "plane mirror: stations, reflectors and hours (U with k = 2, rms)",
-        "stations  reflectors  pairs  nests  hours  U/arcsec",
-        *(
-            f"{row.stations:8d}  {row.reflectors:10d}  {row.pairs:5d}  {row.nests:5d}  "
-            f"{row.seconds / 3600.0:5.2f}  {row.expanded / ARCSEC:8.3f}"
-            for row in rows
-        ),
+    columns = [
+        Column("stations", [row.stations for row in rows]),
+        Column("reflectors", [row.reflectors for row in rows]),
+        Column("pairs", [row.pairs for row in rows]),
+        Column("nests", [row.nests for row in rows]),
+        column_of("hours", [row.seconds for row in rows], HOUR, ".2f"),
+        column_of("U/arcsec", [row.expanded for row in rows], ARCSEC, ".3f"),
     ]
-    return _rows(rows), lines
+    title = "plane mirror: stations, reflectors and hours (U with k = 2, rms)"
+    return Trade(_rows(rows), columns, title)
 
 
 def _rows(rows: Sequence[Any]) -> dict[str, Any]:

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.input_options import set_option, setup_options
 from rotcal_ros.report.terminal.console import progress
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.method import Measurements
+    from rotcal_ros.recordings.inputs import Input
 
 
 @click.command()
 @click.argument("source", type=path_type, metavar="BAG|TABLE|CONFIG")
-@click.option(
-    "--setup", type=path_type, help="Configuration of a table; default: the one in the bag."
-)
-@click.option("--targets", type=path_type, help="Target positions of a tracer table.")
+@setup_options
+@set_option
 @click.option(
     "--trials",
     type=click.IntRange(min=2),
@@ -41,6 +41,7 @@ def command(
     source: Path,
     setup: Path | None,
     targets: Path | None,
+    changes: tuple[str, ...],
     trials: int,
     digits: int,
     seed: int,
@@ -49,15 +50,16 @@ def command(
 ) -> int:
     """Propagate the stated noise through the solver by Monte Carlo, after JCGM 101.
 
-    BAG, TABLE (.csv, with --setup): about what was measured. CONFIG (.yaml): about the plan's
+    BAG, TABLE (with --setup): about what was measured. CONFIG (.yaml): about the plan's
     nominal geometry, before anything is measured. Seed and number of trials alone decide the
     figures, not the workers. The exit code is 1 when the trials contradict the solver's
     uncertainty.
     """
     from rotcal_ros.evaluation.propagated import propagated
+    from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.workers import usable_cores
 
-    measured = _read(source, setup, targets)
+    measured = _read(Input(source, setup, targets, changes))
     with progress("trials") as shown:
         both = propagated(
             measured,
@@ -76,25 +78,14 @@ def command(
     return int(bool(both.warnings))
 
 
-def _read(source: Path, setup: Path | None, targets: Path | None) -> Measurements:
+def _read(given: Input) -> Measurements:
     """Return what was measured, or for a configuration the nominal observations of its plan."""
-    from rotcal_ros.catalogue.measurements import PlannedMeasurements, read_measurements
-    from rotcal_ros.catalogue.setup_file import read_setup
+    if given.path.suffix not in (".yaml", ".yml"):
+        return given.read()
+    from rotcal_ros.catalogue import changed, prepare_whole, read_configuration
+    from rotcal_ros.catalogue.measurements import PlannedMeasurements
 
-    if source.suffix.lower() == ".csv":
-        if setup is None:
-            raise click.UsageError("a table needs its set-up: --setup SETUP.yaml")
-        return read_measurements(source, read_setup(setup), targets)
-    if source.suffix in (".yaml", ".yml"):
-        from rotcal_ros.catalogue import prepare_whole
-        from rotcal_ros.catalogue.configuration import read_configuration
-
-        if setup is not None:
-            raise click.UsageError("--setup belongs to a table or a bag, not to a configuration")
-        calibration = prepare_whole(read_configuration(source))
-        return PlannedMeasurements(calibration, calibration.nominal_observations())
-    from rotcal_ros.recordings.replay import read_recording
-
-    configuration = None if setup is None else read_setup(setup)
-    recording = read_recording(source, configuration=configuration)
-    return PlannedMeasurements(recording.calibration, recording.observations, recording.sha256)
+    if given.setup is not None or given.targets is not None:
+        raise click.UsageError("--setup and --targets belong to a table or a bag")
+    calibration = prepare_whole(changed(read_configuration(given.path), given.changes))
+    return PlannedMeasurements(calibration, calibration.nominal_observations())

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -24,14 +24,14 @@ DIRECTIONS: Final = ("up", "down")
 def read_runs(text: str, name: str) -> BidirectionalRuns:
     """Return the runs in ``text``, the file ``name``.
 
-    Every target must be there once in every run and direction; DataError names what is missing,
-    double or no number.
+    Every target must be there once in every run and direction. Raises BagError for other columns;
+    DataError names what is missing, double or no number.
     """
     found: dict[tuple[float, str, str], float] = {}
     reader = csv.reader(io.StringIO(text))
     head = tuple(cell.strip() for cell in next(reader, []))
     if head != HEADER:
-        raise DataError(f"{name}: the columns are {', '.join(head)}, expected {', '.join(HEADER)}")
+        raise BagError(f"{name}: the columns are {', '.join(head)}, expected {', '.join(HEADER)}")
     for row, cells in enumerate(reader, start=2):
         if cells:
             key, deviation = _row(cells, f"{name}, line {row}")

@@ -63,18 +63,6 @@ class QuickCheck:
             f"miss {100 * rule.miss:.3g} %, of a false alarm {100 * rule.false_alarm:.3g} %)"
         )
 
-    def rows(self, unit: float) -> list[tuple[str, ...]]:
-        """Return angle (deg), difference, U (k = 2), acceptance and alarm as text."""
-        columns = (self.difference, COVERAGE_FACTOR * self.std, self.acceptance, self.alarm)
-        shown = (("+.3f", ".3f", ".3f", ".3f"), columns)
-        return [
-            (
-                f"{angle / DEGREE:.4f}",
-                *(format(values[i] / unit, form) for form, values in zip(*shown, strict=True)),
-            )
-            for i, angle in enumerate(self.angles)
-        ]
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON, SI."""
         return {**plain_fields(self), "rule": plain_fields(self.rule), "largest": self.largest}

@@ -13,25 +13,26 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.curves.measured import MeasuredCurve, period_of
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.units import ARCSEC, DEGREE
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
 
 
-def read_reference(text: str, name: str) -> MeasuredCurve:
+def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCurve:
     """Return the curve in ``text``, the file ``name``: ``angle_deg,deviation_arcsec[,u_arcsec]``.
 
     Deviation = actual - commanded; u is the standard uncertainty (k = 1) of each value,
-    independent of the others, zero when the column is absent. A row at 360 deg repeats the one
-    at 0 and must equal it within 4 standard uncertainties. DataError names the line that is wrong.
+    independent of the others; ``std`` (rad) stands for it where the column is absent. A row at
+    360 deg repeats the one at 0 and must equal it within 4 standard uncertainties. Raises BagError
+    for other columns, DataError with the line that is wrong and where nobody states u.
     """
     reader = csv.reader(io.StringIO(text))
     head = tuple(cell.strip() for cell in next(reader, []))
     if head not in (COLUMNS, COLUMNS[:2]):
-        raise DataError(
+        raise BagError(
             f"{name}: the columns are {', '.join(head) or 'none'}, expected angle_deg, "
-            "deviation_arcsec and, if known, u_arcsec"
+            "deviation_arcsec, u_arcsec"
         )
     rows = [
         _numbers(cells, len(head), f"{name}, line {line}")
@@ -40,7 +41,12 @@ def read_reference(text: str, name: str) -> MeasuredCurve:
     ]
     if len(rows) < 3:
         raise DataError(f"{name}: {len(rows)} rows, expected at least 3")
-    data = np.array([[*row, 0.0][:3] for row in rows])
+    if std is None and head != COLUMNS:
+        raise DataError(
+            f"{name} states no uncertainty, and nothing is exact: add a column u_arcsec, or state "
+            "one for all rows with --reference-u (standard uncertainty, k = 1)"
+        )
+    data = np.array([[*row, (std or 0.0) / ARCSEC][:3] for row in rows])
     data = data[np.argsort(data[:, 0])]
     angles, deviation, std = data[:, 0] * DEGREE, data[:, 1] * ARCSEC, data[:, 2] * ARCSEC
     if np.any(np.diff(angles) < SAME_ANGLE):

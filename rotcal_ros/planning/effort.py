@@ -9,12 +9,13 @@ from functools import cache
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR
+from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import ObservabilityError, PlanError
 from rotcal_ros.methods.ball_plate.general import solve_general
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, grid_angles
 from rotcal_ros.planning.ball_layout import Layout, best_layout
 from rotcal_ros.planning.ball_plan import spread_out
+from rotcal_ros.units import MICROMETRE
 
 MOST_BALLS = 24
 
@@ -71,10 +72,12 @@ def required_effort(
         if (way := _fewest_positions(layout, component, radius, limit / scale)) is not None:
             ways.append(Effort(layout, way[0], scale * way[1]))
     if not ways:
+        unit, label = unit_of(component)
         raise PlanError(
             f"no layout of up to {most} balls on {grid} steps reaches "
-            f"U({component}) <= {limit:g} with {sigma:g} m per centre: repeat the measurement n "
-            "times (U falls with the square root of n), or use a larger ball circle"
+            f"U({component}) <= {limit / unit:g} {label} with {sigma / MICROMETRE:g} um per "
+            "centre: repeat the measurement n times (U falls with the square root of n), or use "
+            "a larger ball circle"
         )
     return tuple(sorted(ways, key=lambda way: (way.centres, way.expanded)))
 

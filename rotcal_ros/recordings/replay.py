@@ -24,6 +24,7 @@ from rotcal_ros.catalogue.configuration import (
     parse_configuration,
 )
 from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
+from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.errors import BagError, ConfigurationError, DataError, RotcalError
 from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
@@ -66,9 +67,18 @@ class Recording:
     choices: tuple[RecordedChoice, ...] = ()
     announced: frozenset[str] = frozenset()
 
+    @property
+    def configuration(self) -> Configuration:
+        """What it is solved with."""
+        return self.calibration.configuration
+
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit."""
         return self.calibration.solve(self.observations, self.announced)
+
+    def trials(self) -> Trials:
+        """Prepare Monte Carlo trials about the observations."""
+        return self.calibration.trials(self.observations)
 
     def goal_standing(self, result: Result) -> GoalStanding | None:
         """Return how ``result`` stands to the goal of the policy; None where there is none.

@@ -9,15 +9,18 @@ from hashlib import sha256
 from pathlib import Path
 
 from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
-from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
-from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.inputs import Input
+from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.results import Result
 from rotcal_ros.session_folder import SessionFolder
+from rotcal_ros.tables import is_table
 
 
 @dataclass(frozen=True)
@@ -34,24 +37,28 @@ class Source:
     warnings: tuple[str, ...] = ()
 
 
-def read_source(path: Path) -> Source:
-    """Return the result in a JSON file, the solution of a bag, or the result of a session.
+def read_source(path: Path, given: Input | None = None) -> Source:
+    """Return the result in a JSON file, the solution of a bag or table, or a session's result.
 
+    ``given`` is the path with a set-up, targets, changes: what they belong to is solved with them.
     The folder of a session that is not finished yet has no result: its bag is solved. Raises
     BagError when it cannot be read, DataError when the file holds no result.
     """
+    given = given or Input(path)
     session = SessionFolder(path)
-    if session.result.is_file():
+    if session.result.is_file() and given.plain:
         # The result of a file does not know its axis, its session does.
         known = session.configuration.is_file()
         axis = read_configuration(session.configuration).cell.axis if known else None
         return replace(read_source(session.result), axis=axis)
     if session.bag.is_dir():
-        return read_source(session.bag)
+        return read_source(session.bag, replace(given, path=session.bag))
     if path.suffix != ".json":
-        recording = read_recording(path)
-        axis = recording.calibration.configuration.cell.axis
-        return Source(recording.solve(), recording.sha256, axis, recording.warnings())
+        return solved(given.read())
+    if not given.plain:
+        raise ConfigurationError(
+            f"{path} is a result already: set-up, targets and changes belong to a bag or a table"
+        )
     try:
         data = path.read_bytes()
         result = Result.from_dict(json.loads(data))
@@ -64,9 +71,16 @@ def read_source(path: Path) -> Source:
     return Source(result, {path.name: sha256(data).hexdigest()})
 
 
+def solved(measured: Recording | Measurements) -> Source:
+    """Return the solution of a bag or a table."""
+    axis = measured.configuration.cell.axis
+    warnings = measured.warnings() if isinstance(measured, Recording) else ()
+    return Source(measured.solve(), measured.sha256, axis, warnings)
+
+
 def read_repeated_runs(path: Path) -> BidirectionalRuns:
     """Return the repeated runs in a table (.csv), a result or a bag; DataError without any."""
-    if path.suffix == ".csv":
+    if is_table(path):
         return read_runs(read_text(path), str(path))
     return require_runs(read_source(path).result, str(path))
 
@@ -79,21 +93,32 @@ def read_text(path: Path) -> str:
         raise BagError(f"cannot read {path}: {error}") from error
 
 
-def read_measured(path: Path, polygon: MeasuredCurve | None = None) -> CombinationInput:
-    """Return a result, a bag, a session or a reference table (.csv), ready to be combined."""
-    if path.suffix == ".csv":
-        return CombinationInput.of(str(path), read_curve(path, "ECC", polygon))
+def read_measured(
+    path: Path, polygon: MeasuredCurve | None = None, reference_std: float | None = None
+) -> CombinationInput:
+    """Return a result, a bag, a session or a reference table, ready to be combined.
+
+    See :func:`read_curve`.
+    """
+    if is_table(path):
+        return CombinationInput.of(str(path), read_curve(path, "ECC", polygon, reference_std))
     return CombinationInput.of(str(path), read_source(path).result)
 
 
-def read_curve(path: Path, component: str, polygon: MeasuredCurve | None) -> MeasuredCurve:
-    """Return one deviation curve of a result, a bag, or a reference table (.csv).
+def read_curve(
+    path: Path,
+    component: str,
+    polygon: MeasuredCurve | None = None,
+    reference_std: float | None = None,
+) -> MeasuredCurve:
+    """Return one deviation curve of a result, a bag, or a reference table.
 
-    ``polygon`` holds the face errors that are taken off reference tables.
+    ``polygon`` holds the face errors that are taken off reference tables, ``reference_std`` (rad)
+    is their standard uncertainty where they state none. Raises DataError where nobody does.
     """
-    if path.suffix != ".csv":
+    if not is_table(path):
         return measured_curve(read_source(path).result, component)
     if component != "ECC":
         raise DataError(f"{path}: a reference table holds ECC only, {component} was asked for")
-    reading = read_reference(read_text(path), str(path))
+    reading = read_reference(read_text(path), str(path), reference_std)
     return reading if polygon is None else without_polygon(reading, polygon)

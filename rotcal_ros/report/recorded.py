@@ -12,6 +12,8 @@ from typing import Any
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.catalogue import find_method, method_names
+from rotcal_ros.catalogue.measurements import PlannedMeasurements
+from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.sources import Source
@@ -44,6 +46,28 @@ def write_recorded(
         notes=recording.warnings(),
         extra=extra,
         goal=recording.goal_standing(result),
+    )
+    write_atomically(page, render_report(report))
+    return result
+
+
+def write_measured(
+    measured: Recording | Measurements, page: Path, truth: Mapping[str, Any] | None = None
+) -> Result:
+    """Solve a bag or a plain table, write the page about it, and return the result."""
+    if isinstance(measured, Recording):
+        return write_recorded(measured, page, truth)
+    configuration, result = measured.configuration, measured.solve()
+    planned = isinstance(measured, PlannedMeasurements)
+    report = ReportInput(
+        result=result,
+        title="Calibration of a rotary table",
+        method_title=configuration.method.title,
+        observations=measured.observations if planned else (),
+        configuration_text=configuration.text,
+        inputs=[*measured.sha256.items(), ("plan and configuration", configuration.plan_id)],
+        versions=_versions({}),
+        truth=truth,
     )
     write_atomically(page, render_report(report))
     return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from typing import Final
@@ -48,7 +49,7 @@ def expected_bytes(calibration: Calibration, steps: int | None = None) -> float:
     if configuration.planner.policy != AS_LISTED or not plan.steps:
         return 0.0
     angles = [step.table_angle for step in plan.steps]
-    turns = sum(a != b for a, b in zip(angles[:-1], angles[1:], strict=True))
+    turns = sum(a != b for a, b in pairwise(angles))
     share = 1.0 if steps is None else steps / len(plan.steps)
     seconds = len(angles) * configuration.planner.step_s + turns * configuration.planner.turn_s
     return share * seconds * _messages_per_second(configuration) * BYTES_PER_MESSAGE

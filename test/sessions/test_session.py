@@ -104,7 +104,7 @@ def test_a_folder_where_a_run_is_at_work_is_kept(tmp_path):
 
 def test_a_full_disk_is_told_before_anything_is_made(tmp_path):
     with pytest.raises(ConfigurationError, match=r"MB free, 1,000,\d+,\d+ MB are needed"):
-        prepare_session(DEMO, tmp_path / "out", ["recorder.writer.min_free_bytes=1000000000000000"])
+        prepare_session(DEMO, tmp_path / "out", [f"recorder.writer.min_free_bytes={10**15}"])
     assert not (tmp_path / "out").exists()
 
 

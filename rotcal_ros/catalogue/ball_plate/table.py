@@ -39,7 +39,7 @@ def read(configuration: Configuration, table: Table, _targets: Path | None) -> P
         solver = replace(configuration.solver, own_std=True)
         configuration = replace(configuration, solver=solver)
     calibration, position = prepare(configuration), table.header[0]
-    find = StepFinder(calibration.plan)
+    find = StepFinder(calibration.plan, target="ball step")
     observations = []
     for number, row in enumerate(table.rows()):
         step = find(row, row.index(position), row.index("ball_step"))

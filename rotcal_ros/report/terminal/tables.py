@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.table import Table
+import numpy as np
 
-from rotcal_ros.components import unit_of
+from rotcal_ros.arrays import Floats
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
+from rotcal_ros.report.terminal.columns import (
+    Column,
+    Titled,
+    column_of,
+    print_table,
+    print_tables,
+    print_words,
+)
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -22,18 +30,14 @@ if TYPE_CHECKING:  # a result is printed without what compares and combines
 
 def print_result(result: Result) -> None:
     """Print deviations with their standard uncertainties, warnings and the verdict."""
-    names = result.components
-    rows = []
-    for i, angle in enumerate(result.angles):
-        cells = []
-        for name in names:
-            unit, _ = unit_of(name)
-            band = f" +- {result.std[name][i] / unit:.3f}" if name in result.std else ""
-            cells.append(f"{result.deviations[name][i] / unit:+.3f}{band}")
-        rows.append((_degrees(angle), *cells))
-    _lines(f"{result.method}: deviation = actual - commanded, +- standard uncertainty")
-    _table("", ["angle/deg", *(f"{name}/{unit_of(name)[1]}" for name in names)], rows)
-    _lines(
+    columns = [_angles(result.angles)]
+    for name in result.components:
+        unit, label = unit_of(name)
+        std = result.std[name] / unit if name in result.std else None
+        columns.append(Column(f"{name}/{label}", result.deviations[name] / unit, "+.3f", std))
+    print_words(f"{result.method}: deviation = actual - commanded, +- standard uncertainty")
+    print_table(columns)
+    print_words(
         *(f"warning: {warning}" for warning in result.warnings),
         f"verdict {result.verdict_line}: {result.n_observations} observations, "
         f"{len(result.rejected)} rejected, {result.dof} degrees of freedom, "
@@ -41,54 +45,68 @@ def print_result(result: Result) -> None:
     )
 
 
-def print_groups(groups: Sequence[Group]) -> None:
+def say_groups(groups: Sequence[Group]) -> None:
     """Print for each group of components how well the inputs agree, and their weights."""
-    rows = [
-        (
-            group.name,
-            f"{group.chi2:.4g}",
-            str(group.dof),
-            f"{group.p_value:.2g}",
-            ", ".join(f"{name} {100 * part:.3g} %" for name, part in group.weights.items()),
+    print_words(
+        *(
+            f"{group.name}: chi-square {group.chi2:.4g} with {group.dof} degrees of freedom, "
+            f"p {group.p_value:.2g}; weights "
+            + ", ".join(f"{name} {100 * part:.3g} %" for name, part in group.weights.items())
+            for group in groups
         )
-        for group in groups
-    ]
-    _table("", ["components", "chi-square", "dof", "p", "weights"], rows)
+    )
 
 
 def print_comparisons(comparisons: Mapping[tuple[str, str], Comparison], component: str) -> None:
     """Print every pair: differences, their uncertainty and E_n by angle, and the verdict."""
     unit, label = unit_of(component)
-    headings = ["angle/deg", f"difference/{label}", f"U (k = 2)/{label}", "E_n", ""]
-    for (first, second), comparison in comparisons.items():
-        rows = []
-        for i, cells in enumerate(comparison.rows(unit)):
-            remarks = ["above 1"] * bool(abs(comparison.normalised_error[i]) > 1.0)
-            remarks += ["interpolated"] * bool(comparison.interpolated[i])
-            rows.append((*cells, ", ".join(remarks)))
-        _table(f"{component}: {first} - {second}, aligned", headings, rows)
-        _lines(
-            *(f"note: {note}" for note in comparison.notes),
-            f"{first} - {second}: {comparison.in_words(unit, label)}",
+    tables = []
+    for (first, second), c in comparisons.items():
+        remarks = [
+            _remarks({"above 1": abs(error) > 1.0, "interpolated": between})
+            for error, between in zip(c.normalised_error, c.interpolated, strict=True)
+        ]
+        columns = [
+            _angles(c.angles),
+            Column(f"difference/{label}", c.difference / unit, "+.3f"),
+            Column(f"U (k = 2)/{label}", COVERAGE_FACTOR * c.std / unit, ".3f"),
+            Column("E_n", c.normalised_error, "+.2f"),
+            Column("remarks", remarks),
+        ]
+        pair = f"{first} - {second}"
+        tables.append(Titled(columns, f"{component}: {pair}, aligned", pair))
+    print_tables(tables, "pair")
+    for (first, second), c in comparisons.items():
+        print_words(
+            *(f"note: {note}" for note in c.notes),
+            f"{first} - {second}: {c.in_words(unit, label)}",
         )
 
 
 def print_check(check: QuickCheck, component: str) -> None:
     """Print a quick check by angle, its notes and its verdict."""
     unit, label = unit_of(component)
-    rows = []
-    for i, cells in enumerate(check.rows(unit)):
-        remarks = ["changed"] * bool(abs(check.difference[i]) > check.alarm[i])
-        remarks += ["between"] * bool(check.interpolated[i])
-        rows.append((*cells, ", ".join(remarks)))
-    headings = ["angle/deg", "difference", "U (k = 2)", "valid up to", "changed from", ""]
-    _table(f"{component}: new - earlier, aligned, {label}", headings, rows)
-    _lines(*(f"note: {note}" for note in check.notes), check.in_words(unit, label))
+    remarks = [
+        _remarks({"changed": abs(difference) > alarm, "between": between})
+        for difference, alarm, between in zip(
+            check.difference, check.alarm, check.interpolated, strict=True
+        )
+    ]
+    columns = [
+        _angles(check.angles),
+        Column(f"difference/{label}", check.difference / unit, "+.3f"),
+        Column(f"U (k = 2)/{label}", COVERAGE_FACTOR * check.std / unit, ".3f"),
+        Column(f"valid up to/{label}", check.acceptance / unit, ".3f"),
+        Column(f"changed from/{label}", check.alarm / unit, ".3f"),
+        Column("remarks", remarks),
+    ]
+    print_table(columns, f"{component}: new - earlier, aligned")
+    print_words(*(f"note: {note}" for note in check.notes), check.in_words(unit, label))
 
 
 def print_iso230(figures: Iso230, n_runs: int) -> None:
     """Print what belongs to each target, then the figures of the axis, in arc seconds."""
-    columns = {
+    by_target = {
         "mean up": figures.mean_forward,
         "s up": figures.s_forward,
         "mean down": figures.mean_reverse,
@@ -97,62 +115,55 @@ def print_iso230(figures: Iso230, n_runs: int) -> None:
         "B_i": figures.reversal_i,
         "R_i": figures.repeatability_i,
     }
-    _table(
-        f"ISO 230-2, {n_runs} runs in each direction, arcsec",
-        ["deg", *columns],
-        [
-            (_degrees(angle), *(f"{values[i] / ARCSEC:.3f}" for values in columns.values()))
-            for i, angle in enumerate(figures.targets)
-        ],
-    )
-    _table(
-        "",
-        ["arcsec", "both", "up", "down", "U (95 %) of both"],
-        [
-            (
-                name,
-                *("" if value is None else f"{value / ARCSEC:.3f}" for value in values),
-                f"{expanded / ARCSEC:.3f}",
-            )
-            for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
-        ],
-    )
+    columns = [Column(f"{name}/arcsec", v / ARCSEC, ".3f") for name, v in by_target.items()]
+    title = f"ISO 230-2, {n_runs} runs in each direction"
+    print_table([_angles(figures.targets), *columns], title)
+    _say_figures(figures)
     if not figures.measurement_stated:
-        _lines(f"note: {ONLY_SCATTER}")
-    _lines(*(f"warning: {warning}" for warning in figures.warnings))
+        print_words(f"note: {ONLY_SCATTER}")
+    print_words(*(f"warning: {warning}" for warning in figures.warnings))
+
+
+def _say_figures(figures: Iso230) -> None:
+    """Print the figures of the axis: of both directions, then of each."""
+    for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True):
+        both, up, down = ("" if v is None else f"{v / ARCSEC:.3f}" for v in values)
+        sides = f"; {up} up, {down} down" if up else ""
+        print_words(f"{name}: {both} arcsec, U (95 %) {expanded / ARCSEC:.3f}{sides}")
 
 
 def print_uncertainty(both: Propagated) -> None:
     """Print, for each component, both uncertainties and the interval of the trials by angle."""
     interval = f"{100 * both.spread.probability:g} % interval"
-    headings = ["angle/deg", "value", "solver", "trials", "shift", "from", "to"]
+    tables = []
     for name, part in both.components.items():
         unit, label = unit_of(name)
-        shift = part.mean - part.value
-        columns = (part.value, part.linear_std, part.std, shift, part.low, part.high)
-        rows = [
-            (_degrees(angle), *(f"{values[i] / unit:.4f}" for values in columns))
-            for i, angle in enumerate(both.result.angles)
-        ]
-        _table(f"{name}/{label}: standard uncertainty and {interval}", headings, rows)
-    _lines(*(f"warning: {warning}" for warning in both.warnings), both.in_words())
+        columns = {
+            "value": part.value,
+            "solver": part.linear_std,
+            "trials": part.std,
+            "shift": part.mean - part.value,
+            "from": part.low,
+            "to": part.high,
+        }
+        tables.append(
+            Titled(
+                [
+                    _angles(both.result.angles),
+                    *(column_of(head, v, unit, ".4f") for head, v in columns.items()),
+                    Column("unit", [label] * len(both.result.angles)),
+                ],
+                f"{name}: standard uncertainty and {interval}",
+                name,
+            )
+        )
+    print_tables(tables, "component")
+    print_words(*(f"warning: {warning}" for warning in both.warnings), both.in_words())
 
 
-def _degrees(angle: float) -> str:
-    return f"{angle / DEGREE:.4f}"
+def _angles(angles: Floats) -> Column:
+    return Column("angle/deg", np.round(angles / DEGREE, 10), ".4f")
 
 
-def _table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table; all columns stand right, but for one of names."""
-    table = Table(title=title or None)
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading == "arcsec" else "right")
-    for row in rows:
-        table.add_row(*row)
-    Console(highlight=False).print(table)
-
-
-def _lines(*texts: str) -> None:
-    console = Console(highlight=False)
-    for text in texts:
-        console.print(text, markup=False, soft_wrap=True)
+def _remarks(true: Mapping[str, bool]) -> str:
+    return ", ".join(name for name, holds in true.items() if holds)

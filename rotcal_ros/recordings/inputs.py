@@ -1,0 +1,70 @@
+"""What a verb is given: a bag or a plain table, its set-up, changes; read in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rotcal_ros.bags.reader import Progress, bag_files
+from rotcal_ros.catalogue.configuration import OFFLINE_GROUPS, Configuration, changed
+from rotcal_ros.catalogue.measurements import read_measurements
+from rotcal_ros.catalogue.method import Measurements
+from rotcal_ros.catalogue.setup_file import read_setup
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.recordings.replay import Recording, Source, find_configuration, read_recording
+from rotcal_ros.recordings.topics import Topics
+from rotcal_ros.tables import is_table
+
+
+@dataclass(frozen=True)
+class Input:
+    """A bag or a table at ``path`` and what belongs to it.
+
+    ``setup`` is the file of its configuration, for a bag in the place of the one in it;
+    ``targets`` that of a tracer's targets; ``changes`` are ``group.name=value``. ``taken_from``
+    and ``namespace`` say what of a bag is solved.
+    """
+
+    path: Path
+    setup: Path | None = None
+    targets: Path | None = None
+    changes: tuple[str, ...] = ()
+    taken_from: Source = "streams"
+    namespace: str = ""
+
+    @property
+    def plain(self) -> bool:
+        """Whether there is a path and nothing else."""
+        return self == Input(self.path)
+
+    def read(self, progress: Progress | None = None) -> Recording | Measurements:
+        """Return what was measured, ready to be solved.
+
+        Raises BagError for what is neither a bag nor a table, ConfigurationError for a table
+        without set-up and for changes that cannot be, DataError for contradictory content.
+        """
+        if is_table(self.path):
+            if self.setup is None:
+                raise ConfigurationError(
+                    f"{self.path} is a table, and a table needs its set-up: --setup SETUP.yaml"
+                )
+            configuration = changed(read_setup(self.setup), self.changes)
+            return read_measurements(self.path, configuration, self.targets)
+        if self.targets is not None:
+            raise ConfigurationError(f"{self.path} is no table: only a table takes --targets")
+        return read_recording(
+            self.path,
+            self.taken_from,
+            configuration=self._configuration(),
+            topics=Topics(self.namespace),
+            progress=progress,
+        )
+
+    def _configuration(self) -> Configuration | None:
+        """Return the configuration for a bag; None: the one in it, as it is."""
+        if self.setup is not None:
+            return changed(read_setup(self.setup), self.changes)
+        if not self.changes:
+            return None
+        recorded = find_configuration(bag_files(self.path), Topics(self.namespace))
+        return changed(recorded, self.changes, OFFLINE_GROUPS)

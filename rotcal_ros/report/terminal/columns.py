@@ -1,0 +1,170 @@
+"""A table in two forms: for people whose terminal may be narrow, and as plain CSV in a pipe.
+
+At a terminal numbers are rounded, and what is too wide is stacked: tables below each other with
+the first column in each, so that no digit and no unit is ever cut. Where standard output is no
+terminal it takes CSV alone, in full precision; all words for people go to standard error.
+"""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from textwrap import wrap
+from typing import Any, Final
+
+import click
+
+BORDER: Final = 1
+PADDING: Final = 3
+"""Characters that a column takes beside its cells: a blank on each side, and a line."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its ``heading`` names the unit, ``cells`` hold numbers in it, texts, or None.
+
+    ``digits`` is the format of the numbers for people, e.g. ``+.3f``. ``std``, where given, are
+    the standard uncertainties of the cells: behind them for people, a column of its own in CSV.
+    """
+
+    heading: str
+    cells: Sequence[Any]
+    digits: str = ""
+    std: Sequence[float] | None = None
+
+    def shown(self) -> list[str]:
+        """Return the cells as people read them."""
+        texts = [_shown(cell, self.digits) for cell in self.cells]
+        if self.std is None:
+            return texts
+        band = self.digits.lstrip("+")
+        pairs = zip(texts, self.std, strict=True)
+        return [f"{text} +- {format(std, band)}" for text, std in pairs]
+
+    def is_text(self) -> bool:
+        """Return whether the cells are words, which may be broken at blanks."""
+        return all(isinstance(cell, str) for cell in self.cells)
+
+    def least_width(self) -> int:
+        """Return the width (characters) below which the column would be cut."""
+        texts = [self.heading, *self.shown()]
+        if self.is_text():
+            texts = [word for text in texts for word in text.split()]
+        return max(map(len, texts), default=0)
+
+    def plain(self) -> Iterator[tuple[str, Sequence[Any]]]:
+        """Yield heading and cells of the columns in CSV."""
+        yield self.heading, self.cells
+        if self.std is not None:
+            yield f"u({self.heading.partition('/')[0]})/{self.heading.partition('/')[2]}", self.std
+
+
+@dataclass(frozen=True)
+class Titled:
+    """A table with its title; ``key`` tells it from others of one verb, where these are joined."""
+
+    columns: Sequence[Column]
+    title: str = ""
+    key: str = ""
+
+
+def for_people() -> bool:
+    """Return whether standard output is a terminal."""
+    return sys.stdout.isatty()
+
+
+def print_table(columns: Sequence[Column], title: str = "") -> None:
+    """Print one table."""
+    print_tables([Titled(columns, title)])
+
+
+def print_tables(tables: Sequence[Titled], key: str = "") -> None:
+    """Print tables of the same columns; in CSV they are one, whose first column is ``key``."""
+    if for_people():
+        for table in tables:
+            _print_stacked(table)
+        return
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    for number, table in enumerate(tables):
+        plain = [pair for column in table.columns for pair in column.plain()]
+        first = [key] if key else []
+        if number == 0:
+            writer.writerow([*first, *(heading for heading, _ in plain)])
+        for row in zip(*(cells for _, cells in plain), strict=True):
+            writer.writerow([*([table.key] if key else []), *map(_exact, row)])
+
+
+def print_words(*texts: str) -> None:
+    """Print lines for people, broken at blanks at a terminal; on standard error in a pipe."""
+    if not for_people():
+        for text in texts:
+            click.echo(text, err=True)
+        return
+    width = shutil.get_terminal_size().columns
+    for text in texts:
+        lines = wrap(text, width, break_long_words=False, break_on_hyphens=False)
+        click.echo("\n".join(lines))
+
+
+def stacked(columns: Sequence[Column], width: int) -> list[list[Column]]:
+    """Return ``columns`` in groups that fit into ``width`` characters, each with the first one."""
+    key, *others = columns
+    least = BORDER + key.least_width() + PADDING
+    groups: list[list[Column]] = []
+    taken = width + 1
+    for column in others:
+        needed = column.least_width() + PADDING
+        if taken + needed > width:
+            groups.append([key])
+            taken = least
+        groups[-1].append(column)
+        taken += needed
+    return groups or [[key]]
+
+
+def _print_stacked(table: Titled) -> None:
+    # rich takes longer to load than a short verb takes to run.
+    from rich.console import Console
+    from rich.table import Table
+
+    width = shutil.get_terminal_size().columns
+    # What does not fit even alone is left to the terminal, which breaks lines and cuts nothing.
+    console = Console(highlight=False, width=max(width, _widest(table.columns)))
+    if table.title:
+        print_words(table.title)
+    for group in stacked(table.columns, width):
+        drawn = Table()
+        for column in group:
+            text = column.is_text()
+            drawn.add_column(
+                column.heading, justify="left" if text else "right", no_wrap=not text,
+                min_width=column.least_width(),
+            )  # fmt: skip
+        for row in zip(*(column.shown() for column in group), strict=True):
+            drawn.add_row(*row)
+        console.print(drawn)
+
+
+def _widest(columns: Sequence[Column]) -> int:
+    key, *others = columns
+    least = BORDER + key.least_width() + PADDING
+    return least + max((column.least_width() + PADDING for column in others), default=0)
+
+
+def _shown(cell: Any, digits: str) -> str:
+    if cell is None:
+        return ""
+    return cell if isinstance(cell, str) else format(cell, digits)
+
+
+def _exact(cell: Any) -> Any:
+    """Return a cell of CSV: numbers with all their digits."""
+    return float(cell) if hasattr(cell, "dtype") and cell.dtype.kind == "f" else cell
+
+
+def column_of(heading: str, values: Iterable[Any], unit: float = 1.0, digits: str = "") -> Column:
+    """Return a column of ``values`` in SI, shown in ``unit``; None stays."""
+    return Column(heading, [None if v is None else v / unit for v in values], digits)
