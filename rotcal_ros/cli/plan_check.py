@@ -135,9 +135,8 @@ def _print_checks(plan: CheckPlan, every: int, least_redundancy: float) -> None:
         f"{plan.unseen.drift:.2g}, unseen knock {plan.unseen.knock:.2g} standard uncertainties"
     )
     if every > 1:
-        print_words(
-            f"nothing will be known of {every - 1} of {every} angles of the earlier result"
-        )
+        unknown = f"{every - 1} of {every} angles"
+        print_words(f"nothing will be known of {unknown} of the earlier result")
     if least_redundancy < LEAST_REDUNDANCY:
         print_words("warning: little checks some lengths: an error of one may turn the verdict")
     print_words(

@@ -14,7 +14,7 @@ from rotcal_ros.units import ARCSEC, HOUR, MICROMETRE
 
 @dataclass(frozen=True)
 class Trade:
-    """A trade table: ``data`` in SI for programs; ``columns``, a title and ``notes`` for people."""
+    """A trade table: ``data`` in SI for programs; ``columns``, title and ``notes`` for people."""
 
     data: dict[str, Any]
     columns: Sequence[Column]

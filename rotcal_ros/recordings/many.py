@@ -23,6 +23,7 @@ from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import Recording, read_recording
 from rotcal_ros.results import Result
 
+Identity = str | frozenset[tuple[int, int]]
 SUFFIXES: Final = (".mcap", ".db3")
 
 
@@ -65,17 +66,28 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
 
     A list is a text file (``.txt``) with one bag per line, relative to itself; empty lines and
     those that begin with # are left out. URLs (``s3://...``) go through fsspec and must end in
-    .mcap or .db3, with * for many.
+    .mcap or .db3, with * for many. What two paths or links lead to is taken once, under the first.
 
     Raises BagError when a source names nothing.
     """
-    found: dict[str, None] = {}
+    found: dict[Identity, str] = {}
     for source in sources:
-        bags = dict.fromkeys(_bags_of(source))
+        bags = tuple(_bags_of(source))
         if not bags:
             raise BagError(f"{source} names no bag: expected bags, a folder, a glob or a list")
-        found |= bags
-    return tuple(found)
+        for bag in bags:
+            found.setdefault(_identity(bag), bag)
+    return tuple(found.values())
+
+
+def _identity(bag: str) -> Identity:
+    """Return what is the same under all paths of a bag: device and number of its files."""
+    if "://" in bag:
+        return bag
+    try:
+        return frozenset((s.st_dev, s.st_ino) for s in map(Path.stat, bag_files(Path(bag))))
+    except (BagError, OSError):
+        return bag
 
 
 def solve_bag(job: Job) -> Outcome:

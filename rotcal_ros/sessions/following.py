@@ -105,7 +105,7 @@ def _result_of_cancelling(nodes: RunningSession) -> Event:
 
 def _follow(nodes: RunningSession, person: Person) -> dict[str, Any]:
     """Show the progress and ask the person; return the result event."""
-    with progress_bar() as bar:
+    with progress_bar(time_left=False) as bar:  # the planner knows it better
         display = _Display(bar)
         heard, begun = time.monotonic(), False
         while True:

@@ -107,7 +107,7 @@ def test_what_the_plan_measures_decides(planned, tmp_path, size, verdict, code):
 def test_an_undecided_check_says_what_would_decide_it():
     ran = run("check", PLATE, TRACER, "--within", "0.7")
     assert ran.exit_code == 3
-    last = ran.stdout.strip().splitlines()[-1]
+    last = ran.stderr.strip().splitlines()[-1]
     assert last.startswith("undecided: 0.385 arcsec at 240 deg needs U <= 0.383 arcsec (k = 2)")
     needed = 2.0 * (0.7 - 0.385) / 1.645
     assert needed == pytest.approx(0.383, abs=1e-3)
@@ -116,7 +116,7 @@ def test_an_undecided_check_says_what_would_decide_it():
 def test_every_method_can_be_checked_in_its_own_unit():
     ran = run("check", PLATE, PLATE, "--within", "1", "--component", "EXC", "--align-order", "1")
     assert ran.exit_code == 0, ran.output
-    assert "EXC: new - earlier, aligned, µm" in ran.stdout
+    assert "difference/µm,U (k = 2)/µm" in ran.stdout
 
 
 def test_ageing_needs_the_months():
@@ -143,9 +143,9 @@ def test_plans_that_cannot_be_are_refused(change, text):
 def test_people_are_shown_what_is_not_covered():
     ran = run(*PLAN, "--within", "4", "--every", "2", "--least-redundancy", "0")
     assert ran.exit_code == 0, ran.output
-    assert "nothing will be known of 1 of 2 angles" in ran.stdout
-    assert "warning: little checks some lengths" in ran.stdout
-    assert "30 lengths to 5 targets" in ran.stdout
+    assert "nothing will be known of 1 of 2 angles" in ran.stderr
+    assert "warning: little checks some lengths" in ran.stderr
+    assert "30 lengths to 5 targets" in ran.stderr
 
 
 def test_a_volume_and_what_stands_in_it_are_those_of_a_tracer_plan():

@@ -62,8 +62,8 @@ def test_json_and_words(tmp_path):
     assert (data["method"], data["verdict"]) == ("combination", "ok")
     assert set(data["details"]["inputs"]) == {str(TRACER), str(PLATE)}
     words = run("combine", TRACER, PLATE)
-    assert "chi-square" in words.stdout
-    assert "verdict ok" in words.stdout
+    assert "chi-square" in words.stderr
+    assert "verdict ok" in words.stderr
 
 
 def test_sessions_bags_and_references_are_inputs(tmp_path):
@@ -101,15 +101,15 @@ def test_contradicting_inputs_end_with_one(tmp_path):
     table = reference(tmp_path / "polygon.csv", shift=5.0)
     ran = run("combine", PLATE, table, "-o", tmp_path / "c.json")
     assert ran.exit_code == 1
-    assert "ECC: the inputs contradict each other" in ran.stdout
-    assert "(Birge)" in ran.stdout
+    assert "ECC: the inputs contradict each other" in ran.stderr
+    assert "(Birge)" in ran.stderr
     ran = run(
         "export", tmp_path / "c.json", "--to", "linuxcnc", "--replace", "--out", tmp_path / "t"
     )
     assert ran.exit_code == 3
     assert "the verdict of the combination result is 'suspect'" in ran.stderr
     ran = run("combine", PLATE, table, "--enlarge", "mandel-paule")
-    assert "(Mandel-Paule)" in ran.stdout
+    assert "(Mandel-Paule)" in ran.stderr
 
 
 def test_polygon_faces_are_taken_off_references(tmp_path):

@@ -56,8 +56,15 @@ def test_effort_reaches_the_limit_with_the_least_work_first():
         assert way["expanded"] <= 0.06 * ARCSEC
         assert way["centres"] == way["balls"] * way["cmm_positions"]
         assert way["duration_s"] > 0
-    words = run("plan", "effort", "--grid", "12", "--need", "ECC=0.06", "--most-balls", "6").stdout
-    assert "for U(ECC) <= 0.06 arcsec" in words
+    words = run("plan", "effort", "--grid", "12", "--need", "ECC=0.06", "--most-balls", "6")
+    assert "for U(ECC) <= 0.06 arcsec" in words.stderr
+    assert words.stdout.splitlines()[0] == "balls,CMM positions,centres,hours,U/arcsec,ball steps"
+
+
+def test_effort_that_no_layout_reaches_is_told_in_the_unit_of_the_question():
+    refused = run("plan", "effort", "--grid", "12", "--need", "ECC=0.0001", "--most-balls", "6")
+    assert refused.exit_code == 2
+    assert "U(ECC) <= 0.0001 arcsec with 0.05 um per centre" in refused.stderr
 
 
 def test_order_lists_every_ball_with_its_duration():

@@ -48,11 +48,11 @@ def test_stations_that_see_nothing_are_refused():
 def test_tables_for_people():
     done = run("trade", "plate", "--grid", "12", "--balls", "6")
     assert done.exception is None
-    assert "balls  centres  hours" in done.output
-    assert "11.1 % of the centres" in done.output
+    assert done.stdout.startswith("balls,centres,hours,U/arcsec,or R/mm,or sigma/um")
+    assert "11 to 11 % of the centres" in done.stderr
     done = run("trade", "tracer", "--radius-m", "0.1", "--sigma-um", "0.1", "--need-arcsec", "2")
     assert done.exception is None
-    assert "R/mm  sigma/um  targets  lengths  no plan below" in done.output
+    assert "R/mm,sigma/um,targets,lengths,no plan below" in done.stdout
 
 
 @pytest.mark.parametrize("text", ["", "0,1", "x", "-1"])

@@ -53,6 +53,18 @@ def by_source(outcomes):
     return sorted(outcomes, key=lambda outcome: outcome.source)
 
 
+def test_one_recording_under_several_paths_is_taken_once(fleet, tmp_path, monkeypatch):
+    bag = fleet / "run_5" / "bag"
+    (tmp_path / "linked").symlink_to(bag)
+    hard = tmp_path / "hard" / "bag_0.mcap"
+    hard.parent.mkdir()
+    hard.hardlink_to(next(bag.glob("*.mcap")))
+    monkeypatch.chdir(fleet)
+    ways = [str(bag), "run_5/bag", "run_6/../run_5", str(tmp_path / "linked"), str(hard)]
+    assert find_bags(ways) == (str(bag),)
+    assert find_bags([*ways, "run_6"]) == (str(bag), str(fleet / "run_6" / "bag"))
+
+
 def test_bags_are_found_in_folders_globs_and_lists(fleet):
     all_bags = [str(fleet / f"run_{seed}" / "bag") for seed in SEEDS]
     assert list(find_bags([str(fleet)])) == [*all_bags, str(fleet / "torn")]

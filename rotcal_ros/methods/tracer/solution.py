@@ -31,6 +31,7 @@ from rotcal_ros.methods.tracer.observability import check_counts, check_station_
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.screening import (
     GROSS,
+    NORMAL_QUARTILE,
     Screened,
     adjust_and_screen,
     reject_gross,
@@ -199,12 +200,23 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
         mirror_ambiguous=ambiguous,
         jumps=jumps,
         fringe=problem.slip,
+        scatter=_scatter(screened, fit),
     )
     rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
     return TracerSolution(
         problem, placed.grid, screened.noise, screened.evidence, fit, covariance, motion,
         error_motion, angles, scale, evidence, rejected, slips,
     )  # fmt: skip
+
+
+def _scatter(screened: Screened, fit: Adjustment) -> float:
+    """Return the scatter of all residuals over what is stated, by the median.
+
+    A few outliers do not count, but the rejected lengths do: many of them are no outliers.
+    """
+    known = screened.grid.row >= 0
+    ratio = np.abs(fit.residual[known] / fit.std[known])
+    return float(screened.noise.factors[0] * np.median(ratio) / NORMAL_QUARTILE)
 
 
 def _missing_positions(problem: TracerProblem, grid: Grid) -> tuple[int, ...]:

@@ -40,6 +40,8 @@ WORDS: Final = (
     "the targets' z",
 )
 FAILED_SHARE: Final = 0.2
+NOISY: Final = 2.0
+"""Times the stated noise from which the middle half of all residuals is no matter of outliers."""
 HARDLY_CHECKED: Final = 0.01
 """Share of a stated circle below which nothing would contradict it."""
 TURN: Final = 2.0 * np.pi
@@ -100,7 +102,8 @@ class Evidence:
 
     ``lengths``: test against the noise as stated, ``unexplained``: what the estimated ``noise``
     leaves, as a factor. ``missing`` are positions without a result, ``spare`` targets of a free
-    network that too few lengths reach, ``fringe`` (m) is what a counter slips by.
+    network that too few lengths reach, ``fringe`` (m) is what a counter slips by, ``scatter`` by
+    how much all residuals, those of rejected lengths too, exceed what is stated.
     """
 
     lengths: GlobalTest
@@ -119,6 +122,7 @@ class Evidence:
     jumps: tuple[Jump, ...] = ()
     circle_statement: CircleStatement | None = None
     fringe: float = 0.0
+    scatter: float = 1.0
 
 
 def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[str, ...]]:
@@ -143,27 +147,51 @@ def _doubt_lengths(evidence: Evidence, settings: TracerLimits) -> list[str]:
             "standard deviations allow (chi-squared test): the uncertainty is enlarged by "
             "that factor; look for drift, or state larger standard deviations"
         )
-    return doubts + doubt_rejected(evidence.n_rejected, evidence.n_lengths, settings)
+    return doubts + doubt_rejected(
+        evidence.n_rejected, evidence.n_lengths, settings, evidence.scatter
+    )
 
 
 def doubt_noise(noise: Noise, settings: TracerLimits) -> list[str]:
     """Return a sentence for every component of the noise that is larger than stated."""
     larger = noise.contradicted(settings.test_significance) & (noise.factors > 1.0)
     return [
-        f"{times_stated(noise, k)}: the estimate is used; state it, or look for drift"
+        f"{times_stated(noise, k)}: the estimate is used; {_advice(noise, k)}"
         for k in np.flatnonzero(larger).tolist()
     ]
 
 
-def doubt_rejected(n_rejected: int, n_lengths: int, settings: TracerLimits) -> list[str]:
-    """Return a sentence when more lengths were rejected than the settings allow."""
+def _advice(noise: Noise, k: int) -> str:
+    """Return what to do about a component that is larger than stated."""
+    if k:
+        return "state it, or look for drift"
+    return (
+        f"state what a length scatters by, {noise.factors[0] * noise.stated[0]:.2g} m, in "
+        "solver.length_std_m (for single readings all of their noise), or look for drift"
+    )
+
+
+def doubt_rejected(
+    n_rejected: int, n_lengths: int, settings: TracerLimits, scatter: float = 1.0
+) -> list[str]:
+    """Return a sentence when more lengths were rejected than the settings allow.
+
+    ``scatter``: residuals of all lengths over what is stated; where it is large the noise is
+    named, not single targets.
+    """
     share = n_rejected / n_lengths
     if share <= settings.max_rejected_share:
         return []
+    cause = "look for a target with wrong coordinates, or an unstable beam"
+    if scatter > NOISY:
+        cause = (
+            f"the residuals of all lengths, the rejected ones too, scatter {scatter:.2g} times as "
+            "stated: that is noise and no outliers; raise solver.length_std_m (for single "
+            "readings all of their noise)"
+        )
     return [
         f"{n_rejected} of {n_lengths} lengths ({100 * share:.1f} %) were rejected, more than "
-        f"{100 * settings.max_rejected_share:g} % is suspicious: look for a target with wrong "
-        "coordinates, or an unstable beam"
+        f"{100 * settings.max_rejected_share:g} % is suspicious: {cause}"
     ]
 
 

@@ -8,21 +8,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-import click
-
 if TYPE_CHECKING:
     from rich.progress import Progress
 
 
 def say(text: str) -> None:
-    """Print a line for people on standard error."""
-    click.echo(text, err=True)
+    """Print a line for people on standard error; above a progress bar where one is shown."""
+    # Not click.echo: it writes past what rich puts in the place of standard error meanwhile.
+    sys.stderr.write(f"{text}\n")
 
 
-def progress_bar() -> Progress:
+def progress_bar(*, time_left: bool = True) -> Progress:
     """Return a progress bar with counts and time left on standard error; a context manager.
 
-    It is silent when standard error is not a terminal.
+    It is silent when standard error is not a terminal. Without ``time_left`` the description may
+    tell it.
     """
     # rich takes longer to load than a short verb takes to run.
     from rich.console import Console
@@ -34,7 +34,7 @@ def progress_bar() -> Progress:
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TimeLeft(),
+        *([TimeLeft()] if time_left else []),
         console=console,
         disable=not console.is_terminal,
     )

@@ -372,3 +372,19 @@ def test_two_pairs_have_one_degree_of_freedom():
     assert join.probability == pytest.approx(chi2.sf(2.0, 1))
     alone = join_of(2, np.array([3.0]), np.array([0.5]), np.array([1]))
     assert (alone.offset, alone.std, alone.sigma0, alone.shares) == (3.0, 0.5, 0.0, {1: 1.0})
+
+
+@pytest.mark.parametrize(
+    ("scatter", "named", "not_named"),
+    [
+        (6.7, ("6.7 times as stated", "solver.length_std_m"), "wrong coordinates"),
+        (1.2, ("a target with wrong coordinates",), "length_std_m"),
+    ],
+)
+def test_many_rejected_lengths_name_the_noise_where_it_explains_them(scatter, named, not_named):
+    many = replace(GOOD, n_lengths=100, n_rejected=31, scatter=scatter)
+    verdict, warnings = judge(many, TracerLimits())
+    assert verdict == "failed"
+    (text,) = (w for w in warnings if "were rejected" in w)
+    assert all(words in text for words in named)
+    assert not_named not in text

@@ -1,0 +1,116 @@
+"""Tables at a narrow terminal: nothing is cut; in a pipe: CSV, and words on standard error."""
+
+import csv
+import io
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rotcal_ros.report.terminal.columns import Column, stacked
+
+DATA = Path(__file__).parents[2] / "examples" / "data"
+CONFIG = Path(__file__).parents[2] / "config"
+TRACER, PLATE = DATA / "result_tracer.json", DATA / "result_ball_plate.json"
+VERBS = {
+    "solve": ("solve", DATA / "ball_plate_bag"),
+    "compare": ("compare", TRACER, PLATE),
+    "combine": ("combine", TRACER, PLATE),
+    "check": ("check", PLATE, TRACER, "--within", "3"),
+    "iso230": ("iso230", DATA / "runs.csv"),
+    "uncertainty": (
+        "uncertainty", DATA / "balls.csv", "--setup", DATA / "ball_plate.yaml",
+        "--trials", "20", "--workers", "1",
+    ),
+    "effort": ("plan", "effort", "--grid", "12", "--need", "ECC=0.06", "--most-balls", "6"),
+    "trade": ("plan", "trade", "plate", "--grid", "12", "--balls", "6"),
+    "reliability": (
+        "plan", "reliability", CONFIG / "ball_plate_demo.yaml", "--worst", "2",
+    ),
+}  # fmt: skip
+NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?")
+
+
+def command(verb):
+    return [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, VERBS[verb])]
+
+
+def at_terminal(verb, width):
+    """Return what a verb prints at a terminal of ``width`` characters, without its colours."""
+    leader, follower = pty.openpty()
+    environment = {**os.environ, "COLUMNS": str(width), "LINES": "50", "TERM": "xterm"}
+    with subprocess.Popen(
+        command(verb), stdout=follower, stderr=subprocess.DEVNULL, env=environment
+    ) as child:
+        os.close(follower)
+        text = b""
+        while True:
+            try:
+                part = os.read(leader, 65536)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            text += part
+    os.close(leader)
+    assert child.returncode in (0, 1)
+    return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.decode()).replace("\r", "")
+
+
+def piped(verb):
+    return subprocess.run(command(verb), capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_in_a_pipe_there_is_one_table_of_csv_and_words_elsewhere(verb):
+    done = piped(verb)
+    assert done.returncode in (0, 1), done.stderr
+    header, *rows = csv.reader(io.StringIO(done.stdout))
+    assert rows
+    assert {len(row) for row in rows} == {len(header)}
+    assert len(set(header)) == len(header)
+    assert not re.search(r"verdict|[│┃━]", done.stdout)
+
+
+@pytest.mark.parametrize("width", [40, 60])
+@pytest.mark.parametrize("verb", VERBS)
+def test_at_a_narrow_terminal_no_digit_and_no_unit_is_cut(verb, width):
+    narrow, wide = at_terminal(verb, width), at_terminal(verb, 250)
+    assert "…" not in narrow
+    drawn = [line for line in narrow.splitlines() if line[:1] in "┃│┏┡└"]
+    assert max(map(len, drawn)) <= width
+
+    def cells(text):
+        lines = [line for line in text.splitlines() if line[:1] in ("│", "┃")]
+        return {cell.strip() for line in lines for cell in re.split("[│┃]", line)}
+
+    numbers = {cell for cell in cells(wide) if NUMBER.match(cell) and " " not in cell}
+    assert numbers <= cells(narrow)
+    units = {unit for cell in cells(wide) for unit in re.findall(r"/(\S+)", cell)}
+    assert units <= set(re.findall(r"/(\S+)", " ".join(cells(narrow))))
+
+
+def test_columns_are_stacked_with_the_first_one_in_each_group():
+    columns = [Column(name, [1.0], ".3f") for name in ("angle", "a", "b", "c")]
+    # one of 5 characters in 8, of 5 in 8, and a border: 17, and 25 with one more
+    assert [[c.heading for c in group] for group in stacked(columns, 24)] == [
+        ["angle", "a"], ["angle", "b"], ["angle", "c"]
+    ]  # fmt: skip
+    assert [[c.heading for c in group] for group in stacked(columns, 25)] == [
+        ["angle", "a", "b"], ["angle", "c"]
+    ]  # fmt: skip
+
+
+def test_who_has_read_enough_ends_a_verb_without_a_word():
+    with subprocess.Popen(
+        command("effort"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as child:
+        child.stdout.close()
+        words = child.stderr.read()
+    assert child.returncode == 141
+    assert "roken pipe" not in words
+    assert "Exception" not in words
