@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rotcal_ros.api.reading import Name
-from rotcal_ros.catalogue.calibration import prepare
+from rotcal_ros.catalogue.calibration import prepare_whole
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.measurements import PlannedMeasurements
 from rotcal_ros.catalogue.method import Measurements
@@ -217,7 +217,7 @@ def _measured_input(number: int, source: Curve) -> CombinationInput:
 def _measured(source: Configuration | Recording | Measurements) -> Measurements:
     """Return what was measured, or for a configuration the nominal observations of its plan."""
     if isinstance(source, Configuration):
-        calibration = prepare(source)
+        calibration = prepare_whole(source)
         return PlannedMeasurements(calibration, calibration.nominal_observations())
     if isinstance(source, Recording):
         return PlannedMeasurements(source.calibration, source.observations, source.sha256)

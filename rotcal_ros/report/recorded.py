@@ -58,12 +58,11 @@ def write_measured(
     if isinstance(measured, Recording):
         return write_recorded(measured, page, truth)
     configuration, result = measured.configuration, measured.solve()
-    planned = isinstance(measured, PlannedMeasurements)
     report = ReportInput(
         result=result,
         title="Calibration of a rotary table",
         method_title=configuration.method.title,
-        observations=measured.observations if planned else (),
+        observations=measured.observations if isinstance(measured, PlannedMeasurements) else (),
         configuration_text=configuration.text,
         inputs=[*measured.sha256.items(), ("plan and configuration", configuration.plan_id)],
         versions=_versions({}),

@@ -155,7 +155,7 @@ def test_solve_gives_json_and_nothing_else(bag: Path, tmp_path: Path) -> None:
 def test_solve_for_people(bag: Path) -> None:
     result = run("solve", bag)
     assert "ECC/arcsec" in result.stdout
-    assert re.search(r"verdict ok.*: 32 observations", result.stdout)
+    assert re.search(r"verdict ok.*: 32 observations", result.stderr)
 
 
 @pytest.mark.usefixtures("solver")

@@ -140,7 +140,7 @@ def test_the_plan_verb_tells_which_observations_could_hide_an_error(tmp_path):
     assert 0.0 < data["worst"][0]["effect_std"] <= 1.01 * data["worst"][0]["effect_bound_std"]
     # dof of the network: 108 lengths, 18 x 3 weighed coordinates; 6 x 4 + 54 unknowns
     assert data["mean_redundancy"] * 108 < 108 - 24
-    words = CliRunner().invoke(rotcal, ["plan", "reliability", str(configuration)]).stdout
+    words = CliRunner().invoke(rotcal, ["plan", "reliability", str(configuration)]).stderr
     assert "108 observations" in words
 
 

@@ -17,6 +17,8 @@ from typing import Any, Final
 
 import click
 
+from rotcal_ros.arrays import Floats, Ints
+
 BORDER: Final = 1
 PADDING: Final = 3
 """Characters that a column takes beside its cells: a blank on each side, and a line."""
@@ -31,9 +33,9 @@ class Column:
     """
 
     heading: str
-    cells: Sequence[Any]
+    cells: Sequence[Any] | Floats | Ints
     digits: str = ""
-    std: Sequence[float] | None = None
+    std: Floats | None = None
 
     def shown(self) -> list[str]:
         """Return the cells as people read them."""
@@ -55,7 +57,7 @@ class Column:
             texts = [word for text in texts for word in text.split()]
         return max(map(len, texts), default=0)
 
-    def plain(self) -> Iterator[tuple[str, Sequence[Any]]]:
+    def plain(self) -> Iterator[tuple[str, Sequence[Any] | Floats | Ints]]:
         """Yield heading and cells of the columns in CSV."""
         yield self.heading, self.cells
         if self.std is not None:
