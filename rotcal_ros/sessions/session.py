@@ -52,6 +52,16 @@ class Session:
         return self.continuation is not None and not self.continuation.steps
 
     @property
+    def run_log(self) -> Path:
+        """What 'rotcal run' itself says once it has no terminal."""
+        return self.log_folder / "run.log"
+
+    @property
+    def attach_command(self) -> str:
+        """The command line that shows this session while it runs."""
+        return f"rotcal attach {self.folder.path}"
+
+    @property
     def resume_command(self) -> str:
         """The command line that continues this session."""
         return (

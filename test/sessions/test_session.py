@@ -6,8 +6,8 @@ import pytest
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.sessions.display import describe
 from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.sessions.following import describe
 from rotcal_ros.sessions.session import free_name, prepare_session
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"
