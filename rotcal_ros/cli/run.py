@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -30,6 +31,7 @@ from rotcal_ros.cli.console import json_option, path_type, print_outcome
 @click.option(
     "-y", "--yes", is_flag=True, help="Take every work asked of a person as done at once."
 )
+@click.option("--scene", is_flag=True, help="Publish markers for RViz and Foxglove too.")
 @click.option("--detach", is_flag=True, help="Go on in the background; see 'rotcal attach'.")
 @json_option
 def command(
@@ -41,6 +43,7 @@ def command(
     no_report: bool,
     no_export: bool,
     yes: bool,
+    scene: bool,
     detach: bool,
     as_json: bool,
 ) -> int:
@@ -71,6 +74,7 @@ def command(
         session = resume_session(configuration, resume, changes)
     else:
         raise click.UsageError("--resume continues in its own FOLDER, without --output")
+    session = replace(session, shown_by=("scene",) * scene)
     viewers = Viewers(session, at_once=yes)
     if detach and not go_to_background(session.run_log):
         click.echo(f"it runs in the background; to see it: {session.attach_command}")

@@ -23,13 +23,15 @@ from rotcal_ros.session_folder import SessionFolder
 class Session:
     """A calibration and its folder; ``continuation`` is what an interrupted run has left.
 
-    ``continued_by`` is the command line that goes on with the whole of which it is a part.
+    ``continued_by`` is the command line that goes on with the whole of which it is a part,
+    ``shown_by`` names nodes for people that are started too: see VIEWERS of node_names.
     """
 
     calibration: Calibration
     folder: SessionFolder
     continuation: Continuation | None = None
     continued_by: str = ""
+    shown_by: tuple[str, ...] = ()
 
     @property
     def configuration(self) -> Configuration:
