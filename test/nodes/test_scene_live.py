@@ -87,10 +87,12 @@ def test_every_topic_of_the_foxglove_layout_is_published(rotcal, tmp_path):
     sizes = sizes_by_topic(folder / "bag")
     named_topics = set(re.findall(r'"(/[a-z_/]+)', LAYOUT.read_text()))
     assert {"/cell/scene", "/cell/deviations", "/diagnostics", "/rosout"} <= named_topics
-    assert named_topics - sizes.keys() == set()
+    quiet = {"/rosout"}  # every ROS node offers it, and says nothing when all is well
+    assert named_topics - quiet - sizes.keys() == set()
     panels = json.loads(LAYOUT.read_text())
     assert set(re.findall(r'"(\w+!\w+)"', json.dumps(panels["layout"]))) == set(
         panels["configById"]
     )
     drawn = sizes["/cell/scene"] + sizes["/cell/scene_motion"]
+    print(f'scene: {drawn} of {sum(sizes.values())} bytes')
     assert drawn < SHARE * sum(sizes.values()), (drawn, sum(sizes.values()))
