@@ -94,5 +94,4 @@ def test_every_topic_of_the_foxglove_layout_is_published(rotcal, tmp_path):
         panels["configById"]
     )
     drawn = sizes["/cell/scene"] + sizes["/cell/scene_motion"]
-    print(f'scene: {drawn} of {sum(sizes.values())} bytes')
     assert drawn < SHARE * sum(sizes.values()), (drawn, sum(sizes.values()))
