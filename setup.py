@@ -32,7 +32,7 @@ CONTROLLERS = {
         )
     },
 }
-SHARED = ["config", "config/plates", "launch"]
+SHARED = ["config", "config/foxglove", "config/plates", "launch"]
 
 version = re.search(r'__version__ = "(.+)"', Path(NAME, "__init__.py").read_text()).group(1)
 
@@ -78,6 +78,7 @@ setup(
             "ros-sensor-msgs",
             "ros-std-msgs",
             "ros-std-srvs",
+            "ros-visualization-msgs",
         ],
         "many": ["distributed", "fsspec", "pyarrow"],
         "opcua": ["asyncua", "cryptography"],

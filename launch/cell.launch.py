@@ -9,7 +9,7 @@ from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
 from rotcal_ros.catalogue import read_configuration
-from rotcal_ros.node_names import FURTHER_NODES, NODES
+from rotcal_ros.node_names import FURTHER_NODES, NODES, VIEWERS
 
 CLOSING_S = "25"
 
@@ -46,6 +46,10 @@ def generate_launch_description():
             asked = False
         return [node(name)] if asked else []
 
+    def shown(context, argument, name):
+        """Start a node for people when asked to."""
+        return [node(name)] if LaunchConfiguration(argument).perform(context) == "true" else []
+
     return LaunchDescription(
         [
             DeclareLaunchArgument(
@@ -62,10 +66,20 @@ def generate_launch_description():
                 description="Simulate the machine and the instruments.",
                 choices=["true", "false"],
             ),
+            DeclareLaunchArgument(
+                "scene",
+                default_value="false",
+                description="Publish markers for RViz and Foxglove.",
+                choices=["true", "false"],
+            ),
             *(node(name) for name in NODES),
             *(
                 OpaqueFunction(function=lambda context, g=group, n=name: wanted(context, g, n))
                 for group, name in FURTHER_NODES.items()
+            ),
+            *(
+                OpaqueFunction(function=lambda context, a=argument, n=name: shown(context, a, n))
+                for argument, name in VIEWERS.items()
             ),
         ]
     )

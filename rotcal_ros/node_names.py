@@ -9,9 +9,11 @@ NODES: Final = ("planner", "capture", "solver", "recorder")
 """Nodes of every cell."""
 FURTHER_NODES: Final[Mapping[str, str]] = {"bridge": "bridge", "simulation": "simulated_cell"}
 """Nodes that are started when the configuration has a group: group -> node."""
+VIEWERS: Final[Mapping[str, str]] = {"scene": "scene"}
+"""Nodes for people: how they are asked for -> node. No calibration needs one or ends with it."""
 DRIVERS: Final = ("linuxcnc_driver",)
 """Nodes that are started by hand, for the machine that the user has."""
-EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *DRIVERS)
+EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS)
 """All nodes, each a module of rotcal_ros.nodes and a command of the package."""
 PREFLIGHT_NODES: Final = tuple(name for name in NODES if name != "planner")
 """Nodes that must beat before anything moves; the planner is the one that looks."""

@@ -16,6 +16,9 @@ REQUEST: Final = "verify.json"
 CONFIGURATION: Final = "configuration.yaml"
 """In a session's folder, and as an attachment in its bag."""
 
+MEETING_POINT: Final = "running.json"
+"""In a session's folder while it runs: the address of its socket."""
+
 
 @dataclass(frozen=True, slots=True)
 class SessionFolder:
@@ -57,6 +60,11 @@ class SessionFolder:
     def compensation(self) -> Path:
         """Folder of the controller files."""
         return self.path / "compensation"
+
+    @property
+    def meeting_point(self) -> Path:
+        """Where others can attach to the calibration; it is there while that runs."""
+        return self.path / MEETING_POINT
 
     def log(self, run: int = 0) -> Path:
         """Return the folder that takes what the nodes of a run print."""

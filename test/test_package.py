@@ -31,7 +31,7 @@ ROSDEP_KEYS = {
     "zstandard": "mcap-ros2-support",  # comes with mcap
 }
 OF_THE_CONTROLLER = {"hal", "linuxcnc"}
-RECORDED_BY_NAME = {"geometry_msgs", "lifecycle_msgs"}  # types that the recorder meets as text
+RECORDED_BY_NAME = {"lifecycle_msgs"}  # types that the recorder meets as text
 MAX_LINES = 400
 MAX_NODE_LINES = 200
 VAGUE = {"said", "told", "made", "still", "one"}

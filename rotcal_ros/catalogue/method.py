@@ -14,6 +14,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.disturbance import Disturbances
 from rotcal_ros.catalogue.plan_files import PlanFile
+from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.figures import Figure
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Step
@@ -96,7 +97,7 @@ class Method:
     ``plan`` builds the plan from a configuration and refuses settings that cannot work;
     ``capture`` says how the streams become observations of its steps; ``solve`` turns a
     configuration, its plan and accepted observations into a result. ``nominal`` tells what an
-    instrument without error would see.
+    instrument without error would see, ``stations`` where the instruments stand.
 
     ``gauge`` takes from true deviations (n,) at angles (n,) what the method cannot see, so that
     they can be compared with a result. A method whose values are relative to a zero that an
@@ -132,6 +133,7 @@ class Method:
     solve: Callable[[Configuration, Plan, Observed], Result]
     simulation_settings: type[SimulationSettings]
     nominal: Callable[[Configuration, Plan], See] | None = None
+    stations: Callable[[Configuration], Stations] | None = None
     gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
     joins_runs: bool = False
     older_plans: tuple[Callable[[Configuration], Plan], ...] = ()

@@ -51,6 +51,27 @@ def print_line(text: str) -> None:
         click.echo(text)
 
 
+def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
+    """Print how a calibration ended and where everything is; return its exit code."""
+    if outcome.get("interrupted"):
+        return INTERRUPTED
+    if as_json:
+        print_json(outcome)
+    else:
+        parts = [
+            f"{outcome['n_used']} steps used",
+            f"{len(outcome['skipped_steps'])} skipped",
+            f"{outcome['n_rejected']} attempts rejected",
+        ]
+        if "seconds" in outcome:
+            parts.append(f"{outcome['seconds']:.0f} s")
+        print_verdict(outcome["verdict_line"], ", ".join(parts))
+        for name, path in outcome.get("files", {}).items():
+            click.echo(f"{name + ':':<14}{path}")
+        print_line(outcome.get("goal_line", ""))
+    return VERDICT_EXIT_CODES[outcome["verdict"]]
+
+
 def print_verdict(verdict_line: str, text: str) -> None:
     """Print the last line: the verdict, what it does not cover, and what it rests on."""
     colour = "green" if verdict_line == "ok" else "yellow"

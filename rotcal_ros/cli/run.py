@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 
-from rotcal_ros.cli.console import (
-    INTERRUPTED,
-    VERDICT_EXIT_CODES,
-    json_option,
-    path_type,
-    print_json,
-    print_line,
-    print_verdict,
-)
+from rotcal_ros.cli.console import json_option, path_type, print_outcome
 
 
 @click.command()
@@ -40,6 +31,8 @@ from rotcal_ros.cli.console import (
 @click.option(
     "-y", "--yes", is_flag=True, help="Take every work asked of a person as done at once."
 )
+@click.option("--scene", is_flag=True, help="Publish markers for RViz and Foxglove too.")
+@click.option("--detach", is_flag=True, help="Go on in the background; see 'rotcal attach'.")
 @json_option
 def command(
     configuration: Path,
@@ -50,6 +43,8 @@ def command(
     no_report: bool,
     no_export: bool,
     yes: bool,
+    scene: bool,
+    detach: bool,
     as_json: bool,
 ) -> int:
     """Start the nodes of the cell that CONFIG describes, calibrate, end them.
@@ -57,14 +52,19 @@ def command(
     With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
     running. Where the plan needs a person, the instruction is shown: a simulated person does it
     at once, a real one presses Enter when done (or calls the service 'resume' of the cell).
-    Ctrl-C cancels: the bag stays valid, and --resume continues it.
+    Ctrl-C cancels: the bag stays valid, and --resume continues it. A lost terminal does not end
+    the calibration: 'rotcal attach' shows it again.
     """
     from rotcal_ros.sessions.environment import require_ros
     from rotcal_ros.sessions.following import calibrate
+    from rotcal_ros.sessions.lasting import go_to_background, lasting_output
     from rotcal_ros.sessions.products import goal_line, write_products
     from rotcal_ros.sessions.resume import resume_session
     from rotcal_ros.sessions.session import prepare_session
+    from rotcal_ros.sessions.viewers import Viewers
 
+    if detach and as_json:
+        raise click.UsageError("--json prints what --detach does not wait for")
     require_ros()
     started = time.monotonic()
     if resume is None:
@@ -74,26 +74,19 @@ def command(
         session = resume_session(configuration, resume, changes)
     else:
         raise click.UsageError("--resume continues in its own FOLDER, without --output")
-    outcome = calibrate(session, at_once=yes)
-    if outcome.get("interrupted"):
-        return INTERRUPTED
-    files = write_products(session, report=not no_report, export=not no_export)
-    outcome |= {"seconds": round(time.monotonic() - started, 1), "files": files}
-    if as_json:
-        print_json(outcome)
-    else:
-        _print(outcome)
-        print_line(goal_line(session.folder))
-    return VERDICT_EXIT_CODES[outcome["verdict"]]
-
-
-def _print(outcome: Mapping[str, Any]) -> None:
-    """Print the verdict in one line and where everything is."""
-    skipped = len(outcome["skipped_steps"])
-    print_verdict(
-        outcome["verdict_line"],
-        f"{outcome['n_used']} steps used, {skipped} skipped, "
-        f"{outcome['n_rejected']} attempts rejected, {outcome['seconds']:.0f} s",
-    )
-    for name, path in outcome["files"].items():
-        click.echo(f"{name + ':':<14}{path}")
+    session = replace(session, shown_by=("scene",) * scene)
+    viewers = Viewers(session, at_once=yes)
+    if detach and not go_to_background(session.run_log):
+        click.echo(f"it runs in the background; to see it: {session.attach_command}")
+        return 0
+    with lasting_output(session.run_log), viewers:
+        outcome = calibrate(session, viewers, at_once=yes)
+        if not outcome.get("interrupted"):
+            files = write_products(
+                session, report=not no_report, export=not no_export, tell=viewers.say
+            )
+            seconds = round(time.monotonic() - started, 1)
+            goal = goal_line(session.folder)
+            outcome |= {"seconds": seconds, "files": files, "goal_line": goal}
+        viewers.end(outcome)
+        return print_outcome(outcome, as_json=as_json)

@@ -75,9 +75,11 @@ def _verify(folder: Path, as_json: bool) -> int:
     """Do what is left to do in ``folder`` and print the outcome; return the exit code."""
     from rotcal_ros.report.verification import verification_section
     from rotcal_ros.session_folder import VERIFICATION, SessionFolder
+    from rotcal_ros.sessions.lasting import lasting_output
     from rotcal_ros.sessions.products import goal_line, write_report
     from rotcal_ros.sessions.verification import verify
 
+    click.get_current_context().with_resource(lasting_output(folder / "verify.log"))
     verified = verify(folder)
     if verified is None:
         return INTERRUPTED

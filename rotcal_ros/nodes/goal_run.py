@@ -12,7 +12,7 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.files import write_atomically
-from rotcal_ros.node_names import PREFLIGHT_NODES
+from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
@@ -76,6 +76,7 @@ class GoalRun:
         watch.tell("preflight: topics")
         await watch.have(lambda: links.missing_topics(topics), Codes.TOPIC_MISSING)
         watch.nodes |= links.health.present()
+        watch.nodes -= set(VIEWERS.values())
 
     async def _open_bag(self) -> SessionFolder:
         """Have the recorder open a new session folder with a bag."""

@@ -6,16 +6,20 @@ import json
 import sys
 from typing import Final
 
-from rotcal_ros.node_names import FURTHER_NODES, NODES
+from rotcal_ros.node_names import FURTHER_NODES, NODES, VIEWERS
 from rotcal_ros.sessions.session import Session
 
 CLIENT: Final = "client"
 
 
 def node_names(session: Session) -> list[str]:
-    """Return the nodes that a session starts: those of every cell, and those with a group."""
+    """Return the nodes that a session starts.
+
+    Those of every cell, those with a group, and those for people that were asked for.
+    """
     given = session.configuration.given
-    return [*NODES, *(node for group, node in FURTHER_NODES.items() if group in given)]
+    further = (node for group, node in FURTHER_NODES.items() if group in given)
+    return [*NODES, *further, *(VIEWERS[name] for name in session.shown_by)]
 
 
 def node_command(session: Session, name: str) -> list[str]:

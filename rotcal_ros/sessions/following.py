@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Mapping
 from queue import Empty
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, Final, NoReturn
 
-from rotcal_ros.circumstances import SIMULATED
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.files import write_atomically
-from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.sources import read_source
 from rotcal_ros.report.terminal.console import progress_bar, say
 from rotcal_ros.sessions.commands import CLIENT
+from rotcal_ros.sessions.display import NO_MACHINE, Display, Event
 from rotcal_ros.sessions.person import Person
 from rotcal_ros.sessions.running import RunningSession, running
 from rotcal_ros.sessions.session import Session
-from rotcal_ros.units import ARCSEC
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
+from rotcal_ros.sessions.viewers import Viewers
 
 SILENCE_TIMEOUT_S: Final = 60.0
 """The client reports every second; after this silence it hangs."""
@@ -33,26 +28,25 @@ _USAGE_ERRORS: Final = (601, 602)
 """Error codes of the action that the user cures before the next start: bad configuration,
 topic missing."""
 
-Event = Mapping[str, Any]
 
-
-def calibrate(session: Session, *, at_once: bool = False) -> dict[str, Any]:
+def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> dict[str, Any]:
     """Run the nodes of a session to the end and return the outcome of the goal.
 
-    A person's work counts as done ``at_once`` or when the person says so. The outcome's
-    ``interrupted`` is true when the user ended it, else its ``verdict_line`` says how far to
-    trust the result. Raises RotcalError when it failed.
+    A person's work counts as done ``at_once`` or when the person says so, here or as a viewer. The
+    outcome's ``interrupted`` is true when the user ended it, else its ``verdict_line`` says how
+    far to trust the result. Raises RotcalError when it failed.
     """
     if session.configuration.simulated:
-        say(f"{SIMULATED}: no machine is measured, the cell is a simulation")
+        say(NO_MACHINE)
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        outcome = _solve_bag(session) if session.finished else _run(session, at_once)
+        outcome = _solve_bag(session) if session.finished else _run(session, viewers, at_once)
     finally:
         signal.signal(signal.SIGTERM, previous)
     if outcome.get("interrupted"):
-        say(f"interrupted; the bag is closed: {outcome.get('bag_folder') or 'none was begun'}")
-        say(f"to go on: {session.resume_command}")
+        bag = outcome.get("bag_folder") or "none was begun"
+        viewers.say(f"interrupted; the bag is closed: {bag}")
+        viewers.say(f"to go on: {session.resume_command}")
     elif outcome["error_code"]:
         _fail(session, outcome)
     else:
@@ -64,13 +58,13 @@ def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _run(session: Session, at_once: bool) -> dict[str, Any]:
+def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:
     """Run the nodes until the client reports the result."""
     with running(session) as nodes:
         try:
-            return _follow(nodes, Person(session.configuration, at_once))
+            return _follow(nodes, Person(session.configuration, at_once), viewers)
         except KeyboardInterrupt:
-            say("canceling: the bag is being closed")
+            viewers.say("canceling: the bag is being closed")
             nodes.cancel()
             return {**_result_of_cancelling(nodes), "interrupted": True}
 
@@ -103,12 +97,16 @@ def _result_of_cancelling(nodes: RunningSession) -> Event:
     return {}
 
 
-def _follow(nodes: RunningSession, person: Person) -> dict[str, Any]:
-    """Show the progress and ask the person; return the result event."""
+def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str, Any]:
+    """Show the progress and ask the person; return the result event.
+
+    Raises KeyboardInterrupt when a viewer stops it, as Ctrl-C would.
+    """
     with progress_bar(time_left=False) as bar:  # the planner knows it better
-        display = _Display(bar)
+        display = Display(bar)
         heard, begun = time.monotonic(), False
         while True:
+            _obey(viewers, person)
             if person.is_done():
                 nodes.resume()
             try:
@@ -120,9 +118,19 @@ def _follow(nodes: RunningSession, person: Person) -> dict[str, Any]:
             if event["event"] in ("result", "refused", "end"):
                 return _ending(nodes, event, begun)
             begun = begun or event["event"] == "started"
+            viewers.publish(event)
             display.line(person.hear(event))
             if event["event"] == "feedback":
                 display.feedback(event)
+
+
+def _obey(viewers: Viewers, person: Person) -> None:
+    """Do what the viewers have asked for."""
+    for order in viewers.orders():
+        if order.get("event") == "stop":
+            raise KeyboardInterrupt
+        if order.get("event") == "done":
+            person.confirm(order.get("instruction", ""))
 
 
 def _check(nodes: RunningSession, begun: bool, silence_s: float) -> None:
@@ -148,49 +156,6 @@ def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[s
             raise ConfigurationError(f"node client ended at its start:\n{tail}")
         raise DataError(f"the client ended without a result\n{tail}")
     return event
-
-
-class _Display:
-    """A progress bar; where there is no terminal, a line for every tenth of the steps."""
-
-    def __init__(self, bar: Progress) -> None:
-        self._bar = bar
-        self._task = bar.add_task("starting the nodes", total=None)
-        self._decile = 0
-
-    def line(self, text: str) -> None:
-        """Print a line, if there is any, above the bar."""
-        if text:
-            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
-
-    def feedback(self, event: Event) -> None:
-        """Move the bar."""
-        step, total, text = event["step"], event["total"], describe(event)
-        self._bar.update(self._task, completed=step, total=total, description=text)
-        if self._bar.disable and step * 10 // total > self._decile:
-            self._decile = step * 10 // total
-            say(f"{step} of {total} steps, {text}")
-
-
-def describe(feedback: Event) -> str:
-    """Return a feedback in words: activity, standard deviation, time left."""
-    activity = str(feedback["activity"])
-    words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
-    if feedback.get("goal_rad") is not None:
-        words.append(_standing(feedback["uncertainty_rad"], feedback["goal_rad"]))
-    elif feedback["current_std_rad"] is not None:
-        words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
-    if feedback["time_left_s"] is not None:
-        words.append(f"{feedback['time_left_s']:.0f} s left")
-    return ", ".join(words)
-
-
-def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
-    """Return how far a policy is from its goal; at first some station has too few lengths."""
-    goal = f"{goal_rad / ARCSEC:.2f} arcsec"
-    if uncertainty_rad is None:
-        return f"goal U {goal}, known once all stations are placed"
-    return f"U {uncertainty_rad / ARCSEC:.2f} of {goal}"
 
 
 def _fail(session: Session, outcome: Event) -> NoReturn:

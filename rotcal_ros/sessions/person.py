@@ -14,46 +14,66 @@ from rotcal_ros.planning.plan import PAUSED
 class Person:
     """Does the work that a plan leaves to a person, or says when it is done.
 
-    In a simulated cell, or with ``at_once``, the work is done as soon as it is asked for. In a
-    terminal Enter says so. Without one only the service ``resume`` of the cell does.
+    In a simulated cell, or with ``at_once``, the work is done as soon as it is asked for; not by
+    one who is only ``watching`` from another terminal. In a terminal Enter says so. Without one
+    only others do: one who is attached, or the service ``resume`` of the cell.
+    ``instruction`` is what was asked for last.
     """
 
-    def __init__(self, configuration: Configuration, at_once: bool) -> None:
+    def __init__(
+        self, configuration: Configuration, at_once: bool, *, watching: bool = False
+    ) -> None:
         self._service = f"{configuration.cell.namespace.rstrip('/')}/resume"
         self._simulated = configuration.simulated
-        self._at_once = at_once or configuration.simulated
-        self._asked = False
+        self._as_done = at_once or configuration.simulated
+        self._at_once = self._as_done and not watching
+        self._asked = self._confirmed = False
+        self.instruction = ""
 
     def hear(self, event: Mapping[str, Any]) -> str:
         """Take an event of the client and return what the person has to read, often nothing."""
         if event["event"] == "paused":
-            self._asked = True
-            return f"{event['instruction']}{self._what_then()}"
+            self._asked, self._confirmed = True, False
+            _enter_pressed()  # what was typed before is no answer
+            self.instruction = event["instruction"]
+            return f"{self.instruction}{self._what_then()}"
         if event["event"] == "resumed" and not event["success"]:
             return str(event["reason"])
         if event["event"] == "feedback":  # the service may have been called by anybody
             self._asked = self._asked and event["activity"].startswith(PAUSED)
         return ""
 
+    def confirm(self, instruction: str) -> None:
+        """Take the word of another terminal that this work is done, if it is still asked for."""
+        self._confirmed = self._asked and instruction == self.instruction
+
     def is_done(self) -> bool:
         """Return True once for every work that is done."""
-        done = self._asked and (self._at_once or _enter_pressed())
+        done = self._asked and (self._at_once or self._confirmed or _enter_pressed())
         self._asked = self._asked and not done
         return done
 
     def _what_then(self) -> str:
         if self._simulated:
             return ": done by the simulated person"
-        if self._at_once:
+        if self._as_done:
             return ": taken as done (--yes)"
         if sys.stdin.isatty():
             return "; then press Enter"
-        return f"; then call the service {self._service} (std_srvs/srv/Trigger)"
+        return (
+            "; then press Enter in 'rotcal attach', or call the service "
+            f"{self._service} (std_srvs/srv/Trigger)"
+        )
 
 
 def _enter_pressed() -> bool:
-    """Return whether a line was entered in the terminal; never waits."""
-    if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:
+    """Return whether a line was entered in the terminal; never waits.
+
+    A terminal that is lost in this moment has its end to read, and is none any more.
+    """
+    try:
+        if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0.0)[0]:
+            return False
+        return bool(sys.stdin.readline())
+    except OSError:
         return False
-    sys.stdin.readline()
-    return True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Final
@@ -29,12 +29,16 @@ FORMATS: Final = ("csv", "linuxcnc")
 
 
 def write_products(
-    session: Session, *, report: bool = True, export: bool = True
+    session: Session,
+    *,
+    report: bool = True,
+    export: bool = True,
+    tell: Callable[[str], None] = say,
 ) -> dict[str, str]:
     """Write what follows from the result; return name -> absolute path of all there is.
 
     A report or controller files that cannot be written never spoil a calibration: the reason is
-    shown, and they are left out.
+    told, and they are left out.
     """
     folder = session.folder
     paths = {"bag": folder.bag, "result": folder.result}
@@ -46,13 +50,13 @@ def write_products(
             write_report(folder)
             paths["report"] = folder.report
         except (RotcalError, OSError) as error:
-            say(f"no report: {error}")
+            tell(f"no report: {error}")
     if export:
         try:
             _write_compensation(session)
             paths["compensation"] = folder.compensation
         except RotcalError as error:
-            say(f"no compensation files: {error}")
+            tell(f"no compensation files: {error}")
     return {name: str(path) for name, path in paths.items()}
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from rotcal_ros.catalogue.configuration import node_parameters
 from rotcal_ros.files import FolderLock, write_atomically
+from rotcal_ros.node_names import VIEWERS
 from rotcal_ros.sessions.commands import CLIENT, client_command, node_command, node_names
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
@@ -27,8 +28,9 @@ class RunningSession:
         Thread(target=self._read, name="client reader", daemon=True).start()
 
     def ended(self) -> dict[str, int]:
-        """Return the exit codes of nodes that have ended."""
-        return {n: code for n, code in self._processes.ended().items() if n != CLIENT}
+        """Return the exit codes of nodes that have ended; those for people may."""
+        ended = self._processes.ended()
+        return {n: code for n, code in ended.items() if n not in (CLIENT, *VIEWERS.values())}
 
     def cancel(self) -> None:
         """Ask the client to cancel its goal."""

@@ -25,13 +25,15 @@ from rotcal_ros.sessions.disk_space import require_space
 class Session:
     """A calibration and its folder; ``continuation`` is what an interrupted run has left.
 
-    ``continued_by`` is the command line that goes on with the whole of which it is a part.
+    ``continued_by`` is the command line that goes on with the whole of which it is a part,
+    ``shown_by`` names nodes for people that are started too: see VIEWERS of node_names.
     """
 
     calibration: Calibration
     folder: SessionFolder
     continuation: Continuation | None = None
     continued_by: str = ""
+    shown_by: tuple[str, ...] = ()
 
     @property
     def configuration(self) -> Configuration:
@@ -52,6 +54,16 @@ class Session:
     def finished(self) -> bool:
         """Whether there is no step left to measure."""
         return self.continuation is not None and not self.continuation.steps
+
+    @property
+    def run_log(self) -> Path:
+        """What 'rotcal run' itself says once it has no terminal."""
+        return self.log_folder / "run.log"
+
+    @property
+    def attach_command(self) -> str:
+        """The command line that shows this session while it runs."""
+        return f"rotcal attach {self.folder.path}"
 
     @property
     def resume_command(self) -> str:

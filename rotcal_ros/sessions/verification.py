@@ -35,6 +35,7 @@ from rotcal_ros.sessions.following import calibrate
 from rotcal_ros.sessions.products import export_files, write_exports, write_truth
 from rotcal_ros.sessions.resume import resume_session
 from rotcal_ros.sessions.session import Session, checked_calibration, prepare_session
+from rotcal_ros.sessions.viewers import Viewers
 from rotcal_ros.simulation.positioning import true_runs
 from rotcal_ros.units import DEGREE
 
@@ -214,7 +215,10 @@ def _measure(
     if not folder.result.is_file():
         say(f"measuring {'before' if path == whole else path.name} compensation")
         session = replace(session, continued_by=f"rotcal verify --resume {whole}")
-        if calibrate(session).get("interrupted"):
+        with Viewers(session) as viewers:
+            outcome = calibrate(session, viewers)
+            viewers.end(outcome)
+        if outcome.get("interrupted"):
             return None
     if not folder.truth.is_file():
         write_truth(session)

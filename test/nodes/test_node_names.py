@@ -12,7 +12,14 @@ from unittest.mock import MagicMock
 import pytest
 
 from rotcal_ros.catalogue.configuration import GROUPS
-from rotcal_ros.node_names import DRIVERS, EXECUTABLES, FURTHER_NODES, NODES, PREFLIGHT_NODES
+from rotcal_ros.node_names import (
+    DRIVERS,
+    EXECUTABLES,
+    FURTHER_NODES,
+    NODES,
+    PREFLIGHT_NODES,
+    VIEWERS,
+)
 from rotcal_ros.sessions import commands
 
 ROOT = Path(__file__).parents[2]
@@ -45,9 +52,10 @@ def test_every_node_reports_its_state(name):
 
 def test_the_lists_fit_each_other():
     assert len(set(EXECUTABLES)) == len(EXECUTABLES)
-    assert set(EXECUTABLES) == {*NODES, *FURTHER_NODES.values(), *DRIVERS}
+    assert set(EXECUTABLES) == {*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS}
     assert set(PREFLIGHT_NODES) == set(NODES) - {"planner"}
     assert set(FURTHER_NODES) <= set(GROUPS)
+    assert not set(VIEWERS.values()) & set(PREFLIGHT_NODES)
 
 
 def test_the_package_installs_a_command_for_every_node(monkeypatch):
@@ -83,15 +91,24 @@ def test_the_launch_file_starts_what_is_listed(monkeypatch, tmp_path, bridge, si
     assert started == [*NODES, *further]
 
 
+@pytest.mark.parametrize("argument", VIEWERS)
+def test_the_launch_file_starts_nodes_for_people_when_asked_to(monkeypatch, argument):
+    file = ROOT / "config" / "tracer_paper.yaml"
+    started, later = launched(monkeypatch, file, simulated=False, **{argument: "true"})
+    for function in later:
+        function(None)
+    assert started == [*NODES, VIEWERS[argument]]
+
+
 def test_a_real_configuration_starts_no_simulation(monkeypatch):
     _, later = launched(monkeypatch, ROOT / "config" / "tracer.yaml", simulated=True)
     with pytest.raises(RuntimeError, match="is for a real cell"):
         [function(None) for function in later]
 
 
-def launched(monkeypatch, file, *, simulated):
+def launched(monkeypatch, file, *, simulated, **more):
     """Return the nodes that the launch file starts at once, and what it decides later."""
-    values = {"configuration": str(file), "simulated": str(simulated).lower()}
+    values = {"configuration": str(file), "simulated": str(simulated).lower()} | more
     started, later = [], []
     launch = MagicMock()
     launch.actions.Node.side_effect = lambda **options: started.append(options["executable"])

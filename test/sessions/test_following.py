@@ -36,14 +36,30 @@ class Nodes:
         self.resumed += 1
 
 
+class Viewers:
+    """Stands for viewers: notes what they hear, and asks for what the test wants."""
+
+    def __init__(self, *orders):
+        self.heard = []
+        self._orders = list(orders)
+
+    def publish(self, event):
+        self.heard.append(event)
+
+    def orders(self):
+        if any(event["event"] == "paused" for event in self.heard):
+            while self._orders:
+                yield self._orders.pop(0)
+
+
 def feedback(step, total=20):
     return {"event": "feedback", "step": step, "total": total, "activity": "table position 1",
             "current_std_rad": None, "time_left_s": 9.0}  # fmt: skip
 
 
-def follow(nodes, at_once=False):
+def follow(nodes, at_once=False, viewers=None):
     person = Person(parse_configuration(dump_configuration("plane_mirror", {})), at_once)
-    return _follow(nodes, person)
+    return _follow(nodes, person, viewers or Viewers())
 
 
 def test_progress_is_a_line_for_every_tenth_of_the_steps(capsys):
@@ -58,6 +74,24 @@ def test_work_of_a_person_that_counts_as_done_goes_on():
     nodes = Nodes(STARTED, PAUSED, feedback(1), RESULT)
     assert follow(nodes, at_once=True) == RESULT
     assert nodes.resumed == 1
+
+
+def test_a_viewer_says_that_the_work_is_done_that_is_asked_for_and_no_other():
+    done = {"event": "done", "instruction": PAUSED["instruction"]}
+    nodes, viewers = Nodes(STARTED, PAUSED, feedback(1), RESULT), Viewers(done)
+    assert follow(nodes, viewers=viewers) == RESULT
+    assert nodes.resumed == 1
+    assert viewers.heard == [STARTED, PAUSED, feedback(1)]
+
+    late = {"event": "done", "instruction": "put the tracker elsewhere"}
+    nodes = Nodes(STARTED, PAUSED, feedback(1), RESULT)
+    follow(nodes, viewers=Viewers(late, {"event": "nonsense"}))
+    assert nodes.resumed == 0
+
+
+def test_a_viewer_stops_it_as_ctrl_c_would():
+    with pytest.raises(KeyboardInterrupt):
+        follow(Nodes(STARTED, PAUSED, RESULT), viewers=Viewers({"event": "stop"}))
 
 
 @pytest.mark.parametrize(

@@ -28,9 +28,11 @@ def enter(monkeypatch):
     return press
 
 
-def make(*, simulated=False, yes=False):
+def make(*, simulated=False, yes=False, watching=False):
     groups = {"cell": {"namespace": "/north"}} | ({"simulation": {}} if simulated else {})
-    return Person(parse_configuration(dump_configuration("plane_mirror", groups)), yes)
+    return Person(
+        parse_configuration(dump_configuration("plane_mirror", groups)), yes, watching=watching
+    )
 
 
 @pytest.mark.parametrize(
@@ -73,6 +75,43 @@ def test_without_a_terminal_the_service_is_named(enter):
     enter(pressed=True, terminal=False)
     person = make()
     assert person.hear(PAUSED).endswith("call the service /north/resume (std_srvs/srv/Trigger)")
+    assert not person.is_done()
+
+
+@pytest.mark.parametrize("kind", [{"simulated": True}, {"yes": True}])
+def test_one_who_watches_does_nothing_of_its_own(kind, enter):
+    enter(pressed=False)
+    person = make(**kind, watching=True)
+    assert "done" in person.hear(PAUSED)
+    assert not person.is_done()
+
+
+def test_the_word_of_another_terminal_counts_for_what_is_asked_and_once(enter):
+    enter(pressed=False)
+    person = make()
+    person.confirm(PAUSED["instruction"])  # nothing is asked yet
+    person.hear(PAUSED)
+    person.confirm("put the tracker elsewhere")
+    assert not person.is_done()
+    person.confirm(PAUSED["instruction"])
+    assert person.is_done()
+    assert not person.is_done()
+
+
+def test_what_was_entered_before_it_was_asked_is_no_answer(enter):
+    enter(pressed=True)
+    person = make()
+    person.hear(PAUSED)  # reads it
+    assert not person.is_done()
+    enter(pressed=True)
+    assert person.is_done()
+
+
+def test_a_terminal_that_has_ended_has_not_said_enter(enter, monkeypatch):
+    enter(pressed=True)
+    monkeypatch.setattr("sys.stdin.readline", lambda: "")
+    person = make()
+    person.hear(PAUSED)
     assert not person.is_done()
 
 

@@ -9,8 +9,8 @@ from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.files import FolderLock
 from rotcal_ros.sessions.disk_space import expected_bytes
+from rotcal_ros.sessions.display import describe
 from rotcal_ros.sessions.environment import node_environment
-from rotcal_ros.sessions.following import describe
 from rotcal_ros.sessions.session import free_name, prepare_session
 
 DEMO = Path(__file__).parents[2] / "config" / "tracer_paper.yaml"

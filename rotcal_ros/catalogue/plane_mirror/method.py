@@ -20,10 +20,12 @@ from rotcal_ros.catalogue.plane_mirror.plan import (
     nominal_mirror,
     older_plan,
     plan,
+    position_angles,
     tracker_stands,
 )
 from rotcal_ros.catalogue.plane_mirror.plausibility import TrackerCheck
 from rotcal_ros.catalogue.plane_mirror.simulation_settings import MirrorSimulationSettings
+from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
 from rotcal_ros.methods.plane_mirror.solve import METHOD as NAME
@@ -48,6 +50,13 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
     return see
 
 
+def stations(configuration: Configuration) -> Stations:
+    """Return where the tracker stands."""
+    settings: MirrorPlanSettings = configuration.plan
+    stands = tracker_stands(settings, position_angles(settings))
+    return Stations(tuple(stand.place for stand in stands))
+
+
 METHOD: Final = Method(
     name=NAME,
     title="Laser tracker and plane mirror",
@@ -67,6 +76,7 @@ METHOD: Final = Method(
     trials=calibration.trials,
     check=calibration.check,
     nominal=nominal,
+    stations=stations,
     table=TableReader((table.HEADER, table.TIMED), table.read),
     figures=figures,
     disturbances=DISTURBANCES,

@@ -12,6 +12,7 @@ from rotcal_ros.capture.length import decide_length
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Method, See, TableReader
+from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.catalogue.tracer import calibration, table
 from rotcal_ros.catalogue.tracer.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.tracer.figures import figures
@@ -37,6 +38,14 @@ def nominal(configuration: Configuration, _plan: Plan) -> See:
         return (dist(step.position, station) - tracer.dead_distance_m,)
 
     return see
+
+
+def stations(configuration: Configuration) -> Stations:
+    """Return where the tracer rides: as the plan says, else where the simulation mounts it."""
+    place = configuration.plan.tracer_m
+    if not place and configuration.simulated:
+        place = configuration.simulation.tracer.mount_m
+    return Stations((tuple(place),) if place else (), carried=True)
 
 
 def compare(
@@ -66,6 +75,7 @@ METHOD: Final = Method(
     joins_runs=True,
     trials=calibration.trials,
     nominal=nominal,
+    stations=stations,
     table=TableReader(table.HEADERS, table.read),
     figures=figures,
     disturbances=DISTURBANCES,

@@ -11,6 +11,7 @@ from rotcal_ros.capture.length import decide_length
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Method, See, TableReader
+from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.catalogue.tracer_six import calibration, table
 from rotcal_ros.catalogue.tracer_six.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.tracer_six.figures import figures
@@ -53,6 +54,7 @@ METHOD: Final = Method(
     trials=calibration.trials,
     check=calibration.check,
     nominal=nominal,
+    stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
     gauge=without_axis_and_artefact,
     table=TableReader(table.HEADERS, table.read),
     short_setup=table.short_setup,

@@ -1,0 +1,64 @@
+"""How far a calibration has come, for the person at a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from rotcal_ros.circumstances import SIMULATED
+from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.report.terminal.console import say
+from rotcal_ros.units import ARCSEC
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+Event = Mapping[str, Any]
+NO_MACHINE: Final = f"{SIMULATED}: no machine is measured, the cell is a simulation"
+
+
+class Display:
+    """A progress bar; where there is no terminal, a line for every tenth of the steps.
+
+    ``deciles`` are how many tenths need no line; -1 asks for one at once.
+    """
+
+    def __init__(self, bar: Progress, deciles: int = 0) -> None:
+        self._bar = bar
+        self._task = bar.add_task("starting the nodes", total=None)
+        self._decile = deciles
+
+    def line(self, text: str) -> None:
+        """Print a line, if there is any, above the bar."""
+        if text:
+            self._bar.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def feedback(self, event: Event) -> None:
+        """Move the bar."""
+        step, total, text = event["step"], event["total"], describe(event)
+        self._bar.update(self._task, completed=step, total=total, description=text)
+        without_terminal = self._bar.disable or not self._bar.console.is_terminal
+        if without_terminal and step * 10 // total > self._decile:
+            say(f"{step} of {total} steps, {text}")
+        self._decile = max(self._decile, step * 10 // total)
+
+
+def describe(feedback: Event) -> str:
+    """Return a feedback in words: activity, standard deviation, time left."""
+    activity = str(feedback["activity"])
+    words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
+    if feedback.get("goal_rad") is not None:
+        words.append(_standing(feedback["uncertainty_rad"], feedback["goal_rad"]))
+    elif feedback["current_std_rad"] is not None:
+        words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
+    if feedback["time_left_s"] is not None:
+        words.append(f"{feedback['time_left_s']:.0f} s left")
+    return ", ".join(words)
+
+
+def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
+    """Return how far a policy is from its goal; at first some station has too few lengths."""
+    goal = f"{goal_rad / ARCSEC:.2f} arcsec"
+    if uncertainty_rad is None:
+        return f"goal U {goal}, known once all stations are placed"
+    return f"U {uncertainty_rad / ARCSEC:.2f} of {goal}"
