@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import (
     INTERRUPTED,
     VERDICT_EXIT_CODES,
@@ -21,7 +22,7 @@ from rotcal_ros.cli.console import (
 
 
 @click.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @click.option(
     "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."
 )

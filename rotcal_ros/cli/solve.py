@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
 from rotcal_ros.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say
@@ -20,7 +21,12 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("source", type=path_type, metavar="BAG|TABLE")
-@click.option("--setup", type=path_type, help="Configuration; default: the one in the bag.")
+@click.option(
+    "--setup",
+    type=path_type,
+    shell_complete=configurations,
+    help="Configuration; default: the one in the bag.",
+)
 @click.option(
     "--from",
     "taken_from",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress
 
@@ -17,7 +18,10 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("source", type=path_type, metavar="BAG|TABLE|CONFIG")
 @click.option(
-    "--setup", type=path_type, help="Configuration of a table; default: the one in the bag."
+    "--setup",
+    type=path_type,
+    shell_complete=configurations,
+    help="Configuration of a table; default: the one in the bag.",
 )
 @click.option("--targets", type=path_type, help="Target positions of a tracer table.")
 @click.option(
