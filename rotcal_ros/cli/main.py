@@ -48,7 +48,6 @@ class LazyGroup(click.Group):
             return None
         _compute_in_one_thread()
         command: click.Command = import_module(f"rotcal_ros.cli.{name}").command
-        command.name = name
         return command
 
     def shell_complete(
