@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 
 WIDEST: Final = 99
 """Columns: longer lines are hard to read."""
+_INDENTED: Final[dict[str, Any]] = {
+    "initial_indent": " " * 6,
+    "subsequent_indent": " " * 6,
+    "break_on_hyphens": False,
+}
 
 
 @click.command()
@@ -55,16 +60,14 @@ def _lines(section: Section, width: int) -> Iterator[str]:
 
     of = f" of {section.method}" if section.method else ""
     yield click.style(f"{section.group or 'goal of a plan'}{of}", bold=True)
-    yield from textwrap.wrap(section.summary, width)
+    yield from textwrap.wrap(section.summary, width, break_on_hyphens=False)
     yield ""
     for name, declared in section.settings():
         limits = range_in_words(declared)
         facts = [kind_in_words(declared), _default(declared), *([limits] if limits else ())]
         yield f"  {click.style(name, bold=True)}"
         for text in ("; ".join(facts), declared.info.description):
-            yield from textwrap.wrap(
-                text, width, initial_indent=" " * 6, subsequent_indent=" " * 6
-            )
+            yield from textwrap.wrap(text, width, **_INDENTED)
     yield ""
 
 

@@ -47,7 +47,7 @@ def test_no_line_is_wider_than_the_terminal_and_nothing_is_cut(columns):
 
 
 def test_a_setting_that_must_be_given_says_so():
-    assert "must be given" in run("tracer_multistation", "--group", "plan").stdout
+    assert "must be given" in run("ball_plate", "--group", "plan").stdout
 
 
 def test_a_misspelt_name_gets_the_nearest_one():
