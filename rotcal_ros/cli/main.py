@@ -33,6 +33,7 @@ VERBS: Final[Mapping[str, str]] = {
     "iso230": "Evaluate repeated bidirectional runs after ISO 230-2.",
     "uncertainty": "Propagate the noise by Monte Carlo (JCGM 101).",
     "bag": "Check, repair and describe recorded bags.",
+    "settings": "Print what can be set, with units, ranges and defaults.",
     "doctor": "Check this machine and say what to do.",
 }
 """Verb -> one line of help. The verb lives in ``rotcal_ros/cli/<verb>.py`` as ``command``."""
@@ -52,6 +53,19 @@ class LazyGroup(click.Group):
         _compute_in_one_thread()
         command: click.Command = import_module(f"rotcal_ros.cli.{name}").command
         return command
+
+    def shell_complete(
+        self, context: click.Context, incomplete: str
+    ) -> list[click.shell_completion.CompletionItem]:
+        """Offer the verbs without importing any of them; behind a dash, the options."""
+        from click.shell_completion import CompletionItem
+
+        verbs = [
+            CompletionItem(name, help=text)
+            for name, text in VERBS.items()
+            if name.startswith(incomplete)
+        ]
+        return verbs or super().shell_complete(context, incomplete)
 
     def resolve_command(
         self, context: click.Context, args: list[str]

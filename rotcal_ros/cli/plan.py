@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from rotcal_ros.cli import plan_check, reliability, sequence, tracer_design, trade
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.order_forecast import forecast_dict, forecast_lines
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
@@ -188,7 +189,7 @@ def effort(
 
 
 @command.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @touch_option
 @shown_option("--touch-s", type=float, default=2.0, help="s per touch point.")
 @shown_option("--settle-s", type=float, default=1.0, help="s after a turn.")

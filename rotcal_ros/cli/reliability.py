@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.errors import DataError
 from rotcal_ros.report.terminal.columns import Column, print_table, print_words
@@ -21,7 +22,7 @@ SEED = 1
 
 
 @click.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @click.option(
     "--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change a setting."
 )

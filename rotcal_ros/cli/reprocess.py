@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.session_folder import OVERVIEW, RESULTS_TABLE
@@ -18,7 +19,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("sources", nargs=-1, required=True, metavar="BAG|FOLDER|GLOB|LIST...")
-@click.option("--setup", type=path_type, required=True, help="Configuration for all bags.")
+@click.option(
+    "--setup",
+    type=path_type,
+    required=True,
+    shell_complete=configurations,
+    help="Configuration for all bags.",
+)
 @click.option(
     "-o",
     "--output",

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import click
 
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_outcome
 
 
 @click.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @click.option(
     "-o", "--output", "--out", type=path_type, help="New folder for everything; default: out/NAME."
 )

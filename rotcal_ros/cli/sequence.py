@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
+from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.reliability import SEED
 from rotcal_ros.errors import ConfigurationError
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("configuration", type=path_type, metavar="CONFIG")
+@click.argument("configuration", type=path_type, metavar="CONFIG", shell_complete=configurations)
 @click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change it.")
 @click.option(
     "--cell", is_flag=True, help="Times of the simulated cell of CONFIG; else the two below."

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rotcal_ros.circumstances import SIMULATED
+from rotcal_ros.cli.completion import configurations, controller_names
 from rotcal_ros.cli.console import (
     INTERRUPTED,
     VERDICT_EXIT_CODES,
@@ -23,14 +24,26 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument("configuration", type=path_type, metavar="[CONFIG]", required=False)
+@click.argument(
+    "configuration",
+    type=path_type,
+    metavar="[CONFIG]",
+    required=False,
+    shell_complete=configurations,
+)
 @click.option("-o", "--output", "--out", type=path_type, help="New folder; default: out/NAME.")
 @click.option("--set", "changes", multiple=True, metavar="GROUP.NAME=VALUE", help="Change both.")
 @click.option(
     "--check", multiple=True, metavar="GROUP.NAME=VALUE", help="Change the second measurement."
 )
 @click.option("--spacing", default=10.0, show_default=True, help="deg between rows of the tables.")
-@click.option("--to", "controllers", multiple=True, help="Controller to write files for, too.")
+@click.option(
+    "--to",
+    "controllers",
+    multiple=True,
+    shell_complete=controller_names,
+    help="Controller to write files for, too.",
+)
 @click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet, too.")
 @click.option("--again", is_flag=True, help="Add what is left to the table, and measure again.")
 @click.option("--keep-previous", is_flag=True, help="Move an existing output folder aside.")
