@@ -14,9 +14,11 @@ from typing import Any, TypeVar
 from rotcal_ros.observations import (
     Approach,
     Command,
+    HumiditySample,
     LengthStatus,
     Observation,
     PointKind,
+    PressureSample,
     ProbeSample,
     TableSample,
     TemperatureSample,
@@ -84,6 +86,20 @@ def temperature_sample(message: Any) -> TemperatureSample:
     """Return a sensor_msgs/Temperature as record; the frame names the sensor."""
     return TemperatureSample(
         stamp_ns(message.header.stamp), message.header.frame_id, message.temperature
+    )
+
+
+def pressure_sample(message: Any) -> PressureSample:
+    """Return a sensor_msgs/FluidPressure as record; the frame names the sensor."""
+    return PressureSample(
+        stamp_ns(message.header.stamp), message.header.frame_id, message.fluid_pressure
+    )
+
+
+def humidity_sample(message: Any) -> HumiditySample:
+    """Return a sensor_msgs/RelativeHumidity as record; the frame names the sensor."""
+    return HumiditySample(
+        stamp_ns(message.header.stamp), message.header.frame_id, message.relative_humidity
     )
 
 

@@ -98,6 +98,24 @@ class TemperatureSample:
 
 
 @dataclass(frozen=True, slots=True)
+class PressureSample:
+    """One air pressure in pascal, with the name of its sensor."""
+
+    stamp_ns: int
+    sensor: str
+    pressure_pa: float
+
+
+@dataclass(frozen=True, slots=True)
+class HumiditySample:
+    """One relative humidity of the air, 0 to 1, with the name of its sensor."""
+
+    stamp_ns: int
+    sensor: str
+    humidity: float
+
+
+@dataclass(frozen=True, slots=True)
 class Command:
     """What the planner ordered for one step: a table angle and where the probe shall be.
 

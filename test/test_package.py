@@ -140,7 +140,13 @@ def test_ros_run_finds_the_executables():
 
 def test_the_manifest_names_what_is_imported_and_nothing_else(setup_py):
     extras = setup_py["extras_require"]
-    optional = {*extras["many"], *extras["opcua"], *extras["ads"], *OF_THE_CONTROLLER}
+    optional = {
+        *extras["many"],
+        *extras["opcua"],
+        *extras["ads"],
+        *extras["dcc"],
+        *OF_THE_CONTROLLER,
+    }
     imported = {
         name.split(".")[0]
         for folder in ("rotcal_ros", "launch")

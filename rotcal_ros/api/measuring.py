@@ -26,9 +26,9 @@ def capture_records(
     """Turn records of the instruments into observations, as the capture node does live.
 
     ``records`` are those of ``rotcal_ros.observations`` (TracerSample, TableSample, ProbeSample,
-    TemperatureSample), ns, m and rad, in the order in which they came. There is one observation
-    per attempt at a step of the plan; a rejected one says why. Raises PlanError and
-    ConfigurationError for a configuration that cannot work.
+    TemperatureSample, PressureSample, HumiditySample), ns, m, rad, degC and Pa, in the order in
+    which they came. There is one observation per attempt at a step of the plan; a rejected one
+    says why. Raises PlanError and ConfigurationError for a configuration that cannot work.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -127,4 +127,4 @@ def _simulated(configuration: Configuration) -> Iterator[tuple[Record, Observati
 def _delivered(cell: SimulatedCell) -> tuple[Record, ...]:
     """Let a little time pass and return what the instruments deliver in it."""
     out = cell.advance(_SLICE_S)
-    return (*out.temperature, *out.table, *out.tracer, *out.probe)
+    return (*out.temperature, *out.air, *out.table, *out.tracer, *out.probe)

@@ -14,7 +14,12 @@ from rotcal_ros.api.reading import Name
 from rotcal_ros.arrays import Ints
 from rotcal_ros.bags.reader import bag_files, read_blocks
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.observations import ProbeSample, TemperatureSample
+from rotcal_ros.observations import (
+    HumiditySample,
+    PressureSample,
+    ProbeSample,
+    TemperatureSample,
+)
 from rotcal_ros.recordings.replay import Decoders, find_configuration
 from rotcal_ros.recordings.streams import StreamFeeder
 from rotcal_ros.recordings.topics import Topics
@@ -30,6 +35,8 @@ _POINTS: Final = [
     ("position_std", "f8", 3), ("tip_radius", "f8"),
 ]  # fmt: skip
 _TEMPERATURES: Final = [("stamp_ns", "i8"), ("sensor", "O"), ("temperature_c", "f8")]
+_PRESSURES: Final = [("stamp_ns", "i8"), ("sensor", "O"), ("pressure_pa", "f8")]
+_HUMIDITIES: Final = [("stamp_ns", "i8"), ("sensor", "O"), ("humidity", "f8")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +46,16 @@ class RawStreams:
     ``lengths``: stamp_ns, sequence, length (m), status (1: good). ``angles``: stamp_ns, angle
     (rad), velocity (rad/s). ``points``: stamp_ns, the step and attempt that were carried out, kind
     (a ``PointKind``), target, station, point, position and position_std (n, 3) in m, tip_radius
-    (m). ``temperatures``: stamp_ns, sensor, temperature_c.
+    (m). ``temperatures``: stamp_ns, sensor, temperature_c. ``pressures`` and ``humidities``:
+    the same with pressure_pa and with humidity (0 to 1).
     """
 
     lengths: Rows
     angles: Rows
     points: Rows
     temperatures: Rows
+    pressures: Rows
+    humidities: Rows
 
 
 @dataclass
@@ -91,8 +101,9 @@ def read_streams(
 ) -> RawStreams:
     """Return the raw streams of a bag as numpy tables, for solvers of your own.
 
-    ``lengths``, ``angles``, ``points`` and ``temperatures`` are structured arrays, one row per
-    message in the order of recording, stamps in ns, lengths and positions in m, angles in rad.
+    ``lengths``, ``angles``, ``points``, ``temperatures``, ``pressures`` and ``humidities`` are
+    structured arrays, one row per message in the order of recording, stamps in ns, lengths
+    and positions in m, angles in rad.
     ``configuration`` (default: the one in the bag) names joint, topics and units. Nothing is
     captured, left out or corrected. Raises BagError when there is no bag or no configuration.
 
@@ -115,4 +126,6 @@ def read_streams(
         angles=np.concatenate([np.zeros(0, _ANGLES), *kept.angles]),
         points=kept.table(ProbeSample, _POINTS),
         temperatures=kept.table(TemperatureSample, _TEMPERATURES),
+        pressures=kept.table(PressureSample, _PRESSURES),
+        humidities=kept.table(HumiditySample, _HUMIDITIES),
     )

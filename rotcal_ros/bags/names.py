@@ -31,6 +31,8 @@ TRACER_LENGTH: Final = "tracer_length"
 PROBE_POINT: Final = "probe_point"
 JOINT_STATES: Final = "joint_states"
 TEMPERATURE: Final = "temperature"
+AIR_PRESSURE: Final = "air_pressure"
+RELATIVE_HUMIDITY: Final = "relative_humidity"
 TABLE_ANGLE: Final = "table_angle"
 PROBE_TARGET: Final = "probe_target"
 OBSERVATION: Final = "observation"
@@ -38,7 +40,7 @@ STEP_CHOICE: Final = "step_choice"
 TABLE_IN_FORCE: Final = "table_in_force"
 
 ROLES: Final = frozenset({
-    PLAN, TRACER_LENGTH, PROBE_POINT, JOINT_STATES, TEMPERATURE, TABLE_ANGLE, PROBE_TARGET,
-    OBSERVATION, STEP_CHOICE, TABLE_IN_FORCE,
+    PLAN, TRACER_LENGTH, PROBE_POINT, JOINT_STATES, TEMPERATURE, AIR_PRESSURE,
+    RELATIVE_HUMIDITY, TABLE_ANGLE, PROBE_TARGET, OBSERVATION, STEP_CHOICE, TABLE_IN_FORCE,
 })  # fmt: skip
 """Topics that a replay needs, by their last name."""

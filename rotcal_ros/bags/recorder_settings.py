@@ -32,8 +32,8 @@ class RecorderSettings:
     )
     silence_s: float = setting(
         30.0,
-        doc="s without a message after which tracer_length, joint_states or temperature counts "
-        "as silent",
+        doc="s without a message after which tracer_length, joint_states or what is known "
+        "of the air counts as silent",
         minimum=0.1,
         maximum=3600.0,
     )

@@ -15,6 +15,8 @@ class TopicSettings:
     probe_point: str = setting("", doc="topic of the probe; empty: by its last name")
     joint_states: str = setting("", doc="topic of the table's feedback; empty: by its last name")
     temperature: str = setting("", doc="topic of the temperature; empty: by its last name")
+    air_pressure: str = setting("", doc="topic of the air pressure; empty: by its last name")
+    relative_humidity: str = setting("", doc="topic of the humidity; empty: by its last name")
     length_unit_m: float = setting(
         1.0, doc="m, unit of a Float64 length; negative where it shrinks with distance"
     )
@@ -29,5 +31,8 @@ class TopicSettings:
 
     def renamed(self) -> dict[str, str]:
         """Return role -> topic of those that were given."""
-        roles = ("tracer_length", "probe_point", "joint_states", "temperature")
+        roles = (
+            "tracer_length", "probe_point", "joint_states", "temperature", "air_pressure",
+            "relative_humidity",
+        )  # fmt: skip
         return {role: getattr(self, role) for role in roles if getattr(self, role)}

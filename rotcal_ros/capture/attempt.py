@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import nan
+from typing import Final
 
+from rotcal_ros.capture.air import Air, AirStreams
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream
 from rotcal_ros.capture.window import Reduced, TracerStream
 from rotcal_ros.observations import Observation, ProbeSample
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.units import NANOSECOND
+
+UNKNOWN_AIR: Final = Air()
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,20 +32,24 @@ class Wait:
 
 @dataclass
 class Streams:
-    """The streams that an attempt is judged by; temperature holds one column (degC).
+    """The streams that an attempt is judged by.
 
-    ``since_ns`` is the stamp of the first probe sample. Temperatures before it are not used:
-    how many of them there are depends on when somebody began to listen.
+    ``since_ns`` is the stamp of the first probe sample. What was read of the air before it is not
+    used: how much of it there is depends on when somebody began to listen.
     """
 
     tracer: TracerStream
     table: Stream
-    temperature: Stream
+    air: AirStreams
     since_ns: int | None = None
 
-    def all(self) -> tuple[Stream, ...]:
+    def by_name(self) -> dict[str, Stream]:
         """Return the streams, fastest first."""
-        return self.tracer, self.table, self.temperature
+        return {"tracer": self.tracer, "table": self.table, **self.air.by_name}
+
+    def air_at(self, attempt: Attempt, settings: CaptureSettings) -> Air:
+        """Return the air that goes with an attempt."""
+        return self.air.at(attempt.begin_ns, self.since_ns, settings)
 
 
 @dataclass
@@ -80,7 +88,7 @@ class Attempt:
         n_samples: int = 0,
         window_ns: tuple[int, int] | None = None,
         table_angle_measured: float = nan,
-        temperature_c: float | None = None,
+        air: Air = UNKNOWN_AIR,
         segment: int = 0,
     ) -> Observation:
         """Return the observation of this attempt; a reason in ``reduced`` rejects it."""
@@ -96,7 +104,9 @@ class Attempt:
             accepted=not reduced.reason,
             reason=reduced.reason,
             table_angle_measured=table_angle_measured,
-            temperature_c=temperature_c,
+            temperature_c=air.temperature_c,
+            pressure_pa=air.pressure_pa,
+            humidity=air.humidity,
             window_start_ns=begin,
             window_end_ns=end,
             run=self.run,
@@ -106,36 +116,6 @@ class Attempt:
     def rejection(self, reason: str) -> Observation:
         """Return the observation of an attempt that never came to a window."""
         return self.observation(Reduced(reason=reason))
-
-
-def temperature_at(streams: Streams, begin_ns: int, settings: CaptureSettings) -> float | None:
-    """Return the temperature (degC) that goes with an attempt; None: there is none.
-
-    It is the last reading stamped ``temperature_lag_s`` or more before the probe reached its
-    target, else the first one of the calibration: a choice that later readings do not change.
-    """
-    stream = streams.temperature
-    wanted = _temperature_stamp(streams, begin_ns, settings)
-    if not (settings.temperature_expected and stream.knows(wanted)):
-        return None
-    row = max(stream.index(wanted + 1) - 1, stream.index(streams.since_ns or 0))
-    if abs(int(stream.stamps[row]) - wanted) > nanoseconds(settings.clock_tolerance_s):
-        return None
-    return float(stream.values[row, 0])
-
-
-def missing_temperature(streams: Streams, begin_ns: int, settings: CaptureSettings) -> Wait | None:
-    """Return what to wait for before :func:`temperature_at` is known for good."""
-    wanted = _temperature_stamp(streams, begin_ns, settings)
-    if not settings.temperature_expected or streams.temperature.knows(wanted):
-        return None
-    return Wait(streams.temperature, wanted)
-
-
-def _temperature_stamp(streams: Streams, begin_ns: int, settings: CaptureSettings) -> int:
-    """Return the stamp at which an attempt that began at ``begin_ns`` reads the temperature."""
-    wanted = begin_ns - nanoseconds(settings.temperature_lag_s)
-    return wanted if streams.since_ns is None else max(wanted, streams.since_ns)
 
 
 def forgotten(stream: Stream, stamp_ns: int) -> bool:

@@ -6,20 +6,14 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
 from math import dist, isfinite
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rotcal_ros.arrays import Stamps
-from rotcal_ros.capture.attempt import (
-    Attempt,
-    Streams,
-    Wait,
-    missing_temperature,
-    nanoseconds,
-    seconds,
-)
+from rotcal_ros.capture.air import QUANTITIES, AirSample, AirStreams
+from rotcal_ros.capture.attempt import Attempt, Streams, Wait, nanoseconds, seconds
 from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.capture.settings import CaptureSettings
@@ -31,15 +25,16 @@ from rotcal_ros.observations import (
     PointKind,
     ProbeSample,
     TableSample,
-    TemperatureSample,
     TracerSample,
 )
 from rotcal_ros.planning.plan import Plan, Step
 
-Record = Command | TracerSample | TableSample | ProbeSample | TemperatureSample
+Record = Command | TracerSample | TableSample | ProbeSample | AirSample
 Observations = tuple[Observation, ...]
 
 _MAX_PENDING = 64
+_WORDS: Final = {"tracer": "tracer readings", "table": "table feedbacks"}
+"""What the samples of a stream are called; those of the air after their stream."""
 
 
 class Capture:
@@ -69,7 +64,7 @@ class Capture:
                 Beam(settings.max_silence_s, settings.max_length_speed_m_s),
             ),
             table=Stream(2, tolerance),
-            temperature=Stream(1, tolerance),
+            air=AirStreams(tolerance),
         )
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
@@ -83,7 +78,7 @@ class Capture:
             TracerSample: self._take_tracer,
             TableSample: self._take_table,
             ProbeSample: self._take_probe,
-            TemperatureSample: self._take_temperature,
+            **dict.fromkeys(QUANTITIES, self._take_air),
             Command: self._take_command,
         }
 
@@ -111,11 +106,11 @@ class Capture:
     def counts(self) -> dict[str, dict[str, int]]:
         """What each stream delivered and what was wrong with it, by stream; zeros left out."""
         all_counts = {}
-        for name, stream in zip(
-            ("tracer", "table", "temperature"), self._streams.all(), strict=True
-        ):
+        unasked = {q.name for q in QUANTITIES.values() if not q.expected(self._settings)}
+        for name, stream in self._streams.by_name().items():
             stream.flush()
-            all_counts[name] = stream.counts
+            if stream.counts.received or name not in unasked:
+                all_counts[name] = stream.counts
         all_counts |= {"probe": self._probe, "command": self._commands}
         return {
             name: {key: n for key, n in asdict(counts).items() if n or key == "received"}
@@ -149,14 +144,8 @@ class Capture:
         due = self._streams.table.stage(sample.stamp_ns, (sample.angle, sample.velocity))
         return self._decide() if due else ()
 
-    def _take_temperature(self, sample: TemperatureSample) -> Observations:
-        stream = self._streams.temperature
-        if not isfinite(sample.temperature_c):
-            stream.counts.received += 1
-            stream.counts.non_finite += 1
-        elif stream.stage(sample.stamp_ns, (sample.temperature_c,)):
-            return self._decide()
-        return ()
+    def _take_air(self, sample: AirSample) -> Observations:
+        return self._decide() if self._streams.air.stage(sample) else ()
 
     def _take_command(self, command: Command) -> Observations:
         self._commands.received += 1
@@ -238,7 +227,7 @@ class Capture:
 
     def _decide(self) -> Observations:
         """Admit what is staged and decide as many attempts as possible, the oldest first."""
-        for stream in self._streams.all():
+        for stream in self._streams.by_name().values():
             stream.flush()
             stream.wait(NEVER)
         decided: list[Observation] = []
@@ -272,21 +261,25 @@ class Capture:
         return outcome
 
     def _judge(self, attempt: Attempt) -> Observation | Wait:
-        """Judge an attempt by the streams; a temperature too far behind is done without."""
-        wait = missing_temperature(self._streams, attempt.begin_ns, self._settings)
-        if wait is not None and self._lag_ns(attempt, wait) <= self._tolerance_ns:
-            return wait
+        """Judge an attempt by the streams; what of the air is too far behind is done without."""
+        since_ns, late = self._streams.since_ns, []
+        for missing in self._streams.air.missing(attempt.begin_ns, since_ns, self._settings):
+            wait = Wait(missing.stream, missing.stamp_ns)
+            if self._lag_ns(attempt, wait) <= self._tolerance_ns:
+                return wait
+            late.append(missing.quantity.name)
         decide = self._rules.decide[attempt.step.kind]
         outcome = decide(attempt, self._streams, self._settings)
-        if wait is not None and isinstance(outcome, Observation):
-            self._remarks.append(f"step {attempt.step.index}: no temperature came in time")
+        if late and isinstance(outcome, Observation):
+            names = ", ".join(late)
+            self._remarks.append(f"step {attempt.step.index}: no {names} came in time")
         return outcome
 
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:
         """Let every stream report when it brings what is needed, or gets too far ahead."""
         self._waiting = wait
         too_late = self._reached(wait.stream, attempt) + self._tolerance_ns + 1
-        for stream in self._streams.all():
+        for stream in self._streams.by_name().values():
             stream.wait(too_late)
         wait.stream.wait(wait.stamp_ns, wait.samples, wait.latest_ns)
 
@@ -301,8 +294,8 @@ class Capture:
         return attempt.begin_ns if stream.latest is None else stream.latest
 
     def _name(self, stream: Stream) -> str:
-        names = ("tracer readings", "table feedbacks", "temperature readings")
-        return next(n for n, s in zip(names, self._streams.all(), strict=True) if s is stream)
+        name = next(n for n, known in self._streams.by_name().items() if known is stream)
+        return _WORDS.get(name, f"{name} readings")
 
     def _not_in_plan(self, step: int) -> str:
         last = len(self._plan.steps) - 1

@@ -9,7 +9,6 @@ from rotcal_ros.capture.attempt import (
     forgotten,
     nanoseconds,
     seconds,
-    temperature_at,
 )
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.table import arrival, departure, mean_angle, why_not_at_rest
@@ -105,6 +104,6 @@ def _observe(
         n_samples=len(stamps),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
-        temperature_c=temperature_at(streams, attempt.begin_ns, settings),
+        air=streams.air_at(attempt, settings),
         segment=tracer.beam.segment(since_ns, begin_ns, end_ns),
     )

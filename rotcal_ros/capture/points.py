@@ -15,7 +15,6 @@ from rotcal_ros.capture.attempt import (
     forgotten,
     nanoseconds,
     seconds,
-    temperature_at,
 )
 from rotcal_ros.capture.rules import Decide
 from rotcal_ros.capture.settings import CaptureSettings
@@ -67,7 +66,7 @@ def decide_points(
         n_samples=len(samples),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(table, begin_ns, end_ns, angle),
-        temperature_c=temperature_at(streams, attempt.begin_ns, settings),
+        air=streams.air_at(attempt, settings),
     )
 
 

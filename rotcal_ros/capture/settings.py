@@ -97,9 +97,16 @@ class CaptureSettings:
     temperature_expected: bool = setting(
         True, doc="an observation carries a temperature and waits for it"
     )
+    pressure_expected: bool = setting(
+        False, doc="an observation carries the pressure of the air and waits for it"
+    )
+    humidity_expected: bool = setting(
+        False, doc="an observation carries the humidity of the air and waits for it"
+    )
     temperature_lag_s: float = setting(
         3.0,
-        doc="s, the temperature was read at least this long before the probe reached its target, "
+        doc="s, temperature, pressure and humidity were read at least this long before the probe "
+        "reached its target, "
         "so that no observation but the first waits for a slow sensor",
         minimum=0.0,
         maximum=3600.0,

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
+from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
+from rotcal_ros.catalogue.air import Refraction
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
@@ -54,7 +56,9 @@ class Calibration:
         ``announced`` are the tables in force that the cell announced meanwhile.
         """
         used = self._that_count(observations)
-        result = self.method.solve(self.configuration, self.plan, used)
+        result = self.refraction.solve(
+            used, partial(self.method.solve, self.configuration, self.plan)
+        )
         measured_on = agreed(self.in_force(announced))
         if measured_on != UNKNOWN:
             result = replace(result, measured_on=measured_on)
@@ -77,10 +81,17 @@ class Calibration:
             temperature_c=Range.of([o.temperature_c for o in used]),
             pressure_pa=Range.of([o.pressure_pa for o in used]),
             humidity=Range.of([o.humidity for o in used]),
+            refraction=self.refraction.in_words(used),
             counts=Counts(
                 planned, len(steps), 0 if chosen else planned - len(steps), len(retried)
             ),
         )
+
+    @property
+    def refraction(self) -> Refraction:
+        """What is done about the index of refraction of the air."""
+        lengths = TRACER_LENGTH in self.method.topics
+        return Refraction(self.configuration.air, self.configuration.source, lengths=lengths)
 
     def in_force(self, announced: Iterable[str]) -> tuple[str, ...]:
         """Return what configuration and cell say about the table in force."""
@@ -90,7 +101,7 @@ class Calibration:
         """Prepare Monte Carlo trials about the observations that count."""
         if self.method.trials is None:
             raise ConfigurationError(f"the method {self.method.name} brings no Monte Carlo trials")
-        used = self._that_count(observations)
+        used = self.refraction.corrected(self._that_count(observations))
         return self.method.trials(self.configuration, self.plan, used)
 
     def policy(self, continuation: Continuation) -> Policy:
@@ -104,6 +115,12 @@ class Calibration:
             raise ConfigurationError(
                 f"{self.configuration.source}: planner: policy: the method {self.method.name} has "
                 f"no policy {self.configuration.planner.policy}; leave it out"
+            )
+        if self.refraction.equation is not None:
+            raise ConfigurationError(
+                f"{self.configuration.source}: planner: the policy "
+                f"{self.configuration.planner.policy} compares lengths as they are captured: let "
+                "the instrument correct them (air.refraction: instrument), or leave the policy out"
             )
         return self._adaptive(continuation)
 
@@ -121,7 +138,8 @@ class Calibration:
         """Return in words what a person has to put right, as far as the method can tell."""
         if self.method.check is None:
             return ()
-        return self.method.check(self.configuration, self.plan, final_observations(observations))
+        used = self.refraction.corrected(final_observations(observations))
+        return self.method.check(self.configuration, self.plan, used)
 
     def nominal_observations(self) -> tuple[Observation, ...]:
         """Return one exact observation for every step of the plan, the table being perfect."""
@@ -176,6 +194,7 @@ def prepare_whole(configuration: Configuration) -> Calibration:
             calibration.method.check_plan(configuration, calibration.plan)
         except PlanError as error:
             raise PlanError(f"{configuration.source}: plan: {error}") from error
+    calibration.refraction.require_sources(configuration.capture)
     return calibration
 
 

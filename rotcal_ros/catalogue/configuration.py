@@ -17,6 +17,7 @@ import yaml
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.catalogue.air_settings import AirSettings
 from rotcal_ros.catalogue.method import Method, find_method, method_names
 from rotcal_ros.catalogue.plan_files import PlanFile, with_contents
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
@@ -30,6 +31,7 @@ from rotcal_ros.settings import declarations, load, to_mapping
 SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "cell": CellSettings,
     "capture": CaptureSettings,
+    "air": AirSettings,
     "planner": PlannerSettings,
     "recorder": RecorderSettings,
     "bridge": BridgeSettings,
@@ -38,13 +40,13 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
 }
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
-    "identity", "cell", "plan", "capture", "solver", "planner", "recorder", "bridge", "topics",
-    "simulation",
+    "identity", "cell", "plan", "capture", "air", "solver", "planner", "recorder", "bridge",
+    "topics", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
 SIMULATION: Final = "simulation"
 """A configuration with this group is that of a simulated cell."""
-OFFLINE_GROUPS: Final = ("identity", "cell", "plan", "capture", "solver", "topics")
+OFFLINE_GROUPS: Final = ("identity", "cell", "plan", "capture", "air", "solver", "topics")
 """Groups that a recording is solved with; the others have done their work."""
 
 
@@ -77,6 +79,7 @@ class Configuration:
     cell: CellSettings
     plan: Any
     capture: CaptureSettings
+    air: AirSettings
     solver: Any
     planner: PlannerSettings
     recorder: RecorderSettings

@@ -10,7 +10,10 @@ from typing import Final
 from rotcal_ros.bags import names
 from rotcal_ros.nodes.recording import Receipt
 
-NEVER_PAUSE: Final = (names.TRACER_LENGTH, names.JOINT_STATES, names.TEMPERATURE)
+NEVER_PAUSE: Final = (
+    names.TRACER_LENGTH, names.JOINT_STATES, names.TEMPERATURE, names.AIR_PRESSURE,
+    names.RELATIVE_HUMIDITY,
+)  # fmt: skip
 """Last names of the streams that are watched, once somebody publishes them."""
 
 

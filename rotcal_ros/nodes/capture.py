@@ -10,7 +10,7 @@ from typing import Any
 
 from rotcal_msgs.msg import CalibrationPlan, ProbePoint, TracerLength
 from rotcal_msgs.msg import Observation as ObservationMsg
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
@@ -23,7 +23,9 @@ from rotcal_ros.nodes.plans import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import (
+    HumiditySample,
     LengthStatus,
+    PressureSample,
     ProbeSample,
     TableSample,
     TemperatureSample,
@@ -55,6 +57,8 @@ class CaptureNode(CellNode):
         )
         self._listen(ProbePoint, names.PROBE_POINT, messages.probe_sample)
         self._listen(Temperature, names.TEMPERATURE, messages.temperature_sample)
+        self._listen(FluidPressure, names.AIR_PRESSURE, messages.pressure_sample)
+        self._listen(RelativeHumidity, names.RELATIVE_HUMIDITY, messages.humidity_sample)
         self._orders = self.take_orders(self._feed)
 
     def _listen(self, kind: type, topic: str, convert: Callable[[Any], Record | None]) -> None:
@@ -117,6 +121,8 @@ def _is_valid(record: Record) -> bool:
             TracerSample(status=LengthStatus.OK, length=number)
             | TableSample(angle=number)
             | TemperatureSample(temperature_c=number)
+            | PressureSample(pressure_pa=number)
+            | HumiditySample(humidity=number)
         ):
             return math.isfinite(number)
         case ProbeSample():

@@ -18,14 +18,16 @@ from rotcal_msgs.msg import (
     TracerLength,
 )
 from rotcal_msgs.msg import Observation as ObservationMsg
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import DataError
 from rotcal_ros.observations import (
     Command,
+    HumiditySample,
     Observation,
+    PressureSample,
     ProbeSample,
     TableSample,
     TemperatureSample,
@@ -78,6 +80,14 @@ def temperature_message(sample: TemperatureSample) -> Temperature:
     """Return the message of a temperature; the variance is unknown."""
     head = header(sample.stamp_ns, sample.sensor)
     return Temperature(header=head, temperature=sample.temperature_c)
+
+
+def air_message(sample: PressureSample | HumiditySample) -> FluidPressure | RelativeHumidity:
+    """Return the message of a pressure or a humidity; the variance is unknown."""
+    head = header(sample.stamp_ns, sample.sensor)
+    if isinstance(sample, PressureSample):
+        return FluidPressure(header=head, fluid_pressure=sample.pressure_pa)
+    return RelativeHumidity(header=head, relative_humidity=sample.humidity)
 
 
 def command_messages(order: Command, now_ns: int) -> tuple[TableAngle, ProbeTarget]:

@@ -6,7 +6,7 @@ import time
 from typing import Any, Final
 
 from rotcal_msgs.msg import ProbePoint, TableInForce, TracerLength
-from sensor_msgs.msg import JointState, Temperature
+from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
@@ -16,7 +16,7 @@ from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT, LATCHED, STREAM
 from rotcal_ros.nodes.running import run
-from rotcal_ros.observations import Command
+from rotcal_ros.observations import Command, HumiditySample, PressureSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell
 
@@ -25,6 +25,10 @@ LONGEST_TURN_S: Final = 0.02
 """Wall time made up for in one turn at most, so that a stall never becomes a burst."""
 UNASKED_PERIOD_S: Final = 0.5
 ANNOUNCING_PERIOD_S: Final = 0.5
+AIR: Final = {
+    PressureSample: (FluidPressure, names.AIR_PRESSURE),
+    HumiditySample: (RelativeHumidity, names.RELATIVE_HUMIDITY),
+}
 
 
 class SimulatedCellNode(CellNode):
@@ -56,7 +60,12 @@ class SimulatedCellNode(CellNode):
             )
             self.every(ANNOUNCING_PERIOD_S, self._announce)
         self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
-        self._temperature = self.create_publisher(Temperature, "temperature", EVENT)
+        self._temperature = self.create_publisher(Temperature, names.TEMPERATURE, EVENT)
+        self._air = {
+            kind: self.create_publisher(message, name, EVENT)
+            for kind, (message, name) in AIR.items()
+            if settings.air.published
+        }
         self.take_orders(self._obey)
         self.every(UNASKED_PERIOD_S, self._tell_position)
 
@@ -87,6 +96,8 @@ class SimulatedCellNode(CellNode):
             self._table.publish(conversions.table_message(table, self._joint))
         for temperature in output.temperature:
             self._temperature.publish(conversions.temperature_message(temperature))
+        for sample in output.air:
+            self._air[type(sample)].publish(conversions.air_message(sample))
         for tracer in output.tracer:
             self._tracer.publish(conversions.tracer_message(tracer))
 

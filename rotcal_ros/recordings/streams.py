@@ -84,6 +84,8 @@ class StreamFeeder:
         self._makers: dict[str, Callable[[Any], Any]] = {
             names.PROBE_POINT: records.probe_sample,
             names.TEMPERATURE: records.temperature_sample,
+            names.AIR_PRESSURE: records.pressure_sample,
+            names.RELATIVE_HUMIDITY: records.humidity_sample,
             names.TABLE_ANGLE: self._orders.table_angle,
             names.PROBE_TARGET: self._orders.probe_target,
         }

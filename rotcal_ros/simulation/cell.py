@@ -11,11 +11,14 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.observations import (
     Command,
+    HumiditySample,
+    PressureSample,
     ProbeSample,
     TableSample,
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.simulation.air import SimulatedAir
 from rotcal_ros.simulation.external_table import ExternalTable
 from rotcal_ros.simulation.instrument import Table
 from rotcal_ros.simulation.settings import SimulationSettings
@@ -33,6 +36,7 @@ class CellOutput:
     table: tuple[TableSample, ...]
     probe: tuple[ProbeSample, ...]
     temperature: tuple[TemperatureSample, ...]
+    air: tuple[PressureSample | HumiditySample, ...] = ()
 
 
 class SimulatedCell:
@@ -48,6 +52,7 @@ class SimulatedCell:
         self._external = ExternalTable(table, start_ns) if table.external else None
         self._table: Table = self._external or SimulatedTable(table, seed, start_ns)
         self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)
+        self._air = SimulatedAir(settings.air, self._temperature, seed, start_ns)
         self.instrument = settings.make_instrument(self._table, self._temperature, start_ns)
         self._table_ticks = Ticks(start_ns, table.feedback_rate_hz)
         self._temperature_ticks = Ticks(start_ns, settings.temperature.rate_hz)
@@ -89,6 +94,7 @@ class SimulatedCell:
             table=self._table.feedback(first, stamps),
             probe=self.instrument.report(before, self.now_ns, self._table_rest_ns()),
             temperature=self._temperature.readings(number, seconds),
+            air=self._air.readings(number, seconds),
         )
 
     def unasked_point(self) -> ProbeSample:

@@ -36,6 +36,8 @@ class Source(IntEnum):
     STAND = 31
     NEST = 32
     REFLECTOR = 33
+    PRESSURE = 40
+    HUMIDITY = 41
     MACHINE = 40
     TOUCH = 41
     BALL = 42

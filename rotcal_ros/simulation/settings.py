@@ -129,6 +129,32 @@ class TemperatureSettings:
 
 
 @dataclass(frozen=True)
+class SimulatedAirSettings:
+    """Pressure and humidity of the air; its temperature is that of the group beside it."""
+
+    published: bool = setting(
+        False, doc="air_pressure and relative_humidity are published, as often as the temperature"
+    )
+    pressure_pa: float = setting(
+        101_325.0, doc="Pa, pressure at the start", minimum=20e3, maximum=130e3
+    )
+    pressure_drift_pa_per_h: float = setting(0.0, doc="Pa/h, steady drift")
+    pressure_swing_pa: float = setting(0.0, doc="Pa, amplitude of the periodic part", minimum=0.0)
+    pressure_swing_period_s: float = setting(
+        600.0, doc="s, period of the periodic part", minimum=1e-3
+    )
+    humidity: float = setting(0.5, doc="relative humidity, 0 to 1", minimum=0.0, maximum=1.0)
+    noise_pa: float = setting(1.0, doc="Pa, noise of one reading", minimum=0.0)
+    noise_humidity: float = setting(0.0, doc="noise of one reading of the humidity", minimum=0.0)
+    vacuum_lengths: bool = setting(
+        False, doc="the tracer counts vacuum wavelengths: nobody has corrected its lengths"
+    )
+    vacuum_wavelength_nm: float = setting(
+        632.8, doc="nm, its wavelength in vacuum", minimum=300.0, maximum=1700.0
+    )
+
+
+@dataclass(frozen=True)
 class SimulationSettings(ABC):
     """The simulated cell: a table, a temperature, and the instrument of a method."""
 
@@ -144,6 +170,7 @@ class SimulationSettings(ABC):
     )
     table: TableSettings = group(TableSettings)
     temperature: TemperatureSettings = group(TemperatureSettings)
+    air: SimulatedAirSettings = group(SimulatedAirSettings)
 
     def __post_init__(self) -> None:
         if self.table.external and self.time_scale != 1.0:

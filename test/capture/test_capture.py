@@ -252,7 +252,7 @@ def test_memory_is_bounded(monkeypatch):
     found = [o for record in scene.by_stamp() for o in capture.feed(record)]
     assert all(o.accepted for o in found)
     assert len(found) == 9
-    for stream in capture._streams.all():
+    for stream in capture._streams.by_name().values():
         assert len(stream._stamps) <= 4000
 
 

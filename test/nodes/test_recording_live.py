@@ -101,6 +101,22 @@ def test_a_stream_that_falls_silent_is_counted(cell):
     assert "/cell/temperature fell silent (1 times)" in recording.warnings()
 
 
+def test_pressure_and_humidity_are_captured_live_as_offline(cell):
+    live = cell(
+        "simulation.air.published=true",
+        "simulation.air.pressure_swing_pa=500.0",
+        "capture.pressure_expected=true",
+        "capture.humidity_expected=true",
+    )
+    outcome = live.calibrate()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    recording = read_recording(live.bag)
+    assert recording.same_as_recorded
+    accepted = [o for o in recording.recorded if o.accepted]
+    assert len({o.pressure_pa for o in accepted}) > 3
+    assert {o.humidity for o in accepted} == {0.5}
+
+
 def test_a_step_that_a_loss_touches_is_measured_again(cell):
     live = cell("simulation.time_scale=2.0")
     live.start(*SUITE, "simulated_cell")

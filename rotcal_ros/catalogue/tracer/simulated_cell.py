@@ -10,6 +10,7 @@ from rotcal_ros.arrays import Floats, Stamps
 from rotcal_ros.catalogue.tracer.simulated_tracer import SimulatedTracer
 from rotcal_ros.catalogue.tracer.simulation_settings import LengthsSimulationSettings
 from rotcal_ros.observations import Command, PointKind, ProbeSample, TracerSample
+from rotcal_ros.simulation.air import SimulatedAir
 from rotcal_ros.simulation.instrument import Instrument, Table
 from rotcal_ros.simulation.motion import Limits, Motion
 from rotcal_ros.simulation.noise import IndexedNoise, Source
@@ -39,6 +40,7 @@ class TracerAndReflector(Instrument):
         super().__init__(start_ns)
         tracer, probe, seed = settings.tracer, settings.probe, settings.seed
         self._table, self._temperature = table, temperature
+        self._air = SimulatedAir(settings.air, temperature, seed, start_ns)
         self._mount = np.array(mount_m)
         self._zero_m = 0.0
         self._tracer = SimulatedTracer(tracer, settings.faults, seed, start_ns)
@@ -110,6 +112,8 @@ class TracerAndReflector(Instrument):
             return ()
         distances = self.distances(stamps)
         drifts = self._temperature.length_change(stamps, distances) + self._zero_m
+        if self._air.settings.vacuum_lengths:
+            drifts += (self._air.index(stamps) - 1.0) * distances
         angles_deg = self._table.angles(stamps) / DEGREE
         broken = self._tracer.blocked(angles_deg, self.target)
         return self._tracer.readings(first, stamps, distances, drifts, broken.astype(float))

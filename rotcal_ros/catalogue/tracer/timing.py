@@ -90,7 +90,7 @@ def _observed(
     while (cell.now_ns - begin_ns) * NANOSECOND < LONGEST:
         out = cell.advance(tick_s)
         found: tuple[Observation, ...] = ()
-        for samples in (out.table, out.probe, out.temperature, out.tracer):
+        for samples in (out.table, out.probe, out.temperature, out.air, out.tracer):
             for sample in samples:
                 found += capture.feed(sample)
         if found:

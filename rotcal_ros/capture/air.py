@@ -1,0 +1,112 @@
+"""The air that goes with an attempt: temperature, pressure, humidity, each where it is expected.
+
+Which reading goes with an attempt depends on the stamps alone, never on when readings arrive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.streams import Stream
+from rotcal_ros.observations import HumiditySample, PressureSample, TemperatureSample
+from rotcal_ros.units import NANOSECOND
+
+AirSample = TemperatureSample | PressureSample | HumiditySample
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A slow quantity: ``name`` of its stream, ``column`` that holds it in its samples."""
+
+    name: str
+    column: str
+
+    def expected(self, settings: CaptureSettings) -> bool:
+        """Return whether an observation carries it and waits for it."""
+        return bool(getattr(settings, f"{self.name}_expected"))
+
+
+QUANTITIES: Final[Mapping[type[AirSample], Quantity]] = {
+    TemperatureSample: Quantity("temperature", "temperature_c"),
+    PressureSample: Quantity("pressure", "pressure_pa"),
+    HumiditySample: Quantity("humidity", "humidity"),
+}
+"""What is known of the air, by the kind of its samples; observations have the same columns."""
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """What an observation says of the air; None: not known."""
+
+    temperature_c: float | None = None
+    pressure_pa: float | None = None
+    humidity: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """A quantity whose ``stream`` has not come to ``stamp_ns`` yet."""
+
+    quantity: Quantity
+    stream: Stream
+    stamp_ns: int
+
+
+class AirStreams:
+    """One stream of one column for each quantity, by name."""
+
+    def __init__(self, clock_tolerance_ns: int) -> None:
+        self.by_name = {q.name: Stream(1, clock_tolerance_ns) for q in QUANTITIES.values()}
+
+    def stage(self, sample: AirSample) -> bool:
+        """Take a sample; return whether a decision may be due."""
+        quantity = QUANTITIES[type(sample)]
+        stream, value = self.by_name[quantity.name], getattr(sample, quantity.column)
+        if value != value or abs(value) == float("inf"):
+            stream.counts.received += 1
+            stream.counts.non_finite += 1
+            return False
+        return stream.stage(sample.stamp_ns, (value,))
+
+    def missing(
+        self, begin_ns: int, since_ns: int | None, settings: CaptureSettings
+    ) -> Iterator[Missing]:
+        """Yield what to wait for before :meth:`at` is known for good."""
+        wanted = _wanted(begin_ns, since_ns, settings)
+        for quantity in QUANTITIES.values():
+            stream = self.by_name[quantity.name]
+            if quantity.expected(settings) and not stream.knows(wanted):
+                yield Missing(quantity, stream, wanted)
+
+    def at(self, begin_ns: int, since_ns: int | None, settings: CaptureSettings) -> Air:
+        """Return the air that goes with an attempt that began at ``begin_ns``.
+
+        Each quantity is the last reading stamped ``temperature_lag_s`` or more before the probe
+        reached its target, else the first one of the calibration (from ``since_ns`` on): a choice
+        that later readings do not change.
+        """
+        wanted = _wanted(begin_ns, since_ns, settings)
+        known = (q for q in QUANTITIES.values() if q.expected(settings))
+        return Air(
+            **{q.column: _reading(self.by_name[q.name], wanted, since_ns, settings) for q in known}
+        )
+
+
+def _wanted(begin_ns: int, since_ns: int | None, settings: CaptureSettings) -> int:
+    """Return the stamp at which an attempt that began at ``begin_ns`` reads the air."""
+    wanted = begin_ns - round(settings.temperature_lag_s / NANOSECOND)
+    return wanted if since_ns is None else max(wanted, since_ns)
+
+
+def _reading(
+    stream: Stream, wanted: int, since_ns: int | None, settings: CaptureSettings
+) -> float | None:
+    if not stream.knows(wanted):
+        return None
+    row = max(stream.index(wanted + 1) - 1, stream.index(since_ns or 0))
+    if abs(int(stream.stamps[row]) - wanted) > round(settings.clock_tolerance_s / NANOSECOND):
+        return None
+    return float(stream.values[row, 0])

@@ -1,0 +1,64 @@
+"""The simulated air: pressure and humidity, and what they do to light."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats, Stamps
+from rotcal_ros.observations import HumiditySample, PressureSample
+from rotcal_ros.refraction import Air, ciddor
+from rotcal_ros.simulation.noise import IndexedNoise, Source
+from rotcal_ros.simulation.settings import SimulatedAirSettings
+from rotcal_ros.simulation.temperature import SENSOR, SimulatedTemperature
+from rotcal_ros.units import NANOSECOND
+
+
+class SimulatedAir:
+    """The air of the cell as a function of machine time."""
+
+    def __init__(
+        self,
+        settings: SimulatedAirSettings,
+        temperature: SimulatedTemperature,
+        seed: int,
+        start_ns: int,
+    ) -> None:
+        self.settings, self._temperature, self._start_ns = settings, temperature, start_ns
+        self._pressure_noise = IndexedNoise(seed, Source.PRESSURE)
+        self._humidity_noise = IndexedNoise(seed, Source.HUMIDITY)
+
+    def pressure(self, stamps: Stamps) -> Floats:
+        """Return the true pressure (n,), Pa."""
+        settings, time = self.settings, (stamps - self._start_ns) * NANOSECOND
+        swing = np.sin(2 * np.pi * time / settings.pressure_swing_period_s)
+        pressure: Floats = (
+            settings.pressure_pa
+            + settings.pressure_drift_pa_per_h * time / 3600.0
+            + settings.pressure_swing_pa * swing
+        )
+        return pressure
+
+    def index(self, stamps: Stamps) -> Floats:
+        """Return the true index of refraction (n,) for the tracer's light."""
+        celsius = self._temperature.settings.mean_c + self._temperature.change(stamps)
+        humidity = np.full(len(stamps), self.settings.humidity)
+        air = Air(celsius, self.pressure(stamps), humidity)
+        return ciddor(air, self.settings.vacuum_wavelength_nm)
+
+    def readings(self, first: int, stamps: Stamps) -> tuple[PressureSample | HumiditySample, ...]:
+        """Return the readings number ``first`` and following at ``stamps``, if published."""
+        if not self.settings.published:
+            return ()
+        settings, count = self.settings, len(stamps)
+        noise_pa = settings.noise_pa * self._pressure_noise.normal(first, count)
+        noise = settings.noise_humidity * self._humidity_noise.normal(first, count)
+        times = stamps.tolist()
+        pressures = (self.pressure(stamps) + noise_pa).tolist()
+        humidities = np.clip(settings.humidity + noise, 0.0, 1.0).tolist()
+        return (
+            *(PressureSample(t, SENSOR, value) for t, value in zip(times, pressures, strict=True)),
+            *(
+                HumiditySample(t, SENSOR, value)
+                for t, value in zip(times, humidities, strict=True)
+            ),
+        )
