@@ -83,6 +83,7 @@ setup(
         "many": ["distributed", "fsspec", "pyarrow"],
         "opcua": ["asyncua", "cryptography"],
         "ads": ["pyads"],
+        "dcc": ["cryptography", "lxml", "signxml"],
         "build": [
             "catkin-pkg",
             "cmake",

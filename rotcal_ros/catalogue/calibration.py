@@ -178,6 +178,7 @@ def prepare_to_measure(configuration: Configuration) -> Calibration:
     Raises ConfigurationError or PlanError, too, where its policy cannot reach its goal.
     """
     calibration = prepare_whole(configuration)
+    calibration.refraction.require_sources(configuration.capture)
     calibration.policy(calibration.from_the_start())
     return calibration
 
@@ -194,7 +195,6 @@ def prepare_whole(configuration: Configuration) -> Calibration:
             calibration.method.check_plan(configuration, calibration.plan)
         except PlanError as error:
             raise PlanError(f"{configuration.source}: plan: {error}") from error
-    calibration.refraction.require_sources(configuration.capture)
     return calibration
 
 

@@ -29,6 +29,25 @@ from rotcal_ros.session_folder import SessionFolder
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="truth.json of a simulation, drawn beside the result.",
 )
+@click.option(
+    "--dcc",
+    is_flag=False,
+    flag_value="",
+    metavar="[FILE]",
+    help="Write a digital calibration certificate instead; certificate.xml beside BAG.",
+)
+@click.option(
+    "--sign",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="KEY",
+    help="Sign it with this private key (RSA, PEM).",
+)
+@click.option(
+    "--certificate",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="X509",
+    help="X.509 certificate (PEM) of who signs.",
+)
 def command(
     source: Path,
     setup: Path | None,
@@ -36,6 +55,9 @@ def command(
     changes: tuple[str, ...],
     output: Path | None,
     truth: Path | None,
+    dcc: str | None,
+    sign: Path | None,
+    certificate: Path | None,
 ) -> int:
     """Solve BAG, or TABLE with its --setup, and write the report.
 
@@ -43,6 +65,14 @@ def command(
 
     RESULT (.json): about a result as it is, be it a combination or one whose bag is elsewhere.
     """
+    if dcc is not None:
+        from rotcal_ros.cli.certificate import write_certificate
+        from rotcal_ros.recordings.inputs import Input
+
+        given = Input(source, setup, targets, changes)
+        return write_certificate(given, Path(dcc) if dcc else None, sign, certificate)
+    if sign or certificate:
+        raise click.UsageError("--sign and --certificate belong to --dcc")
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.sources import read_source
