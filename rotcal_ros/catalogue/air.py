@@ -156,16 +156,20 @@ def with_common(result: Result, moved: Result) -> Result:
             "every index larger by its standard uncertainty"
         )
     shift = {n: moved.deviations[n] - values for n, values in result.deviations.items()}
-    adjacent = result.adjacent_std
-    if adjacent is not None and moved.adjacent_deviations is not None:
-        adjacent = np.hypot(adjacent, moved.adjacent_deviations - result.adjacent_deviations)
     return replace(
         result,
         std={n: np.hypot(values, shift[n]) for n, values in result.std.items()},
         covariance={n: c + np.outer(shift[n], shift[n]) for n, c in result.covariance.items()},
-        adjacent_std=adjacent,
+        adjacent_std=_adjacent_std(result, moved),
         directions={n: _both(d, moved.directions[n]) for n, d in result.directions.items()},
     )
+
+
+def _adjacent_std(result: Result, moved: Result) -> Floats | None:
+    before, after = result.adjacent_deviations, moved.adjacent_deviations
+    if result.adjacent_std is None or before is None or after is None:
+        return result.adjacent_std
+    return np.asarray(np.hypot(result.adjacent_std, after - before), dtype=np.float64)
 
 
 def _both(sides: Directions, moved: Directions) -> Directions:

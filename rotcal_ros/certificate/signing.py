@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from lxml import etree
-from signxml import XMLSigner, XMLVerifier, methods
+from signxml.algorithms import SignatureConstructionMethod
 from signxml.exceptions import InvalidInput, InvalidSignature
+from signxml.signer import XMLSigner
+from signxml.verifier import XMLVerifier
 
 from rotcal_ros.certificate.document import as_bytes
+from rotcal_ros.certificate.elements import DCC_NAMESPACE
 from rotcal_ros.errors import ConfigurationError, DataError
+
+ROOT: Final = f"{{{DCC_NAMESPACE}}}digitalCalibrationCertificate"
 
 
 def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
@@ -15,7 +22,9 @@ def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
 
     Raises ConfigurationError for a key or a certificate that cannot be used.
     """
-    signer = XMLSigner(method=methods.enveloped, signature_algorithm="rsa-sha256")
+    signer = XMLSigner(
+        method=SignatureConstructionMethod.enveloped, signature_algorithm="rsa-sha256"
+    )
     try:
         root = signer.sign(etree.fromstring(certificate), key=key, cert=x509.decode("ascii"))
     except (InvalidInput, TypeError, ValueError) as error:
@@ -28,6 +37,8 @@ def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
 def verify(certificate: bytes, x509: bytes) -> None:
     """Raise DataError unless ``x509`` (PEM) has signed the whole certificate as it stands."""
     try:
-        XMLVerifier().verify(certificate, x509_cert=x509.decode("ascii"))
+        proved = XMLVerifier().verify(certificate, x509_cert=x509.decode("ascii"))
     except (InvalidSignature, InvalidInput, etree.XMLSyntaxError) as error:
         raise DataError(f"the signature does not hold: {error}") from error
+    if getattr(getattr(proved, "signed_xml", None), "tag", "") != ROOT:
+        raise DataError("the signature does not hold: only a part of the certificate is signed")
