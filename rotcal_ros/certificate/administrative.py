@@ -94,11 +94,11 @@ def _core_data(circumstances: Circumstances, issued: date) -> Any:
 def _item(circumstances: Circumstances) -> Any:
     identity: Identity = circumstances.identity
     axis = f"Rotary axis {circumstances.axis}." if circumstances.axis else "Rotary axis."
-    said = [axis, NOT_MEASURED] if circumstances.simulated else [axis]
+    paragraphs = [axis, NOT_MEASURED] if circumstances.simulated else [axis]
     return DCC.item(
         *present(
             text("name", marked(identity.item, circumstances)),
-            text("description", *said),
+            text("description", *paragraphs),
             contact("manufacturer", identity.maker) if identity.maker else None,
             leaf("model", identity.model) if identity.model else None,
             DCC.identifications(identification("manufacturer", identity.serial, "serial number")),
@@ -128,5 +128,5 @@ def _statements(result: Result) -> Iterator[list[Any]]:
         yield _statement("Remarks", *result.warnings)
 
 
-def _statement(name: str, *said: str) -> list[Any]:
-    return [text("name", name), text("declaration", *said)]
+def _statement(name: str, *paragraphs: str) -> list[Any]:
+    return [text("name", name), text("declaration", *paragraphs)]

@@ -35,13 +35,13 @@ _NORMAL: Final = "normal"
 def measurement_results(result: Result, method_title: str) -> Any:
     """Return the element ``measurementResults``."""
     circumstances = result.circumstances
-    said = [NOT_MEASURED] if circumstances.simulated else []
-    said.append("Deviation = actual - commanded, names after ISO 230-1, SI units.")
+    paragraphs = [NOT_MEASURED] if circumstances.simulated else []
+    paragraphs.append("Deviation = actual - commanded, names after ISO 230-1, SI units.")
     return DCC.measurementResults(
         DCC.measurementResult(
             *present(
                 text("name", marked("Deviations of a rotary table", circumstances)),
-                text("description", *said),
+                text("description", *paragraphs),
                 DCC.usedMethods(*_methods(result, method_title)),
                 DCC.usedSoftware(software()),
                 _instruments(circumstances),
@@ -72,7 +72,9 @@ def _methods(result: Result, title: str) -> Iterator[Any]:
 
 def _instruments(circumstances: Circumstances) -> Any:
     known = circumstances.identity.instruments.known
-    return DCC.measuringEquipments(*(_instrument(name, one) for name, one in known.items()))
+    return DCC.measuringEquipments(
+        *(_instrument(name, instrument) for name, instrument in known.items())
+    )
 
 
 def _instrument(name: str, instrument: Instrument) -> Any:
