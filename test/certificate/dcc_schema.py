@@ -1,26 +1,19 @@
-"""The schemas of PTB for digital calibration certificates, as published, where they are at hand.
+"""The schemas of PTB for digital calibration certificates, as published: see schema/README.md.
 
-They are under the LGPL, version 3, and not part of this repository. A folder, named by the
-environment variable ROTCAL_DCC_SCHEMA, holds them under the last parts of their addresses:
-https://ptb.de/dcc/v3.3.0/dcc.xsd, https://ptb.de/si/v2.2.1/SI_Format.xsd and
-https://ptb.de/si/v2.2.1/qudt/quantitykind.xsd. Nothing is fetched: what they import is
-looked for in that folder, the schema of W3C's signatures in the package signxml.
+Nothing is fetched: what they import is looked for beside them, the schema of W3C's signatures in
+the package signxml.
 """
 
-import os
 from pathlib import Path
 
-import pytest
 import signxml
 from lxml import etree
 
-FOLDER = Path(os.environ.get("ROTCAL_DCC_SCHEMA", "build/dcc_schema"))
+FOLDER = Path(__file__).parent / "schema"
 
 
 def read_schema():
-    """Return the schema; skips the test where it is not at hand."""
-    if not (FOLDER / "dcc.xsd").is_file():
-        pytest.skip("no schema of PTB here: ROTCAL_DCC_SCHEMA names its folder")
+    """Return the schema."""
     folders = (FOLDER, Path(signxml.__file__).parent / "schemas")
 
     class Local(etree.Resolver):
