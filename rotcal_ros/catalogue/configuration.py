@@ -22,6 +22,7 @@ from rotcal_ros.catalogue.plan_files import PlanFile, with_contents
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.identity import Identity
+from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.plugins import nearest
@@ -35,11 +36,12 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "bridge": BridgeSettings,
     "topics": TopicSettings,
     "identity": Identity,
+    "page": PageSettings,
 }
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
     "identity", "cell", "plan", "capture", "solver", "planner", "recorder", "bridge", "topics",
-    "simulation",
+    "page", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
 SIMULATION: Final = "simulation"
@@ -83,6 +85,7 @@ class Configuration:
     bridge: BridgeSettings
     topics: TopicSettings
     identity: Identity
+    page: PageSettings
     simulation: Any
     simulated: bool
     given: frozenset[str]
