@@ -51,7 +51,7 @@ setup(
     maintainer_email="maintainers@rotcal.invalid",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={"": ["py.typed", "*.pyi", "*.xml", "templates/*"]},
+    package_data={"": ["py.typed", "*.pyi", "*.xml", "templates/*", "static/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -84,6 +84,7 @@ setup(
         "opcua": ["asyncua", "cryptography"],
         "ads": ["pyads"],
         "dcc": ["cryptography", "lxml", "signxml"],
+        "page": ["sse-starlette", "starlette", "uvicorn"],
         "build": [
             "catkin-pkg",
             "cmake",
@@ -99,10 +100,12 @@ setup(
         "docs": ["mkdocs", "mkdocs-click", "mkdocs-material"],
         "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
         "test": [
+            "httpx2",
             "hypothesis",
             "import-linter",
             "mcap-ros2-support",
             "mypy",
+            "playwright",
             "pre-commit",
             "pytest",
             "pytest-xdist",

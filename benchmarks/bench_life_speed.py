@@ -1,5 +1,7 @@
 """A tracer at 1 kHz and life speed, planner to capture to solver: losses and latency.
 
+Once without the operator's page, once with three viewers of it.
+
 Environment: ROTCAL_BENCH_LIFE_S (seconds of measuring, default 60; 612 for the record).
 
 The latency of an observation is the time from when the last reading of its window was published
@@ -8,13 +10,17 @@ for the next feedback of the table (100 Hz), which must show that the table was 
 """
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
+from urllib.request import urlopen
 
 import numpy as np
 
@@ -26,6 +32,7 @@ ROOT = Path(__file__).parents[1]
 SECONDS = float(os.environ.get("ROTCAL_BENCH_LIFE_S", "60"))
 TRACER, OBSERVATION = "/cell/tracer_length", "/cell/observation"
 DEADLINE_S = 60.0
+VIEWERS = 3
 QUICK_MACHINE = (
     "plan.box_points=[5, 5, 5]",
     "plan.order=targets_per_station",
@@ -58,8 +65,8 @@ class Row:
     largest_ms: float
 
 
-def measured(output: Path) -> Path:
-    """Let the cell run for the time and cancel it; return the bag."""
+def measured(output: Path, viewers: int) -> Path:
+    """Let the cell run for the time, with its page watched, and cancel it; return the bag."""
     command = [
         sys.executable,
         "-m",
@@ -68,13 +75,25 @@ def measured(output: Path) -> Path:
         str(ROOT / "config/tracer_simulated.yaml"),
     ]
     command += ["--output", str(output), "--no-report", "--no-export"]
+    command += [] if viewers else ["--no-page"]
     command += [part for change in QUICK_MACHINE for part in ("--set", change)]
     with (output.parent / "log").open("w") as log:
         run = subprocess.Popen(command, stdout=log, stderr=log)
+        for _ in range(viewers):
+            Thread(target=watch, args=(Path(log.name),), daemon=True).start()
         time.sleep(SECONDS)
         run.terminate()  # cancels like Ctrl-C, which a shell may have told us to ignore
         run.wait(DEADLINE_S)
     return output / "bag"
+
+
+def watch(log: Path) -> None:
+    """Take what the page sends to a browser, until it ends."""
+    while not (found := re.search(r"page: (http://\S+)", log.read_text())):
+        time.sleep(0.1)
+    with urlopen(f"{found[1]}/events") as stream, suppress(OSError):
+        while stream.read(1000):
+            pass
 
 
 def fields(bag: Path, topic: str, wanted: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -100,9 +119,15 @@ def stamps_ns(found: dict[str, np.ndarray], name: str) -> np.ndarray:
 
 
 def rows() -> Iterator[Row]:
-    """Yield the measurement."""
+    """Yield the measurements."""
+    yield row("1 kHz tracer at life speed", 0)
+    yield row(f"the same, with {VIEWERS} pages open", VIEWERS)
+
+
+def row(name: str, viewers: int) -> Row:
+    """Return one measurement."""
     with tempfile.TemporaryDirectory(prefix="rotcal_bench_") as folder:
-        bag = measured(Path(folder) / "out")
+        bag = measured(Path(folder) / "out", viewers)
         (verdict,) = check_files(bag_files(bag))
         readings = fields(bag, TRACER, ("header.stamp.sec", "header.stamp.nanosec", "sequence"))
         observed = fields(bag, OBSERVATION, ("window_end.sec", "window_end.nanosec"))
@@ -111,8 +136,8 @@ def rows() -> Iterator[Row]:
         assert np.array_equal(stamps[last], ends), "a window ends with a reading that is not there"
         latency_ms = (observed["published"] - readings["published"][last]) * NANOSECOND * 1e3
         gaps = int((np.diff(readings["sequence"]) - 1).sum())
-        yield Row(
-            "1 kHz tracer at life speed",
+        return Row(
+            name,
             float(np.ptp(stamps) * NANOSECOND),
             len(ends),
             len(stamps),

@@ -67,6 +67,12 @@ def generate_launch_description():
                 choices=["true", "false"],
             ),
             DeclareLaunchArgument(
+                "page",
+                default_value="false",
+                description="Serve the operator's page; its address is logged.",
+                choices=["true", "false"],
+            ),
+            DeclareLaunchArgument(
                 "scene",
                 default_value="false",
                 description="Publish markers for RViz and Foxglove.",

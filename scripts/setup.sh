@@ -67,7 +67,7 @@ install_packages() {
     say "2/3 Python packages and ROS 2 wheels (800 MB on disk, a minute or two)"
     local pip=("$VENV/bin/python" -m pip --disable-pip-version-check install -c constraints.txt)
     quietly "${pip[@]}" setuptools wheel
-    quietly "${pip[@]}" --no-build-isolation -e ".[${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,build,test}]"
+    quietly "${pip[@]}" --no-build-isolation -e ".[${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,page,build,test}]"
 }
 
 # The real rosidl chain, into the environment; files of an older build are taken away first.

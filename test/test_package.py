@@ -140,13 +140,8 @@ def test_ros_run_finds_the_executables():
 
 def test_the_manifest_names_what_is_imported_and_nothing_else(setup_py):
     extras = setup_py["extras_require"]
-    optional = {
-        *extras["many"],
-        *extras["opcua"],
-        *extras["ads"],
-        *extras["dcc"],
-        *OF_THE_CONTROLLER,
-    }
+    names = (name for extra in ("many", "opcua", "ads", "dcc", "page") for name in extras[extra])
+    optional = {*(name.replace("-", "_") for name in names), *OF_THE_CONTROLLER}
     imported = {
         name.split(".")[0]
         for folder in ("rotcal_ros", "launch")

@@ -14,11 +14,13 @@ from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.catalogue.method import Adaptive, Method, Trials
+from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.circumstances import Circumstances, Counts, Range
 from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.geometry.rotations import carried
 from rotcal_ros.in_force import UNKNOWN, agreed
 from rotcal_ros.observations import Observation
-from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.policy.as_listed import AsListed
 from rotcal_ros.planning.policy.choices import Policy
 from rotcal_ros.planning.policy.names import AS_LISTED, UNTIL_GOAL
@@ -92,6 +94,19 @@ class Calibration:
         """What is done about the index of refraction of the air."""
         lengths = TRACER_LENGTH in self.method.topics
         return Refraction(self.configuration.air, self.configuration.source, lengths=lengths)
+
+    def stand_at(self, step: Step) -> Point | None:
+        """Return where the instrument stands at a step (m, machine frame), if it stands apart."""
+        places, rides = self._stations.places, self._stations.carried
+        if not places:
+            return None
+        place = places[step.station if step.station < len(places) else 0]
+        return carried(place, step.table_angle) if rides else place
+
+    @cached_property
+    def _stations(self) -> Stations:
+        find = self.method.stations
+        return Stations() if find is None else find(self.configuration)
 
     def in_force(self, announced: Iterable[str]) -> tuple[str, ...]:
         """Return what configuration and cell say about the table in force."""

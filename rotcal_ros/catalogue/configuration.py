@@ -23,6 +23,7 @@ from rotcal_ros.catalogue.plan_files import PlanFile, with_contents
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.identity import Identity
+from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.plugins import nearest
@@ -37,11 +38,12 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "bridge": BridgeSettings,
     "topics": TopicSettings,
     "identity": Identity,
+    "page": PageSettings,
 }
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
     "identity", "cell", "plan", "capture", "air", "solver", "planner", "recorder", "bridge",
-    "topics", "simulation",
+    "topics", "page", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
 SIMULATION: Final = "simulation"
@@ -86,6 +88,7 @@ class Configuration:
     bridge: BridgeSettings
     topics: TopicSettings
     identity: Identity
+    page: PageSettings
     simulation: Any
     simulated: bool
     given: frozenset[str]

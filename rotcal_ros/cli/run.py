@@ -32,6 +32,9 @@ from rotcal_ros.cli.console import json_option, path_type, print_outcome
 @click.option(
     "-y", "--yes", is_flag=True, help="Take every work asked of a person as done at once."
 )
+@click.option(
+    "--page/--no-page", default=True, help="Serve the operator's page, or not. Default: yes."
+)
 @click.option("--scene", is_flag=True, help="Publish markers for RViz and Foxglove too.")
 @click.option("--detach", is_flag=True, help="Go on in the background; see 'rotcal attach'.")
 @json_option
@@ -44,6 +47,7 @@ def command(
     no_report: bool,
     no_export: bool,
     yes: bool,
+    page: bool,
     scene: bool,
     detach: bool,
     as_json: bool,
@@ -52,11 +56,12 @@ def command(
 
     With a group 'simulation' in CONFIG the cell is simulated, otherwise its instruments must be
     running. Where the plan needs a person, the instruction is shown: a simulated person does it
-    at once, a real one presses Enter when done (or calls the service 'resume' of the cell).
+    at once, a real one presses Enter when done, or the button on the operator's page, whose
+    address is printed (or calls the service 'resume' of the cell).
     Ctrl-C cancels: the bag stays valid, and --resume continues it. A lost terminal does not end
     the calibration: 'rotcal attach' shows it again.
     """
-    from rotcal_ros.sessions.environment import require_ros
+    from rotcal_ros.sessions.environment import page_can_be_served, require_ros
     from rotcal_ros.sessions.following import calibrate
     from rotcal_ros.sessions.lasting import go_to_background, lasting_output
     from rotcal_ros.sessions.products import goal_line, write_products
@@ -75,7 +80,8 @@ def command(
         session = resume_session(configuration, resume, changes)
     else:
         raise click.UsageError("--resume continues in its own FOLDER, without --output")
-    session = replace(session, shown_by=("scene",) * scene)
+    page = page and page_can_be_served()
+    session = replace(session, shown_by=("page",) * page + ("scene",) * scene)
     viewers = Viewers(session, at_once=yes)
     if detach and not go_to_background(session.run_log):
         click.echo(f"it runs in the background; to see it: {session.attach_command}")

@@ -5,6 +5,8 @@ Angles are radians, counter-clockwise about the axis; matrices act on column vec
 
 from __future__ import annotations
 
+from math import cos, sin
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -37,6 +39,13 @@ def rotation_about_z(angle: ArrayLike) -> Floats:
     matrix[..., 0, 1] = -matrix[..., 1, 0]
     matrix[..., 2, 2] = 1.0
     return matrix
+
+
+def carried(place: tuple[float, float, float], angle: float) -> tuple[float, float, float]:
+    """Return where ``place`` (m) gets when the table turns by ``angle`` (rad) about +z."""
+    x, y, z = place
+    c, s = cos(angle), sin(angle)
+    return c * x - s * y, s * x + c * y, z
 
 
 def rotation_from_vector(vectors: ArrayLike) -> Floats:

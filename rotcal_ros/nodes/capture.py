@@ -19,6 +19,7 @@ from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, listen_to_instrument
 from rotcal_ros.nodes.health import LOADING
+from rotcal_ros.nodes.latest import NOW, reading
 from rotcal_ros.nodes.plans import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.running import run
@@ -48,6 +49,7 @@ class CaptureNode(CellNode):
         self._needed: tuple[str, ...] = ()
         self._valid: Counter[str] = Counter()
         self._heard_s: dict[str, float] = {}
+        self._latest: dict[str, Record] = {}
         self._verdicts: Counter[str] = Counter()
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
         self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
@@ -69,6 +71,7 @@ class CaptureNode(CellNode):
             for message, _ in batch:
                 record = convert(message)
                 if record is not None:
+                    self._latest[topic] = record
                     self._valid[topic] += _is_valid(record)
                     self._feed(record)
 
@@ -103,6 +106,7 @@ class CaptureNode(CellNode):
         now = time.monotonic()
         values: dict[str, Any] = {"run": self._run, **self._verdicts}
         values |= {f"valid.{topic}": self._valid[topic] for topic in self._heard_s}
+        values |= {f"{NOW}{topic}": reading(record) for topic, record in self._latest.items()}
         for topic in set(CONTINUOUS) & set(self._needed) & self._heard_s.keys():
             values[f"silent_s.{topic}"] = f"{now - self._heard_s[topic]:.2f}"
         if self._capture is not None:

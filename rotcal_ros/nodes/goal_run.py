@@ -72,7 +72,7 @@ class GoalRun:
         links.forget()
         watch.tell("preflight: nodes")
         await watch.have(links.missing_nodes, Codes.NODE_LOST)
-        watch.nodes = links.health.present() | set(PREFLIGHT_NODES)
+        watch.nodes = (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS}
         watch.tell("preflight: topics")
         await watch.have(lambda: links.missing_topics(topics), Codes.TOPIC_MISSING)
         watch.nodes |= links.health.present()

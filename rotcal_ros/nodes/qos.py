@@ -18,6 +18,9 @@ EVENT: Final = QoSProfile(depth=100, reliability=ReliabilityPolicy.RELIABLE)
 STREAM: Final = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
 """Readings at kilohertz rates, published reliably by our own nodes."""
 
+VIEW: Final = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""For those who only look: no publisher repeats anything for them, or waits."""
+
 LISTENING_DEPTH: Final = 50_000
 """Messages that the middleware keeps for a busy listener: a second of the fastest load."""
 

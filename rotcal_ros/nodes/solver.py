@@ -149,6 +149,7 @@ class SolverNode(CellNode):
                 f"(first: {missing[0][1]}); solve the bag instead, it holds them all"
             )
         self._state = SOLVING
+        self._solved_count = len(self._observations)  # nothing preliminary follows what is final
         self.health.beat()
         return await self.answer_of(self._begin(calibration), SOLVE_TIMEOUT_S)
 

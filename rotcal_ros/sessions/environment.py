@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import os
 from importlib.util import find_spec
+from typing import Final
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.middleware import middleware
+from rotcal_ros.report.terminal.console import say
 from rotcal_ros.sessions.domains import free_domain
+
+_OF_THE_PAGE: Final = ("sse_starlette", "starlette", "uvicorn")
 
 
 def require_ros() -> None:
@@ -19,6 +23,14 @@ def require_ros() -> None:
             "project's environment (make setup) or source a ROS 2 workspace; recorded bags are "
             "solved without ROS: rotcal solve BAG"
         )
+
+
+def page_can_be_served() -> bool:
+    """Return whether the operator's page has what it needs; say so where it has not."""
+    missing = [name for name in _OF_THE_PAGE if find_spec(name) is None]
+    if missing:
+        say(f"no page: not installed: {', '.join(missing)} (pip install 'rotcal_ros[page]')")
+    return not missing
 
 
 def node_environment() -> dict[str, str]:

@@ -104,9 +104,11 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
     """
     with progress_bar(time_left=False) as bar:  # the planner knows it better
         display = Display(bar)
-        heard, begun = time.monotonic(), False
+        heard, begun, address = time.monotonic(), False, ""
         while True:
             _obey(viewers, person)
+            if not address:
+                display.line(address := nodes.page())
             if person.is_done():
                 nodes.resume()
             try:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any
+from typing import Any, Final
 
 from rotcal_ros.catalogue.configuration import node_parameters
 from rotcal_ros.files import FolderLock, write_atomically
@@ -17,6 +18,10 @@ from rotcal_ros.sessions.commands import CLIENT, client_command, node_command, n
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
 from rotcal_ros.sessions.session import Session
+
+PAGE: Final = "page"
+_LINES: Final = 200
+_ADDRESS: Final = re.compile(r"page: http://\S+")
 
 
 class RunningSession:
@@ -43,6 +48,16 @@ class RunningSession:
     def log_tail(self, name: str) -> str:
         """Return the last lines of a process's log."""
         return self._processes.log_tail(name)
+
+    def page(self) -> str:
+        """Return where the operator's page is, or why there is none; empty: not known yet."""
+        for name in self._processes.children.keys() & {VIEWERS[PAGE]}:
+            log = self._processes.log_tail(name, _LINES)
+            if found := _ADDRESS.search(log):
+                return found[0]
+            if name in self._processes.ended():
+                return f"no page: {log}"
+        return ""
 
     def _read(self) -> None:
         stream = self._processes.children[CLIENT].stdout

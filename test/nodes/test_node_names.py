@@ -71,6 +71,7 @@ def test_the_package_installs_a_command_for_every_node(monkeypatch):
 def test_sessions_and_preflight_use_the_same_lists():
     assert commands.NODES is NODES
     assert commands.FURTHER_NODES is FURTHER_NODES
+    assert commands.VIEWERS is VIEWERS
 
 
 def test_the_names_are_known_without_numpy():

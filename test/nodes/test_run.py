@@ -76,7 +76,7 @@ def test_ctrl_c_leaves_a_valid_bag_and_no_process(tmp_path):
             if "of 60 steps" in line:
                 break
         children = children_of(run.pid)
-        assert len(children) == 6
+        assert len(children) == 7
         run.send_signal(signal.SIGINT)
         rest = run.stderr.read()
         assert run.wait(DEADLINE_S) == 130
@@ -88,7 +88,7 @@ def test_ctrl_c_leaves_a_valid_bag_and_no_process(tmp_path):
 
 def test_nodes_do_not_outlive_a_killed_supervisor(tmp_path):
     with subprocess.Popen(arguments(tmp_path / "out"), stderr=subprocess.DEVNULL) as run:
-        wait_until(lambda: len(children_of(run.pid)) == 6, "the nodes are started")
+        wait_until(lambda: len(children_of(run.pid)) == 7, "the nodes are started")
         wait_until((tmp_path / "out" / "bag").exists, "the recording begins")
         children = children_of(run.pid)
         run.kill()

@@ -35,6 +35,12 @@ def test_a_simulated_cell_has_one_node_more(session, tmp_path):
     ]  # fmt: skip
 
 
+def test_the_page_comes_last_where_it_is_wanted(session):
+    assert "operator_page" not in node_names(session)
+    shown = replace(session, shown_by=("page",))
+    assert node_names(shown) == [*node_names(session), "operator_page"]
+
+
 def test_the_nodes_of_the_first_run(session):
     for name in node_names(session):
         command = node_command(session, name)

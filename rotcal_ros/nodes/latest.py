@@ -1,0 +1,29 @@
+"""The latest reading of every instrument, in the heartbeat of the capture.
+
+People see it live without a subscription of their own to a stream of a kilohertz.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rotcal_ros.capture import Record
+from rotcal_ros.observations import LengthStatus, ProbeSample, TableSample, TracerSample
+from rotcal_ros.observations import TemperatureSample as Thermometer
+
+NOW: Final = "now."
+"""How the values of the capture begin that tell the latest reading of a topic."""
+
+
+def reading(record: Record) -> str:
+    """Return a reading in SI: length and status, point, angle, or degC and sensor."""
+    match record:
+        case TracerSample():
+            return f"{record.length:.9f} {LengthStatus(record.status).name}"
+        case ProbeSample():
+            return " ".join(f"{x:.7f}" for x in record.position)
+        case TableSample():
+            return f"{record.angle:.9f}"
+        case Thermometer():
+            return f"{record.temperature_c:.4f} {record.sensor}"
+    return ""

@@ -1,0 +1,105 @@
+"""The compensation table that waits at the bridge, and its confirmation by a person."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
+from rotcal_msgs.srv import ApplyTable, GetCorrection
+
+from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.qos import LATCHED
+from rotcal_ros.observations import Approach
+from rotcal_ros.page.app import Answer
+from rotcal_ros.page.state import Offer
+from rotcal_ros.units import ARCSEC, DEGREE
+
+BRIDGE: Final = "bridge"
+OFFERED: Final = "offered"
+MOST_ANGLES: Final = 120
+
+
+class WaitingTable:
+    """Follows the bridge; ``offer`` is None while no table has come to it.
+
+    What the controller would add is asked of the bridge itself, so that the drawing shows what
+    will be applied.
+    """
+
+    def __init__(self, node: CellNode) -> None:
+        self._node = node
+        self._table: Any = None
+        self._drawn_for = self._applied = ""
+        self._drawing: dict[str, tuple[float, ...]] = {}
+        node.listen(CompensationTableMsg, "compensation_table", self._take, LATCHED)
+        self._look_up = node.create_client(GetCorrection, "get_correction")
+        self._apply = node.create_client(ApplyTable, "apply")
+
+    def offer(self) -> Offer | None:
+        """Return what the bridge says now."""
+        health = self._node.health
+        values = health.values(BRIDGE) if BRIDGE in health.present() else {}
+        if "table_hash" not in values:
+            return None
+        confirmation, apply = values.get("confirmation", ""), values.get("apply", "")
+        why_not = "" if apply == OFFERED else apply or "the bridge does not offer it"
+        if not confirmation:
+            why_not = health.state(BRIDGE)
+        elif self._drawn_for != confirmation and self._can_draw(values["table_hash"]):
+            self._drawn_for, self._drawing = confirmation, {}
+            self._node.executor.create_task(self._draw, confirmation, self._table)
+        return Offer(
+            confirmation=confirmation,
+            table_hash=values["table_hash"],
+            verdict=values.get("verdict", ""),
+            in_force=values.get("in_force", ""),
+            residual=values.get("residual", ""),
+            bridge=health.state(BRIDGE),
+            why_not=why_not,
+            applied=bool(confirmation) and confirmation == self._applied,
+            **(self._drawing if confirmation == self._drawn_for else {}),
+        )
+
+    async def apply(self, confirmation: str, secret: str) -> Answer:
+        """Have the bridge feed the table with this hash to the controller."""
+        if not self._apply.service_is_ready():
+            return Answer(False, "the bridge does not offer to apply a table")
+        request = ApplyTable.Request(confirmation=confirmation, secret=secret)
+        answer = await self._apply.call_async(request)
+        if answer.success:
+            self._applied = confirmation
+        return Answer(answer.success, answer.message)
+
+    def _take(self, message: Any) -> None:
+        self._table = message
+
+    def _can_draw(self, table_hash: str) -> bool:
+        """Return whether the table of the bridge has come here too, and the bridge answers."""
+        known = self._table is not None and self._table.table_hash == table_hash
+        return known and bool(self._look_up.service_is_ready())
+
+    async def _draw(self, confirmation: str, table: Any) -> None:
+        """Ask for the correction at the rows; what was measured is left of the one before."""
+        every = max(1, len(table.angles) // MOST_ANGLES)
+        angles, left = (np.array(v[::every]) for v in (table.angles, table.correction_forward))
+        side = int(Approach.POSITIVE)
+        requests = [GetCorrection.Request(angle=float(a), approach=side) for a in angles]
+        # One after the other: a service holds ten requests and forgets what is more.
+        answers = [await self._look_up.call_async(request) for request in requests]
+        if confirmation != self._drawn_for or not all(a.success for a in answers):
+            return
+        after = np.array([a.correction for a in answers])
+        std = np.array([a.std for a in answers])
+        # What the table in force adds already is what this one adds less what was measured.
+        self._drawing = {
+            "angles_deg": _rounded(angles / DEGREE),
+            "before_arcsec": _rounded((after - left) / ARCSEC),
+            "after_arcsec": _rounded(after / ARCSEC),
+            "expanded_arcsec": _rounded(COVERAGE_FACTOR * std / ARCSEC),
+        }
+
+
+def _rounded(values: Any) -> tuple[float, ...]:
+    return tuple(round(float(v), 4) for v in values)

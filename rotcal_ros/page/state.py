@@ -1,0 +1,250 @@
+"""What the page shows, as frozen sections; a viewer is sent those that have changed.
+
+Numbers stand in the units in which people read them, named by their suffix; times are seconds
+since 1970. None is what nobody knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from math import isfinite
+from typing import Any, Final, Literal
+
+Points = tuple[tuple[float, float], ...]
+Kind = Literal[
+    "waiting", "ready", "measuring", "person", "confirm", "stopping", "done", "stopped", "failed"
+]
+"""What the cell does, or what a person has to do (``person``, ``confirm``)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What is calibrated. ``simulated`` is None while nobody has said it."""
+
+    namespace: str = ""
+    method: str = ""
+    axis: str = ""
+    simulated: bool | None = None
+    item: str = ""
+    serial: str = ""
+    plan_id: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Now:
+    """What happens now, large; ``resume`` and ``stop`` are what a person may do."""
+
+    kind: Kind = "waiting"
+    headline: str = "Waiting for the planner"
+    detail: str = ""
+    resume: bool = False
+    stop: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """How far the measurement has come; ``end_s`` is the expected end."""
+
+    step: int
+    total: int
+    accepted: int
+    rejected: int
+    left: int
+    end_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A deviation with its expanded uncertainty (k = 2), both in ``unit``."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+    expanded: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Deviations:
+    """What is known of the table so far; ``verdict`` counts once it is ``final``."""
+
+    angles_deg: tuple[float, ...]
+    curves: tuple[Curve, ...]
+    observations: int
+    final: bool
+    verdict: str
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Expanded uncertainty (k = 2) of ECC against the goal, if any.
+
+    ``now_arcsec`` is that of the policy, which the goal is for; until it is known, and without a
+    goal, the largest of the curve (``of_curve``). ``course`` holds the latter over the steps.
+    """
+
+    now_arcsec: float | None = None
+    goal_arcsec: float | None = None
+    of_curve: bool = True
+    course: Points = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PlanView:
+    """The cell from above, m, machine frame: targets, and where the instrument stands in turn."""
+
+    angles_deg: tuple[float, ...]
+    targets: Points
+    stands: Points
+
+
+@dataclass(frozen=True, slots=True)
+class Pointing:
+    """The step that was ordered last; ``stand`` is None where there is no beam."""
+
+    step: int
+    table_angle_deg: float
+    target: tuple[float, float]
+    stand: tuple[float, float] | None
+    visited_deg: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Lengths:
+    """The live reading of the instrument, with its unit."""
+
+    label: str
+    now: str
+    trouble: str
+
+
+@dataclass(frozen=True, slots=True)
+class Temperature:
+    """One sensor since the page began: latest, range, drift, and the course in degC."""
+
+    sensor: str
+    now_c: float
+    low_c: float
+    high_c: float
+    drift_k_per_h: float | None
+    course: Points
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """An attempt that was not accepted."""
+
+    time_s: float
+    step: int
+    attempt: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class NodeState:
+    """A node of the cell; ``level`` is 0 well, 1 warning, 2 error, 3 silent."""
+
+    name: str
+    words: str
+    level: int
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """An instrument's topic."""
+
+    topic: str
+    rate_hz: float
+    silent_s: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The bag: ``lost`` messages known to be lost, free space beside it."""
+
+    file: str
+    messages: int
+    lost: int
+    losses: tuple[str, ...]
+    free_gb: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class LogLine:
+    """A warning or an error of a node."""
+
+    time_s: float
+    error: bool
+    node: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Offer:
+    """A compensation table that waits at the bridge; ``why_not`` says why it cannot be applied.
+
+    ``in_force``, ``residual`` and ``bridge`` are what the bridge says in words of the table that
+    it replaces or adds to, of what will be left, and of itself.
+    ``before_arcsec``, ``after_arcsec``: correction of the controller now and with this table.
+    """
+
+    confirmation: str
+    table_hash: str
+    verdict: str
+    in_force: str
+    residual: str
+    bridge: str
+    why_not: str
+    applied: bool
+    angles_deg: tuple[float, ...] = ()
+    before_arcsec: tuple[float, ...] = ()
+    after_arcsec: tuple[float, ...] = ()
+    expanded_arcsec: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """All that the page shows; ``ended`` says that the cell has been switched off in order.
+
+    ``length_course`` holds the lengths of the last minute, mm.
+    """
+
+    cell: Cell = Cell()
+    now: Now = Now()
+    steps: Steps | None = None
+    deviations: Deviations | None = None
+    standing: Standing = Standing()
+    view: PlanView | None = None
+    pointing: Pointing | None = None
+    lengths: Lengths | None = None
+    length_course: Points = ()
+    temperatures: tuple[Temperature, ...] = ()
+    rejections: tuple[Rejection, ...] = ()
+    nodes: tuple[NodeState, ...] = ()
+    streams: tuple[Stream, ...] = ()
+    recording: Recording | None = None
+    log: tuple[LogLine, ...] = ()
+    offer: Offer | None = None
+    ended: bool = False
+
+
+NAMES: Final = tuple(field.name for field in fields(State))
+
+
+def changes(seen: State | None, state: State) -> Mapping[str, Any]:
+    """Return what a viewer has to be sent who has ``seen`` a state: all of it for None."""
+    return {
+        name: _plain(getattr(state, name))
+        for name in NAMES
+        if seen is None or getattr(seen, name) != getattr(state, name)
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold; a number that is none becomes None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not isfinite(value) else value

@@ -1,0 +1,60 @@
+// What a person asks for: continue, stop, confirm a table.
+import { number, text } from "./words.js";
+
+let token = "";
+const by = (id) => document.getElementById(id);
+
+export function useToken(given) { token = given; }
+
+export function disable(off) {
+  for (const id of ["resume", "stop", "review"]) by(id).disabled = off;
+  if (off) for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close("no");
+}
+
+async function ask(what, values = {}) {
+  text("answer", "…");
+  try {
+    const response = await fetch(`/${what}`, {
+      method: "POST",
+      headers: { "content-type": "application/json", "x-rotcal-token": token },
+      body: JSON.stringify(values),
+    });
+    const words = await response.text();
+    const answer = response.headers.get("content-type")?.includes("json") ? JSON.parse(words) : { message: words };
+    text("answer", sentence(answer.message));
+    setTimeout(() => text("answer", ""), answer.success ? 6000 : 30000);
+  } catch {
+    text("answer", "The page cannot be reached: nothing was asked for.");
+  }
+}
+
+const sentence = (words) => (words ? words[0].toUpperCase() + words.slice(1) : "");
+
+export function prepare(state) {
+  by("resume").addEventListener("click", () => ask("resume"));
+  by("stop").addEventListener("click", () => by("stop_dialog").showModal());
+  by("stop_dialog").addEventListener("close", () => {
+    if (by("stop_dialog").returnValue === "yes") ask("stop");
+    by("stop_dialog").returnValue = "no";
+  });
+  let confirmation = "";
+  by("review").addEventListener("click", () => {
+    confirmation = state.offer.confirmation; // what is looked at is what is confirmed
+    text("apply_hash", confirmation);
+    text("apply_change", change(state.offer));
+    by("apply_dialog").showModal();
+    by("secret").focus();
+  });
+  by("apply_dialog").addEventListener("close", () => {
+    const secret = by("secret").value;
+    by("secret").value = "";
+    if (by("apply_dialog").returnValue === "yes") ask("apply", { confirmation, secret });
+    by("apply_dialog").returnValue = "no";
+  });
+}
+
+export function change(offer) {
+  if (!offer.angles_deg.length) return "";
+  const changes = offer.after_arcsec.map((after, i) => Math.abs(after - offer.before_arcsec[i]));
+  return `Largest change of the correction: ${number(Math.max(...changes))}″.`;
+}

@@ -1,0 +1,75 @@
+// The connection: one stream of events; what it brings is shown, its silence is shown too.
+import { show } from "./sections.js";
+import { redraw } from "./charts.js";
+import { clock, text } from "./words.js";
+import * as actions from "./actions.js";
+
+const SILENCE_MS = 4000; // the page hears something every second
+const RETRY_MS = 2000;
+const state = {};
+let source = null;
+let heard = null;
+let ended = false;
+
+function connect() {
+  source?.close();
+  source = new EventSource("/events");
+  source.addEventListener("state", (event) => {
+    for (const name of Object.keys(state)) delete state[name];
+    take(event);
+  });
+  source.addEventListener("change", take);
+  source.addEventListener("tick", take);
+  source.onerror = () => {
+    if (ended) source.close();
+    else if (source.readyState === EventSource.CLOSED) setTimeout(connect, RETRY_MS);
+  };
+}
+
+function take(event) {
+  const { time_s, token, ...sections } = JSON.parse(event.data);
+  heard = Date.now();
+  if (token) actions.useToken(token);
+  Object.assign(state, sections);
+  ended = Boolean(state.ended);
+  document.body.className = ended ? "ended" : "live";
+  text("alive", `Live ${clock(time_s, true)}`);
+  show(sections, state, Boolean(token));
+  if (ended) {
+    source.close();
+    banner(`Switched off at ${clock(time_s)}`, "What stands below is how it ended. Nothing here is live.");
+    text("alive", `Ended ${clock(time_s)}`);
+    actions.disable(true);
+  } else {
+    document.getElementById("lost").hidden = true;
+    actions.disable(false);
+  }
+}
+
+function banner(large, small) {
+  const place = document.getElementById("lost");
+  if (place.hidden || place.firstChild?.data !== large) {
+    const words = document.createElement("small");
+    words.textContent = small;
+    place.replaceChildren(large, words);
+  }
+  place.hidden = false;
+}
+
+function watch() {
+  if (ended || heard === null || Date.now() - heard < SILENCE_MS) return;
+  document.body.className = "dead";
+  text("alive", "No contact");
+  document.title = "No contact – rotcal";
+  banner(`Connection lost since ${clock(heard / 1000, true)}`,
+    "What stands below is old. The calibration may go on without this page; it tries to reach it again.");
+  actions.disable(true);
+  if (source.readyState === EventSource.CLOSED || Date.now() - heard > 5 * SILENCE_MS) connect();
+}
+
+setInterval(watch, 500);
+let resizing = 0;
+addEventListener("resize", () => { clearTimeout(resizing); resizing = setTimeout(redraw, 150); });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+actions.prepare(state);
+connect();

@@ -1,0 +1,199 @@
+// From a section of the state to its place on the page.
+import { draw } from "./charts.js";
+import { drawView } from "./plan_view.js";
+import { clock, duration, element, number, text, unit } from "./words.js";
+import { change } from "./actions.js";
+
+const by = (id) => document.getElementById(id);
+let component = "ECC";
+
+export function show(sections, state, whole) {
+  for (const [name, render] of Object.entries(RENDER)) {
+    if (!whole && !(name in sections)) continue;
+    try { render(state[name], state); } catch (error) { console.error(name, error); }
+  }
+  document.title = title(state);
+}
+
+function title({ now, steps, cell }) {
+  const mark = now.kind === "person" || now.kind === "confirm" ? "▶ " : "";
+  const place = steps ? `${steps.step}/${steps.total} ` : "";
+  return `${mark}${place}${now.headline}${cell.simulated ? " (simulated)" : ""} – rotcal`;
+}
+
+const RENDER = {
+  cell(cell) {
+    text("item", [cell.item || "Rotary table", cell.serial].filter(Boolean).join(" "));
+    text("method", [cell.axis && `axis ${cell.axis}`, cell.method].filter(Boolean).join(" · "));
+    const known = cell.simulated !== null;
+    by("reality").className = cell.simulated ? "reality simulated" : "reality";
+    by("reality").hidden = !known;
+    text("reality", cell.simulated ? "SIMULATED" : "REAL MACHINE");
+  },
+  now(now) {
+    by("now").dataset.kind = now.kind;
+    text("headline", now.headline);
+    by("headline").className = now.headline.length > 50 ? "long" : "";
+    text("detail", now.detail);
+    by("resume").hidden = !now.resume;
+    by("stop").hidden = !now.stop;
+    by("review").hidden = now.kind !== "confirm";
+  },
+  steps(steps) {
+    text("step", steps ? String(Math.min(steps.step, steps.total)) : "–");
+    text("total", steps ? `of ${steps.total}` : "");
+    by("bar").value = steps ? steps.step / steps.total : 0;
+    text("end", steps?.end_s ? clock(steps.end_s) : "–");
+    text("left", steps?.end_s ? `in ${duration(steps.end_s - Date.now() / 1000)}` : "");
+    text("rejected", steps ? String(steps.rejected) : "–");
+  },
+  standing(standing) {
+    const { now_arcsec: now, goal_arcsec: goal, of_curve: ofCurve, course } = standing;
+    text("uncertainty", now === null ? "–" : `${number(now)}″`);
+    const aim = goal === null ? "no goal" : `goal ${number(goal)}″`;
+    const place = now === null ? "" : ofCurve ? ", this is the largest of the curve" : now <= goal ? ", reached" : "";
+    text("goal", `${aim}${place}`);
+    const columns = [course.map((p) => p[0]), course.map((p) => p[1])];
+    const series = [{ label: "U", colour: "blue" }];
+    if (goal !== null) { columns.push(course.map(() => goal)); series.push({ label: "goal", colour: "green", dash: [0.5, 0.4] }); }
+    by("standing_chart").hidden = !course.length;
+    const words = `Largest U of the curve over the accepted steps${goal === null ? "" : "; the goal (dashed) is for the rms about the mean"}.`;
+    text("standing_words", course.length ? words : "Not known yet.");
+    if (course.length) draw("standing_chart", { data: columns, series, unit: "″", zero: true, words });
+  },
+  deviations(found) {
+    const names = found ? found.curves.map((c) => c.name) : [];
+    if (names.length && !names.includes(component)) component = names[0];
+    choices(names, found);
+    curve(found);
+  },
+  view: (_, state) => view(state),
+  pointing: (_, state) => view(state),
+  lengths(lengths) {
+    text("length_title", lengths?.label ?? "Length");
+    text("length", lengths?.now ?? "–");
+    text("length_trouble", lengths?.trouble ?? "");
+  },
+  length_course(course) {
+    by("length_chart").hidden = !course.length;
+    if (course.length) {
+      draw("length_chart", { data: [course.map((p) => p[0]), course.map((p) => p[1])], unit: "",
+        series: [{ label: "length", colour: "blue" }], x: { time: true, values: times }, words: "length of the last minute, mm" });
+    }
+  },
+  temperatures(sensors) {
+    by("temperatures").replaceChildren(...sensors.map((s) => {
+      const line = element("p", `${number(s.now_c)} °C `, "big");
+      const drift = s.drift_k_per_h === null ? "" : `, drift ${number(s.drift_k_per_h)} K/h`;
+      line.append(element("small", `${s.sensor}: ${number(s.low_c)} to ${number(s.high_c)} °C${drift}`));
+      return line;
+    }));
+    if (!sensors.length) by("temperatures").append(element("p", "No thermometer has spoken.", "nothing"));
+    const [first] = sensors;
+    by("temperature_chart").hidden = !first;
+    if (first) {
+      draw("temperature_chart", { data: [first.course.map((p) => p[0]), first.course.map((p) => p[1])], unit: "",
+        series: [{ label: first.sensor, colour: "orange" }], x: { time: true, values: times }, words: `temperature ${first.sensor}, ${number(first.now_c)} °C` });
+    }
+  },
+  rejections(rows) {
+    text("rejected_last", rows.length ? `last: step ${rows[0].step}` : "");
+    fill("rejections", rows, "None.", (row) => [
+      element("time", clock(row.time_s, true)),
+      element("span", `Step ${row.step}, attempt ${row.attempt + 1}: ${row.reason}`)]);
+  },
+  nodes(nodes, state) {
+    if (!state.deviations) {
+      const solver = nodes.find((n) => n.name === "solver")?.words ?? "";
+      text("curve_words", `Nothing is known yet. ${solver ? `Solver: ${solver}.` : ""}`);
+    }
+    by("nodes").replaceChildren(...nodes.map((n) => state_line(n.name, n.words, ["", "warn", "bad", "bad"][n.level])));
+  },
+  streams(streams) {
+    by("streams").replaceChildren(...streams.map((s) => {
+      const silent = s.silent_s !== null && s.silent_s > 1;
+      return state_line(s.topic, silent ? `silent for ${number(s.silent_s, 1)} s` : `${number(s.rate_hz, s.rate_hz < 10 ? 1 : 0)} per second`, silent ? "bad" : "");
+    }));
+  },
+  recording(recording) {
+    const lines = [];
+    if (recording) {
+      lines.push(state_line("bag", `${recording.messages} messages in ${recording.file}`));
+      lines.push(state_line("lost", recording.losses.length ? recording.losses.join(", ") : "nothing", recording.lost ? "bad" : ""));
+      if (recording.free_gb !== null) lines.push(state_line("disk", `${number(recording.free_gb, 1)} GB free`, recording.free_gb < 2 ? "bad" : ""));
+    }
+    by("recording").replaceChildren(...lines);
+  },
+  log(rows) {
+    fill("log", rows, "None.", (row) => [
+      element("time", clock(row.time_s, true)),
+      (() => { const line = element("span", row.text); line.prepend(element("span", `${row.node}: `, "who")); return line; })()]);
+  },
+  offer(offer) {
+    by("offer").hidden = !offer;
+    if (!offer) return;
+    const facts = [["hash", offer.confirmation || "none"], ["verdict", offer.verdict], ["table", offer.in_force],
+      ["leaves", offer.residual], ["bridge", offer.bridge]].filter(([, words]) => words);
+    if (offer.angles_deg.length) facts.push(["change", change(offer)]);
+    if (offer.applied) facts.push(["applied", "the controller holds this table"]);
+    else if (offer.why_not && offer.why_not !== offer.bridge) facts.push(["apply", offer.why_not]);
+    by("offer_facts").replaceChildren(...facts.flatMap(([name, words]) => [element("dt", name), element("dd", words, name === "hash" ? "hash" : "")]));
+    by("offer_chart").hidden = !offer.angles_deg.length;
+    text("offer_words", offer.angles_deg.length ? "Correction of the controller: with this table (line) and its U (band, k = 2); while it was measured, as far as known (dashed)." : "");
+    if (offer.angles_deg.length) {
+      const wide = offer.expanded_arcsec;
+      draw("offer_chart", {
+        data: [offer.angles_deg, offer.before_arcsec, offer.after_arcsec, offer.after_arcsec.map((v, i) => v + wide[i]), offer.after_arcsec.map((v, i) => v - wide[i])],
+        series: [{ label: "now", colour: "soft", dash: [0.5, 0.4] }, { label: "after", colour: "blue" }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
+        bands: [[3, 4]], unit: "″", x: { values: degrees },
+        words: `correction of the controller now (dashed) and with this table (line), by angle; ${change(offer)}` });
+    }
+  },
+};
+
+function choices(names, found) {
+  by("components").replaceChildren(...(names.length > 1 ? names : []).map((name) => {
+    const button = element("button", name);
+    button.setAttribute("aria-pressed", String(name === component));
+    button.addEventListener("click", () => { component = name; choices(names, found); curve(found); });
+    return button;
+  }));
+}
+
+function curve(found) {
+  const shown = found?.curves.find((c) => c.name === component);
+  text("curve_title", shown ? `Deviation ${shown.name} ${found.final ? "" : "so far"}` : "Deviation so far");
+  by("curve").hidden = !shown;
+  if (!shown) return;
+  const largest = Math.max(...shown.expanded);
+  const words = `${shown.name} at ${found.angles_deg.length} angles from ${found.observations} observations, `
+    + `${number(Math.min(...shown.values))} to ${number(Math.max(...shown.values))}${unit(shown.unit)}; `
+    + `band: expanded uncertainty, k = 2, at most ${number(largest)}${unit(shown.unit)}`;
+  text("curve_words", `${words}.${found.final ? ` Verdict: ${found.verdict}.` : ""}`);
+  draw("curve", {
+    data: [found.angles_deg, shown.values, shown.values.map((v, i) => v + shown.expanded[i]), shown.values.map((v, i) => v - shown.expanded[i])],
+    series: [{ label: shown.name, colour: "blue", points: true }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
+    bands: [[2, 3]], unit: unit(shown.unit), x: { values: degrees }, words });
+}
+
+const degrees = (_, splits) => splits.map((v) => `${number(v, 0)}°`);
+const times = (_, splits) => splits.map((v) => clock(v, true));
+
+function view(state) {
+  if (!state.view) { text("view_words", "Known once the plan is announced."); by("view").replaceChildren(); return; }
+  drawView(by("view"), state.view, state.pointing);
+  const p = state.pointing;
+  text("view_words", p ? `Table at ${number(p.table_angle_deg, 1)}°, ${p.visited_deg.length} of ${state.view.angles_deg.length} angles visited. Step ${p.step} of the plan.` : "");
+}
+
+function fill(id, rows, nothing, parts) {
+  const lines = rows.map((row) => { const line = element("li"); line.append(...parts(row)); return line; });
+  by(id).replaceChildren(...(lines.length ? lines : [element("li", nothing, "nothing")]));
+}
+
+function state_line(name, words, kind = "") {
+  const line = element("li");
+  line.append(element("span", name, "name"), element("span", words, `${kind} words`));
+  line.title = words;
+  return line;
+}

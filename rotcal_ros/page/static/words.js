@@ -1,0 +1,30 @@
+// Texts: everything from the cell enters the page as text, never as markup.
+export function text(id, words) {
+  const place = document.getElementById(id);
+  if (place.textContent !== words) place.textContent = words;
+}
+
+export function element(name, words = "", kind = "") {
+  const made = document.createElement(name);
+  made.textContent = words;
+  if (kind) made.className = kind;
+  return made;
+}
+
+export function clock(time_s, seconds = false) {
+  const when = new Date(time_s * 1000);
+  const options = { hour: "2-digit", minute: "2-digit", hour12: false };
+  if (seconds) options.second = "2-digit";
+  const time = when.toLocaleTimeString("en-GB", options);
+  const today = when.toDateString() === new Date().toDateString();
+  return today ? time : `${when.toLocaleDateString("en-CA")} ${time}`;
+}
+
+export function duration(seconds) {
+  if (seconds < 90) return `${Math.max(0, Math.round(seconds))} s`;
+  const minutes = Math.round(seconds / 60);
+  return minutes < 90 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
+}
+
+export const number = (value, digits = 2) => value.toFixed(digits).replace("-", "−");
+export const unit = (name) => (name === "arcsec" ? "″" : ` ${name}`);

@@ -1,0 +1,74 @@
+"""Looking at the page of a live cell: as a program, and in a real browser."""
+
+import json
+import os
+import re
+import shutil
+import urllib.error
+import urllib.request
+from threading import Thread
+
+import pytest
+from live_cell import wait_until
+
+CHROMIUM = shutil.which("chromium")
+REQUIRED = bool(os.environ.get("ROTCAL_REQUIRE_CHROMIUM"))
+
+
+def address(live, name="operator_page"):
+    """Return where a page is served, once it is."""
+    wait_until(lambda: re.search(r"page: (\S+)", live.log(name)), "the page is served")
+    return re.search(r"page: (\S+)", live.log(name))[1]
+
+
+class Viewer:
+    """Holds what the page has told so far."""
+
+    def __init__(self, url):
+        self.url, self.state, self.names = url, {}, []
+        Thread(target=self._read, daemon=True).start()
+        self.wait(lambda s: s, "a state")
+
+    def wait(self, condition, what):
+        wait_until(lambda: condition(self.state), f"the page shows {what}")
+        return self.state
+
+    def wait_for(self, kind):
+        return self.wait(lambda s: s["now"]["kind"] == kind, kind)
+
+    def post(self, what, **values):
+        """Ask as the page does; return status and answer."""
+        headers = {
+            "Origin": self.url,
+            "X-Rotcal-Token": self.state["token"],
+            "Content-Type": "application/json",
+        }
+        request = urllib.request.Request(
+            f"{self.url}/{what}", json.dumps(values).encode(), headers, method="POST"
+        )
+        try:
+            with urllib.request.urlopen(request, timeout=60) as answer:
+                return answer.status, json.loads(answer.read())
+        except urllib.error.HTTPError as error:
+            return error.code, json.loads(error.read())
+
+    def _read(self):
+        name = ""
+        with urllib.request.urlopen(f"{self.url}/events", timeout=60) as stream:
+            for line in stream:
+                field, _, text = line.decode().strip().partition(": ")
+                if field == "event":
+                    name = text
+                    self.names.append(name)
+                elif field == "data":
+                    self.state = {**self.state, **json.loads(text)}
+
+
+def launched(playwright, **options):
+    """Return Debian's Chromium; skip the test where it is missing, fail where it is required."""
+    if CHROMIUM is None:
+        if REQUIRED:
+            pytest.fail("Chromium is required here (ROTCAL_REQUIRE_CHROMIUM): install chromium")
+        pytest.skip("Chromium is not installed: apt install chromium")
+    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+    return playwright.chromium.launch(executable_path=CHROMIUM, args=arguments, **options)
