@@ -10,6 +10,7 @@ from pathlib import Path
 from unittest.mock import MagicMock
 
 import pytest
+import yaml
 
 from rotcal_ros.catalogue.configuration import GROUPS
 from rotcal_ros.node_names import (
@@ -85,44 +86,52 @@ def test_the_launch_file_starts_what_is_listed(monkeypatch, tmp_path, bridge, si
     text = (ROOT / "config" / "tracer_paper.yaml").read_text()
     file = tmp_path / "cell.yaml"
     file.write_text(text + ("    bridge: {controller: csv}\n" if bridge else ""))
-    started, later = launched(monkeypatch, file, simulated=simulated)
-    for function in later:
-        function(None)
+    started = launched(monkeypatch, file, simulated=simulated)
     further = [FURTHER_NODES["bridge"]] * bridge + [FURTHER_NODES["simulation"]] * simulated
-    assert started == [*NODES, *further]
+    assert [node["executable"] for node in started] == [*NODES, *further]
 
 
 @pytest.mark.parametrize("argument", VIEWERS)
 def test_the_launch_file_starts_nodes_for_people_when_asked_to(monkeypatch, argument):
     file = ROOT / "config" / "tracer_paper.yaml"
-    started, later = launched(monkeypatch, file, simulated=False, **{argument: "true"})
-    for function in later:
-        function(None)
-    assert started == [*NODES, VIEWERS[argument]]
+    started = launched(monkeypatch, file, simulated=False, **{argument: "true"})
+    assert [node["executable"] for node in started] == [*NODES, VIEWERS[argument]]
 
 
 def test_a_real_configuration_starts_no_simulation(monkeypatch):
-    _, later = launched(monkeypatch, ROOT / "config" / "tracer.yaml", simulated=True)
     with pytest.raises(RuntimeError, match="is for a real cell"):
-        [function(None) for function in later]
+        launched(monkeypatch, ROOT / "config" / "tracer.yaml", simulated=True)
+
+
+def test_the_nodes_get_lists_of_one_type_whatever_the_file_has(monkeypatch, tmp_path):
+    file = tmp_path / "cell.yaml"
+    text = (ROOT / "config" / "tracer_paper.yaml").read_text()
+    file.write_text(text.replace("box_size_m: [0.45, 0.6, 0.45]", "box_size_m: [1, 0.6, 0.45]"))
+    first, *_ = launched(monkeypatch, file, simulated=False)
+    (given_file,) = first["parameters"]
+    given = yaml.safe_load(Path(given_file).read_text())["/**"]["ros__parameters"]
+    sizes = given["plan"]["box_size_m"]
+    assert sizes == [1.0, 0.6, 0.45]
+    assert {type(size) for size in sizes} == {float}
 
 
 def launched(monkeypatch, file, *, simulated, **more):
-    """Return the nodes that the launch file starts at once, and what it decides later."""
+    """Return the nodes that the launch file starts, each with its options."""
     values = {"configuration": str(file), "simulated": str(simulated).lower()} | more
     started, later = [], []
-    launch = MagicMock()
-    launch.actions.Node.side_effect = lambda **options: started.append(options["executable"])
-    launch.actions.OpaqueFunction.side_effect = lambda function: later.append(function)
+    stub = MagicMock()
+    stub.Node.side_effect = lambda **options: started.append(options)
+    stub.OpaqueFunction.side_effect = lambda function: later.append(function)
+    stub.LaunchConfiguration.side_effect = lambda name: MagicMock(
+        perform=lambda _context: values.get(name)
+    )
     for name in ("launch", "launch_ros"):
-        for module in ("", ".actions", ".conditions", ".substitutions"):
-            stub = launch.actions if module == ".actions" else MagicMock()
-            stub.LaunchConfiguration.side_effect = lambda name: MagicMock(
-                perform=lambda _context: values.get(name)
-            )
+        for module in ("", ".actions", ".substitutions"):
             monkeypatch.setitem(sys.modules, name + module, stub)
     runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
-    return started, later
+    for function in later:
+        function(None)
+    return started
 
 
 def test_the_page_of_interfaces_has_a_row_for_every_node():

@@ -41,7 +41,7 @@ function make(place, data, series, bands, unit, zero, x) {
     scales: { x: { time: Boolean(x.time), ...(x.range ? { range: x.range } : {}) },
       y: { range: (_, low, high) => range(low, high, zero) } },
     axes: [
-      { ...axis, size: 1.7 * size, space: (x.time ? 6 : 4) * size, ...(x.values ? { values: x.values } : {}), ...(x.splits ? { splits: x.splits } : {}) },
+      { ...axis, size: 1.7 * size, space: (x.time ? 6 : 4) * size, ...(x.values ? { values: x.values } : {}), ...(x.splits ? { splits: x.splits } : {}), ...(x.incrs ? { incrs: x.incrs } : {}) },
       { ...axis, size: 3.9 * size, space: 2 * size, values: (_, splits) => splits.map((v) => `${plain(v, splits)}${unit}`) },
     ],
     series: [{}, ...series.map((s) => ({

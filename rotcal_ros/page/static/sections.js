@@ -145,7 +145,7 @@ const RENDER = {
       draw("offer_chart", {
         data: [offer.angles_deg, offer.before_arcsec, offer.after_arcsec, offer.after_arcsec.map((v, i) => v + wide[i]), offer.after_arcsec.map((v, i) => v - wide[i])],
         series: [{ label: "now", colour: "soft", dash: [0.5, 0.4] }, { label: "after", colour: "blue" }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
-        bands: [[3, 4]], unit: "″", x: { values: degrees },
+        bands: [[3, 4]], unit: "″", x: angles,
         words: `correction of the controller now (dashed) and with this table (line), by angle; ${change(offer)}` });
     }
   },
@@ -173,10 +173,10 @@ function curve(found) {
   draw("curve", {
     data: [found.angles_deg, shown.values, shown.values.map((v, i) => v + shown.expanded[i]), shown.values.map((v, i) => v - shown.expanded[i])],
     series: [{ label: shown.name, colour: "blue", points: true }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
-    bands: [[2, 3]], unit: unit(shown.unit), x: { values: degrees }, words });
+    bands: [[2, 3]], unit: unit(shown.unit), x: angles, words });
 }
 
-const degrees = (_, splits) => splits.map((v) => `${number(v, 0)}°`);
+const angles = { values: (_, splits) => splits.map((v) => `${number(v, 0)}°`), incrs: [1, 5, 15, 30, 45, 90] };
 const times = (_, splits) => splits.map((v) => clock(v, true));
 
 function view(state) {
