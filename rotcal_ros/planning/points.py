@@ -47,5 +47,15 @@ def _zigzag(row: int) -> int:
 
 def in_a_line(points: Floats) -> bool:
     """Return whether ``points`` (n, 3) lie in a line, or in fewer places, but for rounding."""
+    return _directions(points) < 2
+
+
+def in_a_plane(points: Floats) -> bool:
+    """Return whether ``points`` (n, 3) lie in a plane, or in a line, but for rounding."""
+    return _directions(points) < 3
+
+
+def _directions(points: Floats) -> int:
+    """Return how many directions ``points`` (n, 3) fill: 1 for a line, 2 for a plane."""
     sizes = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return len(points) < 3 or bool(sizes[1] <= _ROUNDING * sizes[0])
+    return int(np.sum(sizes > _ROUNDING * sizes[0]))

@@ -33,6 +33,8 @@ def made(name, *changes):
         ("tracer_paper", ["plan.box_size_m=[0.4, 0, 0.4]"], "64 targets at 16 places"),
         ("tracer_paper", ["plan.box_points=[5, 1, 1]"], "5 targets lie in a line"),
         ("tracer_paper", ["plan.box_points=[1, 1, 9]"], "9 targets lie in a line"),
+        ("tracer_paper", ["plan.box_points=[2, 2, 1]"], "4 targets in one plane"),
+        ("tracer_paper", ["plan.box_points=[2, 1, 2]"], "4 targets in one plane"),
         ("plane_mirror_demo", ["plan.table_positions=2"], "2 table angles: the plane in which"),
         ("tracer_six_demo", ["plan.table_positions=2"], "2 table angles"),
         ("tracer_six_demo", ["plan.box_points=[5, 1, 1]"], "5 targets"),

@@ -171,6 +171,11 @@ def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
             f"the {n} targets lie in a line, about which every station could be turned without a "
             "trace in the lengths: put some aside"
         )
+    if not (on_circle or shared or missing) and n == 4 and in_a_plane(np.array(planned.targets)):
+        missing = (
+            "4 targets in one plane do not determine a station with a zero of its own: put one out "
+            "of the plane, or measure more"
+        )
     if (angles := len(set(planned.table_angles))) < LEAST_ANGLES:
         missing = missing or f"{angles} table angles: a circle needs at least {LEAST_ANGLES}"
     if missing:
