@@ -64,7 +64,6 @@ def before_and_after(before: Positioning, after: Positioning) -> str:
     for ax in (whole, left):
         _draw(ax, after, style.BLUE, "after")
         ax.set_ylabel("ECC / arcsec")
-        ax.legend(loc="best")
     left.set_xlabel("commanded table angle / °")
     return style.svg(whole)
 

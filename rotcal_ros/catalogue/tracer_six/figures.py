@@ -27,6 +27,7 @@ def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Fig
             "above (left) and from the side (right). Tilts and heights are told by beams in many "
             "directions, the turns by places far from each other.",
             places_and_targets(result),
+            "set-up",
         ),
     ]
 
