@@ -47,7 +47,7 @@ class Conformity:
         verb = {
             "within": f"within the tolerance {limit}",
             "beyond": f"beyond the tolerance {limit}, by more than U at {place}",
-            "undecided": f"undecided against the tolerance {limit}: U reaches across it at {place}",
+            "undecided": f"undecided against the tolerance {limit}: U reaches over it at {place}",
         }[self.decision]
         return f"{self.component} is {verb}; conformance probability {_percent(self.probability)}"
 

@@ -61,10 +61,11 @@ def _contradicted(result: Result, truth: Mapping[str, Any]) -> str:
         worst = int(times.argmax())
         if times[worst] > SURELY_WRONG:
             unit, label = unit_of(name)
+            stated = uncertainty(float(expanded[worst]) / unit)
             return (
                 f"{name} at {result.angles[worst] / DEGREE:g} degrees is "
                 f"{error[worst] / unit:.2g} {label} off what the simulation injected, "
-                f"{times[worst]:.1f} times its U of {uncertainty(expanded[worst] / unit)} {label}: "
+                f"{times[worst]:.1f} times its U of {stated} {label}: "
                 "the model lacks something"
             )
     return ""

@@ -18,7 +18,6 @@ from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
-
 MEASURED: Final = "measured, with U (k = 2)"
 LARGE: Final = 12.0
 """Times its widest band that a curve spans when the band can no longer be seen beside it."""
@@ -80,16 +79,15 @@ def _draw_band(
     factor, unit = unit_of(name)
     band = COVERAGE_FACTOR * result.std[name] / factor
     angles = result.angles / DEGREE
+    style.band_about(ax, angles, np.zeros_like(band), band, style.BLUE, valid=valid)
+    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
+    ax.set_ylabel(f"±U / {unit}")
     if truth is None or name not in truth.get("deviations", {}):
-        style.curve_with_band(ax, angles, np.zeros_like(band), band, MEASURED, valid=valid)
-        ax.set_ylabel(f"±U / {unit}")
         return
     known_at, first = np.unique(np.asarray(truth["angles_rad"]), return_index=True)
     known = np.interp(result.angles, known_at, np.asarray(truth["deviations"][name])[first])
     error = (result.deviations[name] - known) / factor
-    style.band_about(ax, angles, np.zeros_like(band), band, style.BLUE, valid=valid)
     ax.plot(angles, error, "s:", color=style.ORANGE, ms=3, lw=0.9, label="measured − injected")
-    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
     ax.set_ylabel(f"error, ±U / {unit}")
 
 

@@ -31,7 +31,7 @@ COLOURS: Final = (BLUE, ORANGE, GREEN, RED, "#7d4fa3", "#6b5b4b")
 """Colours of curves that are drawn together, in this order."""
 
 LEGEND_COLUMNS: Final = 4
-ANGLE_STEPS: Final = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 45.0, 90.0)
+ANGLE_STEPS: Final = (1.0, 2.0, 5.0, 15.0, 30.0, 45.0, 90.0)
 """Degrees between the ticks of an axis of angles."""
 MOST_TICKS: Final = 13
 NOT_VALID: Final = "not valid: U is not stated"

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.figures import Figure, style
+from rotcal_ros.figures.labels import name_places
 from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.results import Result
 from rotcal_ros.units import MILLIMETRE
+
+MOST_NAMES: Final = 40
+"""Targets whose numbers still fit into the plan view."""
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:
@@ -48,8 +52,8 @@ def set_up(result: Result) -> str:
     ax.plot(*stations_mm.T, "o", color=style.BLUE, markersize=4, label="stations of the tracer")
     ax.plot(*targets_mm.T, "x", color=style.ORANGE, label="targets")
     ax.plot(*centre, "+", color=style.INK, markersize=10, label="axis of the table")
-    for number, point in zip(details["target_ids"], targets_mm.tolist(), strict=True):
-        ax.annotate(str(number), point, xytext=(4, 4), textcoords="offset points", fontsize=7)
+    if len(targets_mm) <= MOST_NAMES:
+        name_places(ax, details["target_ids"], targets_mm)
     ax.set_aspect("equal")
     ax.set_xlabel("x / mm")
     ax.set_ylabel("y / mm")
