@@ -51,6 +51,7 @@ def about_the_item(result: Result, identity: Identity) -> list[Fact]:
         Fact("Serial number", identity.serial),
         Fact("Axis", result.circumstances.axis),
         Fact("Compensation in force", in_words(result.measured_on)),
+        Fact("Tolerance", _tolerance(identity)),
         Fact("Customer", _joined(known), "7.8.2.1 e"),
         Fact("Customer's number", identity.customer_number),
         Fact("Received", identity.received, "7.8.2.1 h"),
@@ -66,6 +67,7 @@ def about_the_work(result: Result, identity: Identity, method: str, issued: str)
         Fact("Date of calibration", _dates(result.circumstances), "7.8.2.1 i"),
         Fact("Date of issue", issued, "7.8.2.1 j"),
         Fact("Operator", identity.operator),
+        Fact("Authorised by", "", "7.8.2.1 o"),
         Fact("Method", f"{method}; rotcal_ros {__version__}", "7.8.2.1 f"),
         Fact("Conditions", conditions(result.circumstances), "7.8.4.1 b"),
     ]
@@ -79,7 +81,6 @@ def about_the_plan(result: Result, rejected_attempts: int) -> list[Fact]:
         Fact("Sampling", in_numbers(result, counts, rejected_attempts), "7.8.2.1 k"),
         Fact("Deviations from the method", skipped, "7.8.2.1 n"),
         Fact("External providers", "", "7.8.2.1 p"),
-        Fact("Authorised by", "", "7.8.2.1 o"),
     ]
 
 
@@ -111,6 +112,11 @@ def _range(name: str, found: Range | None, unit: str, digits: int, factor: float
         f"{value * factor:.{digits}f}" for value in (found.mean, found.lowest, found.highest)
     )
     return f"{name} {mean} {unit} ({low} to {high})"
+
+
+def _tolerance(identity: Identity) -> str:
+    limits = ((identity.tolerance_arcsec, "arcsec"), (identity.tolerance_um, "µm"))
+    return _joined([f"±{limit:g} {unit}" for limit, unit in limits if limit])
 
 
 def _dates(circumstances: Circumstances) -> str:

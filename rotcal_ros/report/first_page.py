@@ -22,6 +22,7 @@ FEW_ROWS: Final = 8
 """Angles up to which the values of one component stand in a single block."""
 BLOCKS: Final = 3
 NO_U: Final = "–"
+K: Final = f"(k\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}{COVERAGE_FACTOR:g})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +79,12 @@ def value_blocks(result: Result, withheld: str) -> list[ValueBlock]:
 def degrees(angle: float) -> str:
     """Return an angle (rad) in degrees, to a ten-thousandth at most."""
     text = f"{angle / DEGREE:.4f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
+    return "0" if text == "-0" else minus(text)
+
+
+def minus(number: str) -> str:
+    """Return a number as it is typeset: with a minus, not with a hyphen."""
+    return number.replace("-", "\N{MINUS SIGN}")
 
 
 def _range(result: Result, name: str, withheld: str) -> str:
@@ -86,13 +92,13 @@ def _range(result: Result, name: str, withheld: str) -> str:
     unit, label = unit_of(name)
     values = result.deviations[name] / unit
     largest = COVERAGE_FACTOR * float(result.std[name].max()) / unit
-    low, high = (value(float(end), largest) for end in (values.min(), values.max()))
+    low, high = (minus(value(float(end), largest)) for end in (values.min(), values.max()))
     span = float(np.ptp(values))
     whole = value_to(span, place_of(largest)) if largest else f"{span:.6g}"
     text = f"{name} lies between {low} and {high} {label}, a range of {whole} {label}"
     if withheld:
         return f"{text}; U is not stated."
-    return f"{text}, with U ≤ {uncertainty(largest)} {label} (k = 2)."
+    return f"{text}, with U ≤ {uncertainty(largest)} {label} {K}."
 
 
 def _positioning(result: Result, withheld: str) -> str:
@@ -122,7 +128,7 @@ def _narrow_rows(result: Result, name: str, withheld: str) -> list[list[str]]:
     ):
         expanded = COVERAGE_FACTOR * float(std)
         stated = NO_U if withheld else uncertainty(expanded)
-        rows.append([degrees(angle), value(float(deviation), expanded), stated])
+        rows.append([degrees(angle), minus(value(float(deviation), expanded)), stated])
     return rows
 
 

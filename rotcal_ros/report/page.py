@@ -85,7 +85,6 @@ def render_report(report: ReportInput) -> str:
         adjustment=f"See “{verification.TITLE}”." if adjusted else NO_ADJUSTMENT,
         goal=goal.section(report.goal),
         sections=[section for section in _sections(report, doubt) if section[1]],
-        counts=facts.in_numbers(result, result.circumstances.counts, len(attempts)),
         rejected=[[r.index, r.why] for r in result.rejected],
         attempts=attempts,
         details=_details(result),

@@ -49,8 +49,8 @@ def _in_words(verification: Verification) -> str:
     text = (
         f"Measured, compensated, measured again: the range is {verification.ratio:.0f} times "
         f"smaller. Up to {verification.expected / ARCSEC:.3f} arcsec were expected to be left: "
-        f"the uncertainty of both measurements and {verification.stated / ARCSEC:.3f} arcsec of the "
-        "table itself."
+        f"the uncertainty of both measurements and {verification.stated / ARCSEC:.3f} arcsec "
+        "of the table itself."
     )
     if verification.again is None:
         return text
