@@ -47,8 +47,7 @@ def about_the_item(result: Result, identity: Identity) -> list[Fact]:
     """Return what was calibrated, and for whom."""
     known = [identity.customer, identity.customer_address]
     return [
-        Fact("Item", _joined([identity.item, identity.maker, identity.model]), "7.8.2.1 g"),
-        Fact("Serial number", identity.serial),
+        Fact("Item", _item(identity), "7.8.2.1 g"),
         Fact("Axis", result.circumstances.axis),
         Fact("Compensation in force", in_words(result.measured_on)),
         Fact("Tolerance", _tolerance(identity)),
@@ -112,6 +111,11 @@ def _range(name: str, found: Range | None, unit: str, digits: int, factor: float
         f"{value * factor:.{digits}f}" for value in (found.mean, found.lowest, found.highest)
     )
     return f"{name} {mean} {unit} ({low} to {high})"
+
+
+def _item(identity: Identity) -> str:
+    serial = f"no. {identity.serial}" if identity.serial else ""
+    return _joined([identity.item, identity.maker, identity.model, serial])
 
 
 def _tolerance(identity: Identity) -> str:
