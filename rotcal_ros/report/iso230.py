@@ -75,7 +75,7 @@ def section(result: Result) -> str:
         return ""
     figures = iso230(runs)
     rows = [
-        (name, ["–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded)])
+        [name, *("–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded))]
         for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
     ]
     drawn = diagrams(runs, figures)

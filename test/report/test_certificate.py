@@ -45,16 +45,27 @@ CALIBRATION = {
 }
 
 
+@pytest.fixture(scope="module")
+def whole():
+    """The page of a result of which everything is known."""
+    return render_report(report())
+
+
+@pytest.fixture(scope="module")
+def bare():
+    """The page of a result of which nothing is known but the numbers."""
+    return render_report(report(result(circumstances=Circumstances(), protections=()), issued=""))
+
+
 @pytest.mark.parametrize(("clause", "words"), [*COMMON.items(), *CALIBRATION.items()])
-def test_every_item_of_the_standard_is_on_the_page(clause, words):
-    texts = [" ".join(text.split()) for text in Clauses(render_report(report())).texts[clause]]
+def test_every_item_of_the_standard_is_on_the_page(whole, clause, words):
+    texts = [" ".join(text.split()) for text in Clauses(whole).texts[clause]]
     assert any(words in text for text in texts), texts
 
 
 @pytest.mark.parametrize("clause", [*COMMON, *CALIBRATION])
-def test_what_is_not_known_is_said_to_be(clause):
-    bare = result(circumstances=Circumstances(), protections=())
-    texts = Clauses(render_report(report(bare, issued=""))).texts[clause]
+def test_what_is_not_known_is_said_to_be(bare, clause):
+    texts = Clauses(bare).texts[clause]
     assert all(text.strip() for text in texts)
     unknown = {f"7.8.2.1 {letter}" for letter in "bceghijnop"} | {"7.8.4.1 b", "7.8.4.1 c"}
     if clause in unknown:
@@ -69,10 +80,9 @@ def test_before_and_after_adjustment_stand_in_the_report_that_has_both():
     assert any("See “Before and after compensation”" in text for text in texts)
 
 
-def test_page_one_says_the_result_with_two_digits_of_u():
+def test_page_one_says_the_result_with_two_digits_of_u(whole):
     """u = 0.4 arcsec, U = 0.80; at 90 degrees -6 arcsec, and 0 by definition at the first."""
-    page = render_report(report())
-    shown = text_of(page)
+    page, shown = whole, text_of(whole)
     assert "ECC lies between −6.00 and 0.00 arcsec, a range of 6.00 arcsec, with U ≤ 0.80" in shown
     assert "It does not cover" not in shown
     row = r'<tr><th scope="row">90</th><td>−6.00</td><td>0.80</td></tr>'
@@ -82,14 +92,13 @@ def test_page_one_says_the_result_with_two_digits_of_u():
     assert "SIMULATED" not in page.replace("simulated", "")
 
 
-def test_number_and_fingerprint_are_those_of_the_result():
-    first, second = (render_report(report(r)) for r in (result(), result(sigma0=1.03)))
+def test_number_and_fingerprint_are_those_of_the_result(whole, bare):
+    first, second = whole, bare
     digests = [re.search(r"This result</dt><dd class=\"mono\">SHA-256 (\w{64})", p)[1]
                for p in (first, second)]  # fmt: skip
     assert digests[0] != digests[1]
     assert f'content: "No. K\\2d 2026\\2d 17 · SHA-256 {digests[0][:16]}…"' in first
-    unnumbered = result(circumstances=Circumstances())
-    assert re.search(r"No\. RC-[0-9A-F]{10}<", render_report(report(unnumbered)))
+    assert re.search(r"No\. RC-[0-9A-F]{10}<", bare)
 
 
 def test_a_number_cannot_break_out_of_the_style_sheet():
@@ -111,7 +120,7 @@ DOUBTFUL = ("the stations leave their circle by 7 times what is expected",)
 
 
 @pytest.mark.parametrize("verdict", ["suspect", "failed"])
-def test_a_result_in_doubt_shows_it_in_the_number_itself(verdict):
+def test_a_result_in_doubt_shows_it_in_the_number_itself(whole, verdict):
     doubtful = result(verdict=verdict, warnings=DOUBTFUL)
     page = render_report(report(doubtful))
     shown = text_of(page)
@@ -121,7 +130,7 @@ def test_a_result_in_doubt_shows_it_in_the_number_itself(verdict):
     assert '<tr><th scope="row">90</th><td>−6.00</td><td>–</td></tr>' in page
     assert "with U ≤" not in shown
     assert doubtful.to_dict()["std"]["ECC"][3] == pytest.approx(0.4 * ARCSEC)
-    hatched, plain = (p.count("<pattern") for p in (page, render_report(report())))
+    hatched, plain = (p.count("<pattern") for p in (page, whole))
     assert (hatched > 0, plain) == (True, 0)
 
 
@@ -150,29 +159,26 @@ def test_what_u_does_not_cover_is_said_beside_it():
     assert "It does not cover: knock." in text_of(render_report(report(bare)))
 
 
-def test_rejected_and_skipped_are_counted_truly():
-    shown = text_of(render_report(report()))
-    assert "1 rejected by the solver, 0 during the capture" in shown
-    without = result(circumstances=Circumstances())
-    assert "24 observations, 1 rejected by the solver" in text_of(render_report(report(without)))
+def test_rejected_and_skipped_are_counted_truly(whole, bare):
+    assert "1 rejected by the solver, 0 during the capture" in text_of(whole)
+    assert "24 observations, 1 rejected by the solver" in text_of(bare)
 
 
-def test_the_budget_adds_up_and_says_what_corrects_the_air():
+def test_the_budget_adds_up_and_says_what_corrects_the_air(whole):
     """0.6 and 0.8 of u = 0.40: 36 and 64 % of the variance."""
-    page = render_report(report())
+    page = whole
     for cells in (("0.24", "36 %"), ("0.32", "64 %"), ("0.40", "100 %")):
         assert "".join(f"<td>{cell}</td>" for cell in cells) in page
     assert '<th scope="row">Expanded uncertainty U (k = 2)</th><td>0.80</td>' in page
     assert "refraction of the air: corrected by the tracer" in text_of(page)
 
 
-def test_instruments_stand_with_serial_numbers_and_dates():
-    page = render_report(report())
+def test_instruments_stand_with_serial_numbers_and_dates(whole):
     cells = ("Tracers LT", "99", "2026-01-15", "C-1")
-    assert '<th scope="row">Tracer</th>' + "".join(f"<td>{c}</td>" for c in cells) in page
-    assert '<th scope="row">Thermometer</th><td>not stated</td><td>7</td>' in page
+    assert '<th scope="row">Tracer</th>' + "".join(f"<td>{c}</td>" for c in cells) in whole
+    assert '<th scope="row">Thermometer</th><td>not stated</td><td>7</td>' in whole
 
 
-def test_a_result_read_back_gives_the_same_page():
+def test_a_result_read_back_gives_the_same_page(whole):
     again = Result.from_dict(json.loads(result().to_json()))
-    assert render_report(report(again)) == render_report(report())
+    assert render_report(report(again)) == whole
