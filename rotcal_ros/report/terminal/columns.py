@@ -31,8 +31,8 @@ class Column:
     """One column: its ``heading`` names the unit, ``cells`` hold numbers in it, texts, or None.
 
     ``digits`` is the format of the numbers for people, e.g. ``+.3f``. ``std``, where given, are
-    the standard uncertainties of the cells: for people the expanded ones (k = 2) stand behind them,
-    with the digits that these ask for, unless they are not ``valid``; in CSV they are a column.
+    the standard uncertainties of the cells: for people the expanded ones (k = 2) stand behind
+    them, with the digits that these ask for, unless not ``valid``; in CSV they are a column.
     """
 
     heading: str
