@@ -60,7 +60,7 @@ def statements_of_conformity(result: Result, withheld: str) -> list[str]:
         return []
     if withheld:
         return ["No statement of conformity, because U is not stated."]
-    return [f"{one.in_words(result)} (decision rule: {RULE})." for one in found]
+    return [f"{conformity.in_words(result)} (decision rule: {RULE})." for conformity in found]
 
 
 def value_blocks(result: Result, withheld: str) -> list[ValueBlock]:

@@ -1,6 +1,9 @@
 """The report in Debian's Chromium: no overflow, dark figures, and pages that print."""
 
 import re
+from dataclasses import replace
+from shutil import which
+from subprocess import run
 
 import pytest
 from browser import launched
@@ -21,8 +24,6 @@ def chromium():
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
-    from dataclasses import replace
-
     path = tmp_path_factory.mktemp("page") / "report.html"
     shown = result(circumstances=replace(CIRCUMSTANCES, simulated=True))
     path.write_text(render_report(report(shown)), encoding="utf-8")
@@ -56,6 +57,19 @@ def test_figures_follow_the_dark(chromium, address):
     assert dark_figure == dark_page == "rgb(26, 33, 42)"
 
 
+def test_the_print_has_a_watermark_on_every_page(chromium, address):
+    page = chromium.new_page()
+    page.goto(address)
+    seen = []
+    for medium in ("screen", "print"):
+        page.emulate_media(media=medium)
+        mark = "getComputedStyle(document.querySelector('.watermark'))"
+        seen.append(page.evaluate(f"(s => [s.display, s.position])({mark})"))
+    page.close()
+    assert seen[0][0] == "none"
+    assert seen[1] == ["block", "fixed"]  # what is fixed is printed on each page
+
+
 def test_it_prints_on_a4_with_numbered_pages(chromium, address):
     page = chromium.new_page()
     page.goto(address)
@@ -64,9 +78,6 @@ def test_it_prints_on_a4_with_numbered_pages(chromium, address):
     boxes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", printed)
     assert len(boxes) >= 3
     assert {(round(float(w)), round(float(h))) for w, h in boxes} == {(595, 842)}
-    from shutil import which
-    from subprocess import run
-
     if which("pdftotext") is None:
         pytest.skip("pdftotext is not installed: apt install poppler-utils")
     text = run(["pdftotext", "-layout", "-", "-"], input=printed, capture_output=True, check=True)
@@ -76,7 +87,7 @@ def test_it_prints_on_a4_with_numbered_pages(chromium, address):
         assert f"Page {number} of {len(pages)}" in shown
         assert "No. K-2026-17" in shown
         assert re.search(r"SHA-256 [0-9a-f]{16}…", shown)
-        assert shown.count("SIMULATED") >= 2  # head of the page and watermark
+        assert "SIMULATED: no calibration of a real table" in shown
     assert "ECC lies between" in pages[0]
     assert re.search(r"330\s+−1\.50\s+0\.80", pages[0])
     assert "method: tracer_multistation" in pages[-1]
