@@ -34,9 +34,10 @@ def deviations(
     """
     names = result.components
     large = any(_is_large(result, name) for name in names)
-    columns = 1 if len(names) <= 2 else 2
+    columns = 1 if len(names) <= 2 else 3
     blocks = -(-len(names) // columns)
-    heights = [2.2, 1.2] if large else [2.6]
+    tall = 2.2 if columns == 1 else 1.6
+    heights = [tall, 0.55 * tall] if large else [1.2 * tall]
     panels = style.grid(
         blocks * len(heights), columns, height=sum(heights) / len(heights),
         height_ratios=heights * blocks, sharex="col",

@@ -34,6 +34,8 @@ LEGEND_COLUMNS: Final = 4
 ANGLE_STEPS: Final = (1.0, 2.0, 5.0, 15.0, 30.0, 45.0, 90.0)
 """Degrees between the ticks of an axis of angles."""
 MOST_TICKS: Final = 13
+FEWER_TICKS: Final = 5
+"""Where panels stand side by side."""
 NOT_VALID: Final = "not valid: U is not stated"
 
 _RC: Final[dict[Any, Any]] = {
@@ -106,7 +108,8 @@ def angle_axis(ax: Axes, angles_deg: Floats, label: str = "commanded table angle
 
     ax.set_xlabel(label)
     span = float(angles_deg.max() - angles_deg.min()) if len(angles_deg) else 0.0
-    most = MOST_TICKS if ax.get_gridspec() is None or ax.get_gridspec().ncols == 1 else 5
+    panels = ax.get_gridspec()
+    most = MOST_TICKS if panels is None or panels.ncols == 1 else FEWER_TICKS
     steps = [step for step in ANGLE_STEPS if span <= most * step]
     if span >= ANGLE_STEPS[0]:
         ax.xaxis.set_major_locator(MultipleLocator(steps[0] if steps else 360.0))

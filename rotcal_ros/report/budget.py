@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
-from rotcal_ros.evaluation.budget import contributions
+from rotcal_ros.evaluation.budget import WHOLE, contributions
 from rotcal_ros.figures import style
 from rotcal_ros.gum_numbers import place_of, uncertainty, value_to
 from rotcal_ros.report.facts import NOT_STATED
@@ -25,7 +25,7 @@ def section(result: Result, withheld: str) -> str:
     return render(
         "budget",
         figure=sources(result),
-        tables=[_table(result, name) for name in result.components],
+        tables=_tables(result),
         withheld=withheld,
         refraction=result.circumstances.refraction or NOT_STATED,
         dof=result.dof,
@@ -52,6 +52,23 @@ def sources(result: Result) -> str:
     for ax in panels[len(names) :]:
         ax.set_axis_off()
     return style.svg(panels[0])
+
+
+def _tables(result: Result) -> list[dict[str, Any]]:
+    """Return a table for each component that is split, or one for all where none is."""
+    if any(len(contributions(result, name)) > 1 for name in result.components):
+        return [_table(result, name) for name in result.components]
+    rows = []
+    for name in result.components:
+        unit, label = unit_of(name)
+        worst = int(np.argmax(result.std[name]))
+        whole = float(result.std[name][worst]) / unit
+        place = f"{degrees(float(result.angles[worst]))}°"
+        texts = [uncertainty(whole), uncertainty(COVERAGE_FACTOR * whole)]
+        rows.append([name, place, *(f"{text} {label}" for text in texts)])
+    caption = f"{WHOLE}: the method does not tell the sources apart"
+    head = ["Deviation", "where U is largest", "u", f"U (k = {COVERAGE_FACTOR:g})"]
+    return [{"caption": caption, "head": head, "rows": rows}]
 
 
 def _table(result: Result, name: str) -> dict[str, Any]:

@@ -18,6 +18,8 @@ from rotcal_ros.gum_numbers import place_of, uncertainty, value, value_to, value
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
+FEW_SENTENCES: Final = 2
+"""Components up to which each one has its sentence; more of them have a table of ranges."""
 FEW_ROWS: Final = 8
 """Angles up to which the values of one component stand in a single block."""
 BLOCKS: Final = 3
@@ -35,10 +37,24 @@ class ValueBlock:
 
 def sentences(result: Result, withheld: str) -> list[str]:
     """Return the result in words: ranges with U, the figures of ISO 230-2 where runs allow."""
-    texts = [_range(result, name, withheld) for name in result.components]
+    few = len(result.components) <= FEW_SENTENCES
+    texts = [_range(result, name, withheld) for name in result.components if few]
     if figures := _positioning(result, withheld):
         texts.append(figures)
     return texts
+
+
+def ranges(result: Result, withheld: str) -> ValueBlock | None:
+    """Return lowest, highest, range and largest U of many components; None for few."""
+    if len(result.components) <= FEW_SENTENCES:
+        return None
+    rows = []
+    for name in result.components:
+        ends = _ends(result, name)
+        largest = NO_U if withheld else f"{ends.largest_u} {ends.unit}"
+        texts = (ends.low, ends.high, ends.span)
+        rows.append([name, *(f"{text} {ends.unit}" for text in texts), largest])
+    return ValueBlock(["Deviation", "lowest", "highest", "range", f"U {K}, at most"], rows)
 
 
 def statement_of_u(result: Result, withheld: str) -> str:
@@ -87,18 +103,37 @@ def minus(number: str) -> str:
     return number.replace("-", "\N{MINUS SIGN}")
 
 
-def _range(result: Result, name: str, withheld: str) -> str:
-    """Return lowest, highest and range of one component; digits as its largest U asks for."""
+@dataclass(frozen=True, slots=True)
+class _Ends:
+    """Between which values a component lies, as text; digits as its largest U asks for."""
+
+    low: str
+    high: str
+    span: str
+    largest_u: str
+    unit: str
+
+
+def _ends(result: Result, name: str) -> _Ends:
     unit, label = unit_of(name)
     values = result.deviations[name] / unit
     largest = COVERAGE_FACTOR * float(result.std[name].max()) / unit
     low, high = (minus(value(float(end), largest)) for end in (values.min(), values.max()))
     span = float(np.ptp(values))
     whole = value_to(span, place_of(largest)) if largest else f"{span:.6g}"
-    text = f"{name} lies between {low} and {high} {label}, a range of {whole} {label}"
+    return _Ends(low, high, whole, uncertainty(largest), label)
+
+
+def _range(result: Result, name: str, withheld: str) -> str:
+    """Return lowest, highest and range of one component in one sentence."""
+    ends = _ends(result, name)
+    text = (
+        f"{name} lies between {ends.low} and {ends.high} {ends.unit}, a range of {ends.span} "
+        f"{ends.unit}"
+    )
     if withheld:
         return f"{text}; U is not stated."
-    return f"{text}, with U ≤ {uncertainty(largest)} {label} {K}."
+    return f"{text}, with U ≤ {ends.largest_u} {ends.unit} {K}."
 
 
 def _positioning(result: Result, withheld: str) -> str:
@@ -117,7 +152,8 @@ def _positioning(result: Result, withheld: str) -> str:
         shown = value_with_uncertainty(number, expanded).lstrip("+")
         texts.append(f"{name} = {shown.split(' ')[0] if withheld else shown} arcsec")
     count = runs.forward.shape[1]
-    return f"After ISO 230-2, from {count} runs in each direction: {', '.join(texts)} (95 %)."
+    probability = "." if withheld else " (95 %)."
+    return f"After ISO 230-2, from {count} runs in each direction: {', '.join(texts)}{probability}"
 
 
 def _narrow_rows(result: Result, name: str, withheld: str) -> list[list[str]]:
@@ -140,9 +176,7 @@ def _wide_rows(result: Result, withheld: str) -> list[list[str]]:
             unit, _ = unit_of(name)
             number = float(result.deviations[name][i]) / unit
             expanded = COVERAGE_FACTOR * float(result.std[name][i]) / unit
-            shown = (
-                value(number, expanded) if withheld else value_with_uncertainty(number, expanded)
-            )
-            cells.append(shown)
+            write = value if withheld else value_with_uncertainty
+            cells.append(minus(write(number, expanded)))
         rows.append([degrees(angle), *cells])
     return rows

@@ -74,6 +74,7 @@ def render_report(report: ReportInput) -> str:
         item=facts.about_the_item(result, identity),
         work=facts.about_the_work(result, identity, report.method_title, report.issued),
         plan=facts.about_the_plan(result, len(attempts)),
+        ranges=first_page.ranges(result, doubt),
         sentences=first_page.sentences(result, doubt),
         statement_of_u=first_page.statement_of_u(result, doubt),
         conformity=first_page.statements_of_conformity(result, doubt),
