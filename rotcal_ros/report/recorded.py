@@ -62,13 +62,14 @@ def write_measured(
     configuration, result = measured.configuration, measured.solve()
     report = ReportInput(
         result=result,
-        title="Calibration of a rotary table",
+        title=TITLE,
         method_title=configuration.method.title,
         observations=measured.observations if isinstance(measured, PlannedMeasurements) else (),
         configuration_text=configuration.text,
         inputs=[*measured.sha256.items(), ("plan and configuration", configuration.plan_id)],
         versions=_versions({}),
         truth=truth,
+        issued=_today(),
     )
     write_atomically(page, render_report(report))
     return result
