@@ -89,7 +89,6 @@ def drawn(curves: dict[str, list[Point]]) -> str:
     ):
         axis.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
         axis.set_ticks([], minor=True)
-    ax.legend(loc="lower left", fontsize=8)
     return svg(ax)
 
 

@@ -80,6 +80,11 @@ def counted_from_the_first(_angles: Floats, deviations: Curves) -> dict[str, Flo
     }
 
 
+def zero_at_the_first(_result: Result) -> tuple[str, ...]:
+    """Return what the curves count from, for a method that counts from its first angle."""
+    return ("ECC counts from the first angle and is 0 there by definition.",)
+
+
 def no_figures(_result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
     """Return nothing: the report shows what all methods share."""
     return ()
@@ -118,7 +123,8 @@ class Method:
     says in words what the observations so far tell about a person's work (see
     :class:`~rotcal_ros.planning.plan.Pause`), or raises DataError. ``table`` reads plain tables,
     ``short_setup`` turns a set-up file that is no configuration, given with its name, into groups
-    of settings. ``figures`` draws what the method alone can show. ``disturbances`` measure a
+    of settings. ``figures`` draws what the method alone can show, ``zero`` says in words what the
+    curves count from and how a whole turn closes. ``disturbances`` measure a
     plan with its noise and with what may spoil it.
     """
 
@@ -148,6 +154,7 @@ class Method:
     table: TableReader | None = None
     short_setup: Callable[[Mapping[str, Any], str], Mapping[str, Any]] | None = None
     figures: Callable[[Result, Mapping[str, Any] | None], Sequence[Figure]] = no_figures
+    zero: Callable[[Result], Sequence[str]] = zero_at_the_first
     disturbances: Disturbances | None = None
 
     def __reduce__(self) -> tuple[Callable[[str], Method], tuple[str]]:

@@ -22,7 +22,8 @@ from rotcal_ros.session_folder import SessionFolder
     "-o",
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="The page to write; report.html beside BAG unless given. Never overwrites.",
+    help="The page to write; unless given report.html of the session, else NAME_report.html "
+    "beside SOURCE. Never overwrites, never writes into a bag.",
 )
 @click.option(
     "--truth",
@@ -80,7 +81,9 @@ def command(
 
     session = SessionFolder(source)
     source = session.bag if session.bag.is_dir() else source
-    output = output or SessionFolder(source if source.is_dir() else source.parent).report
+    output = output or page_beside(source)
+    if bag := bag_around(output, source):
+        raise BagError(f"{output} would lie inside the bag {bag}; name a file beside it with -o")
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
     injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
@@ -91,3 +94,23 @@ def command(
         result = write_measured(given.read(), output, injected)
     say(f"report: {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]
+
+
+def page_beside(source: Path) -> Path:
+    """Return where the page about ``source`` goes: beside it, or beside the bag it is of."""
+    source = source.absolute()
+    source = bag_around(source) or source
+    session = SessionFolder(source.parent)
+    if source in (session.bag, session.result):
+        return session.report
+    name = source.name if source.is_dir() else source.stem
+    return source.with_name(f"{name}_{session.report.name}")
+
+
+def bag_around(path: Path, bag: Path | None = None) -> Path | None:
+    """Return the folder of a bag, or ``bag``, that ``path`` lies in or would lie in."""
+    from rotcal_ros.bags.writer import METADATA_FILE
+
+    folders = path.absolute().parents
+    known = None if bag is None else bag.absolute()
+    return next((f for f in folders if f == known or (f / METADATA_FILE).is_file()), None)

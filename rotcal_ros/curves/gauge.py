@@ -9,6 +9,12 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 
+IN_WORDS: Final = (
+    "Every deviation has zero mean over the measured angles (zero-mean gauge).",
+    "In EXC, EYC and in EAC, EBC what turns with the table belongs to what stands on it and is "
+    "taken away.",
+)
+"""What the curves of such a method count from."""
 _PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
 
 

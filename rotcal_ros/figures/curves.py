@@ -8,34 +8,88 @@ expanded uncertainties with k = 2.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.figures import style
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
+MEASURED: Final = "measured, with U (k = 2)"
+LARGE: Final = 12.0
+"""Times its widest band that a curve spans when the band can no longer be seen beside it."""
+
 
 @style.styled
-def deviations(result: Result, truth: Mapping[str, Any] | None = None) -> str:
-    """Draw every measured deviation over the table angle with its band, and the truth if known."""
-    names = [name for name in COMPONENTS if name in result.deviations]
-    angles = result.angles / DEGREE
-    panels = style.grid(len(names), height=2.9)
-    for ax, name in zip(panels, names, strict=True):
-        factor, unit = unit_of(name)
-        band = COVERAGE_FACTOR * result.std[name] / factor
-        style.curve_with_band(
-            ax, angles, result.deviations[name] / factor, band, "measured, k = 2"
-        )
-        _draw_truth(ax, name, truth)
-        ax.set_ylabel(f"{name} / {unit}")
-        ax.set_xlabel("commanded table angle / °")
-        ax.legend(loc="best")
+def deviations(
+    result: Result, truth: Mapping[str, Any] | None = None, *, valid: bool = True
+) -> str:
+    """Draw every measured deviation over the table angle with its band, and the truth if known.
+
+    Where the curve is large beside its band, a panel below has the band on its own scale, about
+    zero, and in it what the injected truth is off. ``valid``: whether the band may be believed.
+    """
+    names = result.components
+    large = any(_is_large(result, name) for name in names)
+    columns = 1 if len(names) <= 2 else 3
+    blocks = -(-len(names) // columns)
+    tall = 2.2 if columns == 1 else 1.6
+    heights = [tall, 0.55 * tall] if large else [1.2 * tall]
+    panels = style.grid(
+        blocks * len(heights), columns, height=sum(heights) / len(heights),
+        height_ratios=heights * blocks, sharex="col",
+    )  # fmt: skip
+    for number, name in enumerate(names):
+        block, column = divmod(number, columns)
+        top = panels[block * columns * len(heights) + column]
+        _draw_curve(top, result, name, truth, valid=valid)
+        if large:
+            own = panels[(block * len(heights) + 1) * columns + column]
+            _draw_band(own, result, name, truth, valid=valid)
+    for ax in panels[-columns:]:
+        style.angle_axis(ax, result.angles / DEGREE)
+    for ax in panels:
+        if not ax.has_data():
+            ax.set_axis_off()
     return style.svg(panels[0])
+
+
+def _is_large(result: Result, name: str) -> bool:
+    band = float(result.std[name].max()) * COVERAGE_FACTOR
+    return bool(np.ptp(result.deviations[name]) > LARGE * band > 0.0)
+
+
+def _draw_curve(
+    ax: style.Axes, result: Result, name: str, truth: Mapping[str, Any] | None, *, valid: bool
+) -> None:
+    factor, unit = unit_of(name)
+    band = COVERAGE_FACTOR * result.std[name] / factor
+    angles, values = result.angles / DEGREE, result.deviations[name] / factor
+    style.curve_with_band(ax, angles, values, band, MEASURED, valid=valid)
+    _draw_truth(ax, name, truth)
+    ax.set_ylabel(f"{name} / {unit}")
+
+
+def _draw_band(
+    ax: style.Axes, result: Result, name: str, truth: Mapping[str, Any] | None, *, valid: bool
+) -> None:
+    """Draw the band about zero, with what is measured beyond the truth where that is known."""
+    factor, unit = unit_of(name)
+    band = COVERAGE_FACTOR * result.std[name] / factor
+    angles = result.angles / DEGREE
+    style.band_about(ax, angles, np.zeros_like(band), band, style.BLUE, valid=valid)
+    ax.axhline(0.0, color=style.GREY, linewidth=0.8)
+    ax.set_ylabel(f"±U / {unit}")
+    if truth is None or name not in truth.get("deviations", {}):
+        return
+    known_at, first = np.unique(np.asarray(truth["angles_rad"]), return_index=True)
+    known = np.interp(result.angles, known_at, np.asarray(truth["deviations"][name])[first])
+    error = (result.deviations[name] - known) / factor
+    ax.plot(angles, error, "s:", color=style.ORANGE, ms=3, lw=0.9, label="measured − injected")
+    ax.set_ylabel(f"error, ±U / {unit}")
 
 
 def _draw_truth(ax: style.Axes, name: str, truth: Mapping[str, Any] | None) -> None:
@@ -64,7 +118,7 @@ def adjacent(result: Result) -> str:
         color=style.BLUE, alpha=0.75, ecolor=style.INK, capsize=2,
     )  # fmt: skip
     ax.axhline(0.0, color=style.GREY, linewidth=0.8)
-    ax.set_xlabel("middle of the step / °")
+    style.angle_axis(ax, result.angles / DEGREE, "middle of the step / °")
     ax.set_ylabel("adjacent deviation / arcsec")
     return style.svg(ax)
 

@@ -18,11 +18,13 @@ def residual_figures(result: Result, unit: float = MICROMETRE, label: str = "µm
             "Observed − computed. A pattern by table position or by target points to an error "
             "that the model does not hold.",
             residuals(result, unit, label),
+            "residuals",
         ),
         Figure(
             "Normalised residuals",
             "Residual divided by its own standard deviation, by table position and target.",
             residual_map(result),
+            "residuals",
         ),
     ]
 
@@ -42,7 +44,6 @@ def residuals(result: Result, unit: float = MICROMETRE, label: str = "µm") -> s
         ax.set_xlabel(name)
         style.whole_numbers(ax.xaxis)
     left.set_ylabel(f"residual / {label}")
-    right.legend(loc="best")
     return style.svg(left)
 
 

@@ -20,13 +20,23 @@ P = ParamSpec("P")
 
 INK: Final = "#1d2733"
 BLUE: Final = "#1f6fb2"
-ORANGE: Final = "#d9772b"
-GREEN: Final = "#2e8b57"
+ORANGE: Final = "#b8560f"
+GREEN: Final = "#26774a"
 RED: Final = "#c0392b"
-GREY: Final = "#8795a1"
+GREY: Final = "#6b7985"
 MISSING: Final = "#c9d1d8"
+GRID: Final = "#e3e8ec"
+PAPER: Final = "#ffffff"
 COLOURS: Final = (BLUE, ORANGE, GREEN, RED, "#7d4fa3", "#6b5b4b")
 """Colours of curves that are drawn together, in this order."""
+
+LEGEND_COLUMNS: Final = 4
+ANGLE_STEPS: Final = (1.0, 2.0, 5.0, 15.0, 30.0, 45.0, 90.0)
+"""Degrees between the ticks of an axis of angles."""
+MOST_TICKS: Final = 13
+FEWER_TICKS: Final = 5
+"""Where panels stand side by side."""
+NOT_VALID: Final = "not valid: U is not stated"
 
 _RC: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",
@@ -37,11 +47,15 @@ _RC: Final[dict[Any, Any]] = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": "#e3e8ec",
+    "grid.color": GRID,
     "grid.linewidth": 0.8,
     "xtick.color": INK,
     "ytick.color": INK,
+    "text.color": INK,
+    "text.parse_math": False,  # a dollar in the name of a station is a dollar
     "legend.frameon": False,
+    "legend.fontsize": 8,
+    "hatch.linewidth": 0.5,
     "svg.hashsalt": "rotcal",
     "svg.fonttype": "path",
 }
@@ -69,13 +83,36 @@ def grid(rows: int = 1, columns: int = 1, height: float = 3.0, **options: Any) -
 
 
 def svg(ax: Axes) -> str:
-    """Return the figure of ``ax`` as an ``<svg>`` element; equal figures give equal text."""
+    """Return the figure of ``ax`` as an ``<svg>`` element; equal figures give equal text.
+
+    All panels share one legend, above them, where it covers nothing.
+    """
     figure = ax.get_figure(root=True)
     assert figure is not None
+    entries: dict[str, Any] = {}
+    for panel in figure.axes:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    if entries:
+        columns = min(len(entries), LEGEND_COLUMNS)
+        figure.legend(entries.values(), entries, loc="outside upper left", ncols=columns)
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     return text[text.index("<svg") :]
+
+
+def angle_axis(ax: Axes, angles_deg: Floats, label: str = "commanded table angle / °") -> None:
+    """Name the axis of angles and tick it where people look for them: at 30, 45 or 90 degrees."""
+    from matplotlib.ticker import MultipleLocator
+
+    ax.set_xlabel(label)
+    span = float(angles_deg.max() - angles_deg.min()) if len(angles_deg) else 0.0
+    panels = ax.get_gridspec()
+    most = MOST_TICKS if panels is None or panels.ncols == 1 else FEWER_TICKS
+    steps = [step for step in ANGLE_STEPS if span <= most * step]
+    if span >= ANGLE_STEPS[0]:
+        ax.xaxis.set_major_locator(MultipleLocator(steps[0] if steps else 360.0))
 
 
 def whole_numbers(axis: Axis) -> None:
@@ -86,9 +123,33 @@ def whole_numbers(axis: Axis) -> None:
 
 
 def curve_with_band(
-    ax: Axes, x: Floats, y: Floats, band: Floats, label: str, colour: str = BLUE
+    ax: Axes,
+    x: Floats,
+    y: Floats,
+    band: Floats,
+    label: str,
+    colour: str = BLUE,
+    *,
+    valid: bool = True,
 ) -> None:
-    """Draw measured points with their expanded uncertainty as a band."""
-    ax.fill_between(x, y - band, y + band, color=colour, alpha=0.18, linewidth=0)
+    """Draw measured points with their expanded uncertainty as a band.
+
+    One that is not ``valid`` is grey, hatched and says so: nobody shall take it for the truth.
+    """
+    band_about(ax, x, y, band, colour, valid=valid)
+    label = label if valid else label.split(",")[0]
     ax.plot(x, y, "o-", color=colour, markersize=3.5, linewidth=1.2, label=label)
     ax.axhline(0.0, color=GREY, linewidth=0.8)
+
+
+def band_about(
+    ax: Axes, x: Floats, y: Floats, band: Floats, colour: str, *, valid: bool = True
+) -> None:
+    """Draw a band about a curve; see :func:`curve_with_band`."""
+    if valid:
+        ax.fill_between(x, y - band, y + band, color=colour, alpha=0.18, linewidth=0)
+        return
+    ax.fill_between(
+        x, y - band, y + band, facecolor="none", edgecolor=GREY, hatch="////", linewidth=0.5,
+        label=NOT_VALID,
+    )  # fmt: skip

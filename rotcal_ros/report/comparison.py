@@ -32,7 +32,6 @@ def curves_and_errors(
         band = COVERAGE_FACTOR * np.sqrt(np.diag(curve.covariance)) / unit
         style.curve_with_band(top, curve.angles / DEGREE, value, band, label, colour)
     top.set_ylabel(f"{component} / {name}")
-    top.legend(loc="best")
     _errors(bottom, comparisons)
     return style.svg(top)
 
@@ -49,9 +48,8 @@ def _errors(ax: Axes, comparisons: Pairs) -> None:
         ax.plot(angles[measured], values[measured], "o", color=colour, ms=4, label=f"{a} − {b}")
         ax.plot(angles[~measured], values[~measured], "o", color=colour, ms=4, mfc="none")
     ax.set_ylim(-max(1.3, 1.1 * largest), max(1.3, 1.1 * largest))
-    ax.set_ylabel("E$_n$ = difference / U (k = 2)")
-    ax.set_xlabel("commanded table angle / °")
-    ax.legend(loc="best")
+    ax.set_ylabel("Eₙ = difference / U (k = 2)")
+    style.angle_axis(ax, next(iter(comparisons.values())).angles / DEGREE)
 
 
 def comparison_page(

@@ -21,16 +21,23 @@ def section(standing: GoalStanding | None) -> str:
         candidates=standing.candidates,
         reason=standing.reason,
         noise=f"{standing.compared.length_std / MICROMETRE:.3g}",
-        columns=[_column(own), _column(papers)],
-        cell=own.cell_seconds is not None,
+        rows=_rows(own, papers),
     )
 
 
-def _column(figures: PlanFigures) -> dict[str, str]:
-    cell = figures.cell_seconds
-    return {
-        "lengths": str(figures.lengths),
-        "uncertainty": f"{figures.uncertainty / ARCSEC:.3f}",
-        "seconds": f"{figures.seconds:.0f} s",
-        "cell": "" if cell is None else f"{cell:.0f} s",
-    }
+def _rows(own: PlanFigures, papers: PlanFigures) -> list[list[str]]:
+    """Return what both plans take and reach, one row for each figure."""
+    plans = (own, papers)
+    rows = [
+        ["Lengths", *(str(plan.lengths) for plan in plans)],
+        ["Predicted U(ECC) / arcsec", *(f"{plan.uncertainty / ARCSEC:.3f}" for plan in plans)],
+        [
+            "Time at the pace of planner.step_s and turn_s",
+            *(f"{plan.seconds:.0f} s" for plan in plans),
+        ],
+    ]
+    if own.cell_seconds is not None:
+        clocks = [plan.cell_seconds for plan in plans]
+        cells = ["" if clock is None else f"{clock:.0f} s" for clock in clocks]
+        rows.append(["Time by the simulated cell's clock", *cells])
+    return rows

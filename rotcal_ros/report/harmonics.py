@@ -13,6 +13,7 @@ from rotcal_ros.curves.measured import measured_curve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.harmonics import HarmonicContent, harmonic_content
 from rotcal_ros.figures import style
+from rotcal_ros.gum_numbers import value_with_uncertainty
 from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
 from rotcal_ros.units import DEGREE
@@ -62,10 +63,14 @@ def _table(name: str, content: HarmonicContent) -> dict[str, Any]:
     rows = [
         (
             str(order),
-            f"{amplitude[k]:.4f} ± {spread[k]:.4f}",
-            f"{phase[k]:.1f} ± {turn[k]:.1f}" if content.significant[k] else "–",
+            value_with_uncertainty(float(amplitude[k]), float(spread[k])).lstrip("+"),
+            _phase(float(phase[k]), float(turn[k])) if content.significant[k] else "–",
         )
         for k, order in enumerate(content.orders)
     ]
     rest = f"{content.residual_rms / unit:.4f} {label}"
     return {"name": name, "unit": label, "rows": rows, "rest": rest}
+
+
+def _phase(degrees: float, expanded: float) -> str:
+    return value_with_uncertainty(degrees, expanded).lstrip("+")

@@ -27,10 +27,9 @@ def diagrams(runs: BidirectionalRuns, figures: Iso230) -> str:
         lines = every.plot(angles, values / ARCSEC, "-", color=colour, alpha=0.6, lw=0.9)
         lines[0].set_label(f"{values.shape[1]} runs {label}")
     every.set_ylabel("deviation / arcsec")
-    every.legend(loc="best")
     _accuracy(accuracy, angles, figures)
     _spread(spread, angles, figures)
-    spread.set_xlabel("target angle / °")
+    style.angle_axis(spread, angles, "target angle / °")
     return style.svg(every)
 
 
@@ -52,20 +51,18 @@ def _accuracy(ax: Axes, angles: Floats, figures: Iso230) -> None:
         textcoords="offset points", ha="right", color=style.INK,
     )  # fmt: skip
     ax.set_ylabel("deviation / arcsec")
-    ax.legend(loc="best")
 
 
 def _spread(ax: Axes, angles: Floats, figures: Iso230) -> None:
     """Draw reversal and bidirectional repeatability of every target as bars."""
     width = 0.35 * float(np.min(np.diff(angles)))
     for shift, values, colour, label in (
-        (-0.5, figures.reversal_i, style.GREEN, "reversal B$_i$"),
-        (0.5, figures.repeatability_i, style.GREY, "repeatability R$_i$"),
+        (-0.5, figures.reversal_i, style.GREEN, "reversal Bᵢ"),
+        (0.5, figures.repeatability_i, style.GREY, "repeatability Rᵢ"),
     ):
         ax.bar(angles + shift * width, values / ARCSEC, width, color=colour, label=label)
     ax.axhline(0.0, color=style.GREY, lw=0.8)
-    ax.set_ylabel("B$_i$, R$_i$ / arcsec")
-    ax.legend(loc="best")
+    ax.set_ylabel("Bᵢ, Rᵢ / arcsec")
 
 
 def section(result: Result) -> str:
@@ -78,7 +75,7 @@ def section(result: Result) -> str:
         return ""
     figures = iso230(runs)
     rows = [
-        (name, ["–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded)])
+        [name, *("–" if v is None else f"{v / ARCSEC:.3f}" for v in (*values, expanded))]
         for (name, values), expanded in zip(figures.summary(), figures.expanded(), strict=True)
     ]
     drawn = diagrams(runs, figures)

@@ -139,5 +139,4 @@ def _trend(outcomes: Sequence[Outcome], name: str) -> str:
             axes.errorbar(times, spans, bands, fmt="o-", markersize=4, capsize=2, label=table)
     axes.set_ylabel(f"{name}, range / {unit}")
     axes.set_ylim(bottom=0)
-    axes.legend(loc="best")
     return style.svg(axes)

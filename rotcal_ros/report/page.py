@@ -4,20 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.catalogue.goal import GoalStanding
-from rotcal_ros.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.evaluation.withheld import withheld
 from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
-from rotcal_ros.in_force import in_words
 from rotcal_ros.observations import Observation
-from rotcal_ros.report import goal, harmonics, reliability, trust
-from rotcal_ros.report.iso230 import section as iso230_section
+from rotcal_ros.report import (
+    budget,
+    facts,
+    first_page,
+    goal,
+    harmonics,
+    iso230,
+    reliability,
+    traceability,
+    trust,
+    verification,
+)
+from rotcal_ros.report.fingerprint import fingerprint, number
 from rotcal_ros.report.template import render
 from rotcal_ros.results import Result
-from rotcal_ros.units import DEGREE
+
+TITLE: Final = "Calibration report of a rotary table"
+NO_ADJUSTMENT: Final = "No adjustment or repair between measurements is part of this report."
 
 
 @dataclass(frozen=True)
@@ -27,7 +39,7 @@ class ReportInput:
     ``inputs`` pairs the name of every input with its SHA-256, ``versions`` names the software,
     ``truth`` is the injected deviation of a simulation in the form of truth.json, ``extra``
     holds further sections as (title, HTML) pairs, ``goal`` how the goal was reached, where there
-    was one.
+    was one, ``issued`` the date of issue.
     """
 
     result: Result
@@ -41,96 +53,104 @@ class ReportInput:
     notes: Sequence[str] = ()
     extra: Sequence[tuple[str, str]] = ()
     goal: GoalStanding | None = None
+    issued: str = ""
 
 
 def render_report(report: ReportInput) -> str:
     """Return the report as one HTML page without any reference to other files."""
     result = report.result
-    evaluated = [
-        (trust.TITLE, trust.section(result)),
-        (reliability.TITLE, reliability.section(result)),
-        ("Harmonic content", harmonics.section(result)),
-        ("ISO 230-2: positioning of the axis", iso230_section(result)),
-    ]
-    details = [(name, _short(value)) for name, value in result.all_details.items()]
+    identity = result.circumstances.identity
+    doubt = withheld(result, report.truth)
+    attempts = [[o.step, o.attempt, o.reason] for o in report.observations if not o.accepted]
+    adjusted = any(title == verification.TITLE for title, _ in report.extra)
     return render(
         "report",
         report=report,
         result=result,
-        figures=_figures(report),
-        columns=[f"{name} / {unit_of(name)[1]}" for name in result.components],
-        rows=_deviation_rows(result),
-        summary=_summary(result),
+        number=number(result),
+        fingerprint=fingerprint(result),
         standing=trust.standing(result),
+        withheld=doubt,
+        item=facts.about_the_item(result, identity),
+        work=facts.about_the_work(result, identity, report.method_title, report.issued),
+        plan=facts.about_the_plan(result, len(attempts)),
+        ranges=first_page.ranges(result, doubt),
+        sentences=first_page.sentences(result, doubt),
+        statement_of_u=first_page.statement_of_u(result, doubt),
+        conformity=first_page.statements_of_conformity(result, doubt),
+        curve=curves.deviations(result, report.truth, valid=not doubt),
+        zero=_zero(result),
+        values=first_page.value_blocks(result, doubt),
+        traceability=traceability.statement(result),
+        only_this_item=facts.ONLY_THIS_ITEM,
+        adjustment=f"See “{verification.TITLE}”." if adjusted else NO_ADJUSTMENT,
         goal=goal.section(report.goal),
-        extra=[*(section for section in evaluated if section[1]), *report.extra],
-        sections=[(name.replace("_", " "), text) for name, text in details if text],
-        attempts=[o for o in report.observations if not o.accepted],
+        sections=[section for section in _sections(report, doubt) if section[1]],
+        rejected=[[r.index, r.why] for r in result.rejected],
+        attempts=attempts,
+        details=_details(result),
     )
 
 
-def _figures(report: ReportInput) -> list[Figure]:
-    """Return all figures that the result can fill."""
+def _sections(report: ReportInput, doubt: str) -> list[tuple[str, str]]:
+    """Return title and HTML of what follows page one; empty HTML where there is nothing."""
     result = report.result
-    candidates = [
-        Figure(
-            "Deviations",
-            "Deviation = actual − commanded, at every angle. The band is the expanded "
-            "uncertainty (k = 2).",
-            curves.deviations(result, report.truth),
-        ),
+    drawn = {place: _drawings(report, place) for place in ("set-up", "residuals", "results")}
+    return [
+        (budget.TITLE, budget.section(result, doubt)),
+        (trust.TITLE, trust.section(result)),
+        (traceability.TITLE, traceability.section(result)),
+        ("Set-up", drawn["set-up"]),
+        *report.extra,
+        ("ISO 230-2: positioning of the axis", iso230.section(result)),
+        ("Harmonic content", harmonics.section(result)),
+        ("Further figures", drawn["results"]),
+        ("Residuals", drawn["residuals"]),
+        (reliability.TITLE, reliability.section(result)),
+    ]
+
+
+def _drawings(report: ReportInput, place: str) -> str:
+    """Return all figures of a section that the result can fill."""
+    figures = [f for f in _figures(report) if f.svg and f.place == place]
+    return render("drawings", figures=figures) if figures else ""
+
+
+def _figures(report: ReportInput) -> list[Figure]:
+    """Return what all methods show beside the curve, and what the method alone can show."""
+    result = report.result
+    installed = result.method in method_names()
+    draw = find_method(result.method).figures if installed else _residuals_alone
+    return [
         Figure(
             "Adjacent deviations",
-            "Deviation of each step between neighbouring angles. These are not the positioning "
-            "deviations: a controller needs the cumulative curve above.",
+            "Deviation of each step between neighbouring angles (k = 2). These are not the "
+            "positioning deviations: a controller needs the cumulative curve of page one.",
             curves.adjacent(result),
         ),
-        *_own_figures(report),
+        *draw(result, report.truth),
         Figure(
             "Temperature",
             "Temperature at each observation.",
             curves.temperature(report.observations),
         ),
     ]
-    return [candidate for candidate in candidates if candidate.svg]
 
 
-def _own_figures(report: ReportInput) -> Sequence[Figure]:
-    """Return what the method draws; of one that is not installed here the residuals."""
-    if report.result.method not in method_names():
-        return residual_figures(report.result)
-    return find_method(report.result.method).figures(report.result, report.truth)
+def _residuals_alone(result: Result, _truth: Mapping[str, Any] | None) -> Sequence[Figure]:
+    """Return what is drawn of a method that is not installed here."""
+    return residual_figures(result)
 
 
-def _deviation_rows(result: Result) -> list[tuple[str, list[str]]]:
-    """Return one row per angle: the angle and 'value ± expanded uncertainty' per component."""
-    rows = []
-    for i, angle in enumerate(result.angles):
-        cells = []
-        for name in result.components:
-            factor, _ = unit_of(name)
-            value = result.deviations[name][i] / factor
-            band = COVERAGE_FACTOR * result.std[name][i] / factor
-            cells.append(f"{value:+.3f} ± {band:.3f}")
-        rows.append((f"{angle / DEGREE:.4f}", cells))
-    return rows
+def _zero(result: Result) -> Sequence[str]:
+    """Return what the curves count from, in words."""
+    installed = result.method in method_names()
+    return find_method(result.method).zero(result) if installed else ()
 
 
-def _summary(result: Result) -> list[tuple[str, str]]:
-    summary = [
-        ("Verdict", result.verdict_line),
-        ("Table in force", in_words(result.measured_on)),
-        ("Observations", f"{result.n_observations}, of these {len(result.rejected)} rejected"),
-        ("Degrees of freedom", str(result.dof)),
-        ("σ₀ (1 = the stated noise fits)", f"{result.sigma0:.3f}"),
-    ]
-    for name in result.components:
-        factor, unit = unit_of(name)
-        values = result.deviations[name] / factor
-        band = COVERAGE_FACTOR * result.std[name].max() / factor
-        span = f"{values.min():+.3f} to {values.max():+.3f} {unit}"
-        summary.append((name, f"{span}, U ≤ {band:.3f} {unit} (k = 2)"))
-    return summary
+def _details(result: Result) -> list[tuple[str, str]]:
+    details = [(name, _short(value)) for name, value in result.all_details.items()]
+    return [(name.replace("_", " "), text) for name, text in details if text]
 
 
 def _short(value: Any) -> str:

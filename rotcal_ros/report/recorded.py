@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.sources import Source
-from rotcal_ros.report.page import ReportInput, render_report
+from rotcal_ros.report.page import TITLE, ReportInput, render_report
 from rotcal_ros.results import Result
 
 
@@ -36,7 +37,7 @@ def write_recorded(
     result = recording.solve()
     report = ReportInput(
         result=result,
-        title="Calibration of a rotary table",
+        title=TITLE,
         method_title=recording.calibration.method.title,
         observations=recording.observations,
         configuration_text=configuration.text,
@@ -46,6 +47,7 @@ def write_recorded(
         notes=recording.warnings(),
         extra=extra,
         goal=recording.goal_standing(result),
+        issued=_today(),
     )
     write_atomically(page, render_report(report))
     return result
@@ -60,13 +62,14 @@ def write_measured(
     configuration, result = measured.configuration, measured.solve()
     report = ReportInput(
         result=result,
-        title="Calibration of a rotary table",
+        title=TITLE,
         method_title=configuration.method.title,
         observations=measured.observations if isinstance(measured, PlannedMeasurements) else (),
         configuration_text=configuration.text,
         inputs=[*measured.sha256.items(), ("plan and configuration", configuration.plan_id)],
         versions=_versions({}),
         truth=truth,
+        issued=_today(),
     )
     write_atomically(page, render_report(report))
     return result
@@ -78,15 +81,20 @@ def write_result(source: Source, page: Path, truth: Mapping[str, Any] | None = N
     installed = result.method in method_names()
     report = ReportInput(
         result=result,
-        title="Calibration of a rotary table",
+        title=TITLE,
         method_title=find_method(result.method).title if installed else result.method,
         inputs=list(source.sha256.items()),
         versions=_versions({}),
         truth=truth,
         notes=source.warnings,
+        issued=_today(),
     )
     write_atomically(page, render_report(report))
     return result
+
+
+def _today() -> str:
+    return f"{datetime.now(timezone.utc):%Y-%m-%d}"
 
 
 def _versions(attachments: Mapping[str, bytes]) -> dict[str, str]:

@@ -28,8 +28,14 @@ def section(result: Result) -> str:
         power=f"{100.0 * found.power:g}",
         alpha=f"{100.0 * found.alpha:g}",
         rows=_rows(found),
-        metres=found.std is not None,
+        head=_head(found),
     )
+
+
+def _head(found: Reliability) -> list[str]:
+    metres = ["Error / µm"] if found.std is not None else []
+    columns = ["Error / its std", "Effect, at most / std"]
+    return ["Table position", "Target", "Redundancy", *metres, *columns]
 
 
 def _rows(found: Reliability) -> list[list[str]]:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
 from rotcal_ros import __version__
+from rotcal_ros.figures.inline import inline
 
 
 def render(template: str, **values: Any) -> str:
@@ -18,4 +20,15 @@ def render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters |= {"drawn": _drawn, "quoted": _quoted}
     return environment.get_template(f"{template}.html.j2").render(values, version=__version__)
+
+
+def _drawn(svg: str, name: str) -> Markup:
+    """Return a figure of ours as it stands in a page."""
+    return Markup(inline(svg, name))
+
+
+def _quoted(text: str) -> Markup:
+    """Return any text for between the quotes of a style sheet, nothing in it being syntax."""
+    return Markup("".join(c if c.isalnum() or c == " " else f"\\{ord(c):x} " for c in text))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from html import escape
-
 from matplotlib.axes import Axes
 
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
 from rotcal_ros.figures import style
+from rotcal_ros.report.template import render
 from rotcal_ros.units import ARCSEC, DEGREE
 
 TITLE = "Before and after compensation"
@@ -27,7 +26,7 @@ def verification_section(verification: Verification) -> tuple[str, str]:
     rows = [
         ("E, range of the measured deviations", before.systematic, after.systematic),
         ("rms of the measured deviations", before.rms, after.rms),
-        ("largest standard uncertainty (k = 1)", before.std.max(), after.std.max()),
+        ("largest U (k = 2)", *(COVERAGE_FACTOR * run.std.max() for run in (before, after))),
     ]
     if verification.iso:
         first, second = verification.iso["before"], verification.iso["after"]
@@ -35,25 +34,31 @@ def verification_section(verification: Verification) -> tuple[str, str]:
             (f"{_WORDS[name]} (true angle)", getattr(first, name), getattr(second, name))
             for name in ISO_FIGURES
         ]
-    cells = "".join(
-        f"<tr><td>{escape(name)}</td><td>{a / ARCSEC:.3f}</td><td>{b / ARCSEC:.3f}</td></tr>"
-        for name, a, b in rows
+    section = render(
+        "verification",
+        text=_in_words(verification),
+        verdict=verification.verdict,
+        reserves=verification.reserves,
+        figure=before_and_after(before, after),
+        rows=[(name, f"{a / ARCSEC:.3f}", f"{b / ARCSEC:.3f}") for name, a, b in rows],
     )
+    return TITLE, section
+
+
+def _in_words(verification: Verification) -> str:
     text = (
         f"Measured, compensated, measured again: the range is {verification.ratio:.0f} times "
-        f"smaller, verdict <b>{verification.verdict}</b>. Up to "
-        f"{verification.expected / ARCSEC:.3f} arcsec were expected to be left: the uncertainty "
-        f"of both measurements and {verification.stated / ARCSEC:.3f} arcsec of the table itself."
+        f"smaller. Up to {verification.expected / ARCSEC:.3f} arcsec were expected to be left: "
+        f"the uncertainty of both measurements and {verification.stated / ARCSEC:.3f} arcsec "
+        "of the table itself."
     )
-    if verification.again is not None:
-        text += (
-            f" What was left was added to the table: measured again, the range is "
-            f"{verification.again.systematic / ARCSEC:.3f} arcsec."
-        )
-    head = "<tr><th>arcsec</th><th>before</th><th>after</th></tr>"
-    reserves = "".join(f"<p>{escape(line)}</p>" for line in verification.reserves)
-    drawing = before_and_after(before, after)
-    return TITLE, f"<p>{text}</p>{reserves}{drawing}<table>{head}{cells}</table>"
+    if verification.again is None:
+        return text
+    left = verification.again.systematic / ARCSEC
+    return (
+        f"{text} What was left was added to the table: measured again, the range is {left:.3f} "
+        "arcsec."
+    )
 
 
 @style.styled
@@ -64,8 +69,7 @@ def before_and_after(before: Positioning, after: Positioning) -> str:
     for ax in (whole, left):
         _draw(ax, after, style.BLUE, "after")
         ax.set_ylabel("ECC / arcsec")
-        ax.legend(loc="best")
-    left.set_xlabel("commanded table angle / °")
+    style.angle_axis(left, before.angles / DEGREE)
     return style.svg(whole)
 
 

@@ -44,7 +44,7 @@ def test_details_without_mirror_draw_nothing() -> None:
 def test_the_page_chooses_the_sections_by_what_the_details_hold(result: Result) -> None:
     page = render_report(ReportInput(result=result, title="Table", method_title="Mirror"))
     for title in TITLES:
-        assert f"<h2>{title}</h2>" in page
+        assert f"<h3>{title}</h3>" in page
     assert "Stations in plan view" not in page
     assert "Normalised residuals" not in page  # several residuals per position and nest
 

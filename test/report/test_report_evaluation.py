@@ -44,7 +44,7 @@ def test_harmonic_content_of_a_full_circle():
     """k = 2: amplitude std sqrt(2 / 12) times 0.1, phase std a third of 0.1 / 3 rad."""
     text = page(result())
     assert "Harmonic content" in text
-    assert "<td>2</td><td>3.0000 ± 0.0816</td><td>40.0 ± 1.6</td>" in text
+    assert '<th scope="row">2</th><td>3.000 ± 0.082</td><td>40.0 ± 1.6</td>' in text
     assert text.count("<td>–</td>") == 4  # five orders, the others do not differ from zero
 
 
@@ -57,9 +57,9 @@ def test_iso_section_with_figures_and_warnings():
     text = page(result(runs=runs()))
     assert "ISO 230-2: positioning of the axis" in text
     for row in (
-        "<td>Repeatability R</td><td>3.000</td><td>2.000</td><td>2.000</td>",
-        "<td>Systematic deviation E</td><td>3.000</td><td>2.000</td><td>2.000</td>",
-        "<td>Accuracy A</td><td>5.000</td><td>4.000</td><td>4.000</td>",
+        '<th scope="row">Repeatability R</th><td>3.000</td><td>2.000</td><td>2.000</td>',
+        '<th scope="row">Systematic deviation E</th><td>3.000</td><td>2.000</td><td>2.000</td>',
+        '<th scope="row">Accuracy A</th><td>5.000</td><td>4.000</td><td>4.000</td>',
     ):
         assert row in text
     assert "3 runs in each direction, the standard asks for 5" in text

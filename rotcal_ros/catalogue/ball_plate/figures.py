@@ -15,7 +15,7 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.figures import Figure, style
 from rotcal_ros.results import Result
-from rotcal_ros.units import DEGREE, MICROMETRE
+from rotcal_ros.units import DEGREE, MICROMETRE, MILLIMETRE
 
 _DIRECTIONS: Final = ("radial", "tangential", "axial")
 _COLOURS: Final = (style.BLUE, style.ORANGE, style.GREEN)
@@ -26,6 +26,13 @@ def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Fig
     if not {"groups", "residual_rows", "grid"} <= result.details.keys():
         return []
     return [
+        Figure(
+            "Set-up in plan view",
+            "Balls on the plate at table angle zero, and the positions of the table at which they "
+            "were touched, from above.",
+            set_up(result),
+            "set-up",
+        ),
         Figure(
             "Errors of the plate",
             "Place of each ball on the plate less its nominal place, with k = 2: manufacture and "
@@ -45,13 +52,43 @@ def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Fig
             "position (right). A column or a row that stands out names a table position, a "
             "machine position or a ball; crosses were rejected.",
             residual_maps(result),
+            "residuals",
         ),
         Figure(
             "Normalised residuals",
             "Test value of each centre in the order of measurement; a rejected one is a cross.",
             centre_tests(result),
+            "residuals",
         ),
     ]
+
+
+@style.styled
+def set_up(result: Result) -> str:
+    """Draw the circle of the balls about the axis with the grid of table positions, to scale."""
+    radius = float(result.details["radius"]) / MILLIMETRE
+    (ax,) = style.grid(height=4.6)
+    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+    ax.plot(radius * np.cos(turn), radius * np.sin(turn), color=style.GREY, linewidth=0.9)
+    for number, group in enumerate(result.details["groups"]):
+        steps = np.asarray(group["ball_steps"])
+        grid = _group_grid(result, group)
+        at = 2.0 * np.pi * steps / grid + group["turn"]
+        stops = 2.0 * np.pi * np.arange(grid) / grid + group["turn"]
+        rays = np.array([0.25, 0.95]) * radius
+        for angle in stops:
+            ax.plot(rays * np.cos(angle), rays * np.sin(angle), color=style.MISSING, linewidth=0.8)
+        x, y = radius * np.cos(at), radius * np.sin(at)
+        label = "" if number else "balls, by grid step"
+        ax.plot(x, y, "o", color=style.BLUE, markersize=7, label=label)
+        for step, point in zip(steps.tolist(), zip(x, y, strict=True), strict=True):
+            ax.annotate(str(step), point, xytext=(7, 5), textcoords="offset points")
+    ax.plot(0.0, 0.0, "+", color=style.INK, markersize=10, label="axis of the table")
+    ax.set_aspect("equal")
+    ax.margins(0.12)
+    ax.set_xlabel("x / mm")
+    ax.set_ylabel("y / mm")
+    return style.svg(ax)
 
 
 @style.styled
@@ -74,7 +111,6 @@ def plate_errors(result: Result) -> str:
     ax.axhline(0.0, color=style.GREY, linewidth=0.8)
     ax.set_xlabel("ball (grid step)")
     ax.set_ylabel("plate error / µm")
-    ax.legend(loc="best", ncols=3)
     return style.svg(ax)
 
 
@@ -90,7 +126,8 @@ def machine_errors(result: Result) -> str:
         for i, ax in enumerate(panels):
             style.curve_with_band(ax, place, values[:, i], band[:, i] / MICROMETRE, "")
             ax.set_ylabel(f"{_DIRECTIONS[i]} / µm")
-    panels[-1].set_xlabel("measuring position on the ball circle / °")
+    label = "measuring position on the ball circle / °"
+    style.angle_axis(panels[-1], np.array([0.0, 360.0]), label)
     return style.svg(panels[0])
 
 
@@ -136,7 +173,6 @@ def centre_tests(result: Result) -> str:
     if not rows.used.all():
         height = np.zeros(int((~rows.used).sum()))
         ax.plot(order[~rows.used], height, "x", color=style.RED, label="rejected", clip_on=False)
-        ax.legend(loc="upper right")
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel("row, in the order of measurement")
     ax.set_ylabel("test value")

@@ -20,7 +20,7 @@ from rotcal_ros.catalogue.ball_plate.solver_settings import BallPlateSolverSetti
 from rotcal_ros.catalogue.ball_plate.touched_ball import reported_centre, touched_centre
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.method import Method, See, TableReader
-from rotcal_ros.curves.gauge import without_axis_and_artefact
+from rotcal_ros.curves import gauge
 from rotcal_ros.methods.ball_plate.solve import METHOD as NAME
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
@@ -47,10 +47,11 @@ METHOD: Final = Method(
     ),
     solve=calibration.solve,
     trials=calibration.trials,
-    gauge=without_axis_and_artefact,
+    gauge=gauge.without_axis_and_artefact,
     nominal=nominal,
     table=TableReader(table.HEADERS, table.read),
     short_setup=table.short_setup,
     figures=figures,
+    zero=lambda _result: gauge.IN_WORDS,
     disturbances=DISTURBANCES,
 )

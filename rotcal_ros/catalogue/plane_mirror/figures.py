@@ -37,11 +37,13 @@ def figures(result: Result, truth: Mapping[str, Any] | None = None) -> list[Figu
             "Plan view along the table axis, in the frame of the first station: where the nests "
             "put each station of the tracker.",
             station_map(result.details),
+            "set-up",
         ),
         Figure(
             "Angles of incidence",
             "Angle between the beam and the mirror's normal at each position, by tracker station.",
             incidence(result.details),
+            "set-up",
         ),
         Figure(
             "Nest residuals",
@@ -49,6 +51,7 @@ def figures(result: Result, truth: Mapping[str, Any] | None = None) -> list[Figu
             "largest of several rounds; the colour is the normalised residual, for which 1 is "
             "expected.",
             nest_residuals(result.details),
+            "residuals",
         ),
         Figure(
             "Drift of the tracker",
@@ -80,10 +83,11 @@ def ways(result: Result, truth: Mapping[str, Any] | None = None) -> str:
         known = np.interp(angles, *reference)
         style.curve_with_band(top, angles / DEGREE, ecc / ARCSEC, band, "measured")
         if truth is not None:
-            top.plot(angles / DEGREE, known / ARCSEC, "--", color=style.ORANGE, linewidth=1.2)
+            top.plot(angles / DEGREE, known / ARCSEC, "--", color=style.ORANGE, linewidth=1.2,
+                     label="injected")  # fmt: skip
         style.curve_with_band(bottom, angles / DEGREE, (ecc - known) / ARCSEC, band, "difference")
         top.set_title(name, fontsize=10)
-        bottom.set_xlabel("table angle / °")
+        style.angle_axis(bottom, angles / DEGREE, "table angle / °")
     panels[0].set_ylabel("ECC / arcsec")
     panels[len(curves)].set_ylabel("difference / arcsec")
     return style.svg(panels[0])
@@ -107,7 +111,6 @@ def station_map(details: Mapping[str, Any]) -> str:
     ax.set_aspect("equal")
     ax.set_xlabel("m")
     ax.set_ylabel("m")
-    ax.legend(loc="best")
     return style.svg(ax)
 
 
@@ -130,9 +133,8 @@ def incidence(details: Mapping[str, Any]) -> str:
         ax.axhline(details["incidence_limit_rad"] / DEGREE, color=style.RED, linestyle="--",
                    linewidth=1.0, label="limit")  # fmt: skip
     ax.set_ylim(bottom=0.0)
-    ax.set_xlabel("commanded table angle / °")
+    style.angle_axis(ax, np.array([n["angle_rad"] / DEGREE for n in normals]))
     ax.set_ylabel("incidence / °")
-    ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return style.svg(ax)
 
 
@@ -185,7 +187,6 @@ def drift(details: Mapping[str, Any]) -> str:
         ax.set_xticks(np.arange(len(stations)) + 0.4, [str(s["station"]) for s in stations])
         ax.set_xlabel("tracker station")
         ax.set_ylabel(("turn / " if ax is turned else "range / ") + unit)
-    turned.legend(loc="best", fontsize=8)
     return style.svg(turned)
 
 

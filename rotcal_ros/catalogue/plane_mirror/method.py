@@ -9,7 +9,7 @@ import numpy as np
 from rotcal_ros.capture.points import mean_point, points
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.catalogue.configuration import Configuration
-from rotcal_ros.catalogue.method import Method, See, TableReader
+from rotcal_ros.catalogue.method import Method, See, TableReader, zero_at_the_first
 from rotcal_ros.catalogue.plane_mirror import calibration, table
 from rotcal_ros.catalogue.plane_mirror.disturbances import DISTURBANCES
 from rotcal_ros.catalogue.plane_mirror.figures import figures
@@ -26,12 +26,27 @@ from rotcal_ros.catalogue.plane_mirror.plan import (
 from rotcal_ros.catalogue.plane_mirror.plausibility import TrackerCheck
 from rotcal_ros.catalogue.plane_mirror.simulation_settings import MirrorSimulationSettings
 from rotcal_ros.catalogue.stations import Stations
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.geometry.rotations import rotation_about_z
+from rotcal_ros.gum_numbers import value_with_uncertainty
 from rotcal_ros.methods.plane_mirror.settings import MirrorSolverSettings
 from rotcal_ros.methods.plane_mirror.solve import METHOD as NAME
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.table_angles import table_angles
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC
+
+
+def zero(result: Result) -> tuple[str, ...]:
+    """Return what the curve counts from, and how a whole turn closes."""
+    first, details = zero_at_the_first(result), result.details
+    if "closure_rad" not in details:
+        return (*first, "No whole turn was measured: nothing tells how the curve closes.")
+    error = float(details["closure_rad"]) / ARCSEC
+    expanded = COVERAGE_FACTOR * float(details["closure_std_rad"]) / ARCSEC
+    closes = f"The whole turn closes to {value_with_uncertainty(error, expanded)} arcsec (k = 2)."
+    return (*first, closes)
 
 
 def nominal(configuration: Configuration, _plan: Plan) -> See:
@@ -79,5 +94,6 @@ METHOD: Final = Method(
     stations=stations,
     table=TableReader((table.HEADER, table.TIMED), table.read),
     figures=figures,
+    zero=zero,
     disturbances=DISTURBANCES,
 )

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats
 from rotcal_ros.figures import Figure, style
+from rotcal_ros.figures.labels import name_places
 from rotcal_ros.figures.residuals import residual_figures
 from rotcal_ros.results import Result
 from rotcal_ros.units import MILLIMETRE
-
-COVERED_MM: Final = 20.0
-"""Places nearer to each other than that in a view share a name there."""
 
 
 def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Figure]:
@@ -27,6 +24,7 @@ def figures(result: Result, _truth: Mapping[str, Any] | None = None) -> list[Fig
             "above (left) and from the side (right). Tilts and heights are told by beams in many "
             "directions, the turns by places far from each other.",
             places_and_targets(result),
+            "set-up",
         ),
     ]
 
@@ -43,22 +41,9 @@ def places_and_targets(result: Result) -> str:
     for ax, upward, name in zip(axes, (1, 2), "yz", strict=True):
         ax.plot(targets[:, 0], targets[:, upward], "x", color=style.GREY, label="targets")
         ax.plot(places[:, 0], places[:, upward], "o", color=style.BLUE, label="places")
-        for names, at in _named(details["place_ids"], places[:, [0, upward]]):
-            ax.annotate(names, at, xytext=(4, 4), textcoords="offset points")
+        name_places(ax, details["place_ids"], places[:, [0, upward]])
         ax.set_aspect("equal")
         ax.set_xlabel("x / mm")
         ax.set_ylabel(f"{name} / mm")
     axes[1].legend(loc="center right")
     return style.svg(axes[0])
-
-
-def _named(numbers: Sequence[int], points: Floats) -> list[tuple[str, tuple[float, float]]]:
-    """Return names and points (mm), joined where ``points`` (p, 2) would cover each other."""
-    named: list[tuple[str, tuple[float, float]]] = []
-    left = list(zip(numbers, points.tolist(), strict=True))
-    while left:
-        x, y = left[0][1]
-        near = [number for number, at in left if np.hypot(at[0] - x, at[1] - y) < COVERED_MM]
-        left = [pair for pair in left if pair[0] not in near]
-        named.append((", ".join(map(str, near)), (x, y)))
-    return named

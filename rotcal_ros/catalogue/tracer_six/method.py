@@ -18,7 +18,7 @@ from rotcal_ros.catalogue.tracer_six.figures import figures
 from rotcal_ros.catalogue.tracer_six.plan import SixPlanSettings, check_plan, places_of, plan
 from rotcal_ros.catalogue.tracer_six.plausibility import PlaceLengths
 from rotcal_ros.catalogue.tracer_six.simulation_settings import SixSimulationSettings
-from rotcal_ros.curves.gauge import without_axis_and_artefact
+from rotcal_ros.curves import gauge
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.tracer_six import METHOD as NAME
 from rotcal_ros.methods.tracer_six import TracerSixSolverSettings
@@ -55,9 +55,10 @@ METHOD: Final = Method(
     check=calibration.check,
     nominal=nominal,
     stations=lambda configuration: Stations(places_of(configuration.plan), carried=True),
-    gauge=without_axis_and_artefact,
+    gauge=gauge.without_axis_and_artefact,
     table=TableReader(table.HEADERS, table.read),
     short_setup=table.short_setup,
     figures=figures,
+    zero=lambda _result: gauge.IN_WORDS,
     disturbances=DISTURBANCES,
 )

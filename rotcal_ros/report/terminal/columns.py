@@ -18,6 +18,8 @@ from typing import Any, Final
 import click
 
 from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.gum_numbers import value, value_with_uncertainty
 
 BORDER: Final = 1
 PADDING: Final = 3
@@ -29,22 +31,23 @@ class Column:
     """One column: its ``heading`` names the unit, ``cells`` hold numbers in it, texts, or None.
 
     ``digits`` is the format of the numbers for people, e.g. ``+.3f``. ``std``, where given, are
-    the standard uncertainties of the cells: behind them for people, a column of its own in CSV.
+    the standard uncertainties of the cells: for people the expanded ones (k = 2) stand behind
+    them, with the digits that these ask for, unless not ``valid``; in CSV they are a column.
     """
 
     heading: str
     cells: Sequence[Any] | Floats | Ints
     digits: str = ""
     std: Floats | None = None
+    valid: bool = True
 
     def shown(self) -> list[str]:
         """Return the cells as people read them."""
-        texts = [_shown(cell, self.digits) for cell in self.cells]
         if self.std is None:
-            return texts
-        band = self.digits.lstrip("+")
-        pairs = zip(texts, self.std, strict=True)
-        return [f"{text} +- {format(std, band)}" for text, std in pairs]
+            return [_shown(cell, self.digits) for cell in self.cells]
+        write = value_with_uncertainty if self.valid else value
+        pairs = zip(self.cells, COVERAGE_FACTOR * self.std, strict=True)
+        return [write(float(cell), float(expanded)) for cell, expanded in pairs]
 
     def is_text(self) -> bool:
         """Return whether the cells are words, which may be broken at blanks."""

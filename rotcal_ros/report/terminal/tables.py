@@ -10,6 +10,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
+from rotcal_ros.evaluation.withheld import withheld
 from rotcal_ros.report.terminal.columns import (
     Column,
     Titled,
@@ -29,16 +30,21 @@ if TYPE_CHECKING:  # a result is printed without what compares and combines
 
 
 def print_result(result: Result) -> None:
-    """Print deviations with their standard uncertainties, warnings and the verdict."""
-    columns = [_angles(result.angles)]
+    """Print deviations with their expanded uncertainties, warnings and the verdict.
+
+    Where no uncertainty may be stated it is left out, and a line says why.
+    """
+    columns, reason = [_angles(result.angles)], withheld(result)
     for name in result.components:
         unit, label = unit_of(name)
-        std = result.std[name] / unit if name in result.std else None
-        columns.append(Column(f"{name}/{label}", result.deviations[name] / unit, "+.3f", std))
-    print_words(f"{result.method}: deviation = actual - commanded, +- standard uncertainty")
+        value, std = result.deviations[name] / unit, result.std[name] / unit
+        columns.append(Column(f"{name}/{label}", value, std=std, valid=not reason))
+    band = "" if reason else f", ± U (k = {COVERAGE_FACTOR:g})"
+    print_words(f"{result.method}: deviation = actual - commanded{band}")
     print_table(columns)
     print_words(
         *(f"warning: {warning}" for warning in result.warnings),
+        *([f"U: not stated, because the verdict is {result.verdict}"] if reason else []),
         f"verdict {result.verdict_line}: {result.n_observations} observations, "
         f"{len(result.rejected)} rejected, {result.dof} degrees of freedom, "
         f"sigma0 {result.sigma0:.3f}",
@@ -133,15 +139,15 @@ def _say_figures(figures: Iso230) -> None:
 
 
 def print_uncertainty(both: Propagated) -> None:
-    """Print, for each component, both uncertainties and the interval of the trials by angle."""
+    """Print, for each component, both U and the interval of the trials by angle."""
     interval = f"{100 * both.spread.probability:g} % interval"
     tables = []
     for name, part in both.components.items():
         unit, label = unit_of(name)
         columns = {
             "value": part.value,
-            "solver": part.linear_std,
-            "trials": part.std,
+            "U solver": COVERAGE_FACTOR * part.linear_std,
+            "U trials": COVERAGE_FACTOR * part.std,
             "shift": part.mean - part.value,
             "from": part.low,
             "to": part.high,
@@ -153,7 +159,7 @@ def print_uncertainty(both: Propagated) -> None:
                     *(column_of(head, v, unit, ".4f") for head, v in columns.items()),
                     Column("unit", [label] * len(both.result.angles)),
                 ],
-                f"{name}: standard uncertainty and {interval}",
+                f"{name}: U (k = {COVERAGE_FACTOR:g}) of solver and trials, {interval}",
                 name,
             )
         )
