@@ -67,6 +67,8 @@ def test_what_the_measurements_do_not_cover_is_told_beside_the_verdict():
 
 def test_an_existing_folder_is_not_overwritten(tmp_path):
     pytest.importorskip("rclpy")
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.mcap").write_bytes(b"somebody's")
     found = CliRunner().invoke(rotcal, ["verify", "config/verify_demo.yaml", "-o", str(tmp_path)])
     assert found.exit_code == 2
     assert "nothing is overwritten" in found.stderr

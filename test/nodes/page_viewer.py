@@ -1,18 +1,12 @@
 """Looking at the page of a live cell: as a program, and in a real browser."""
 
 import json
-import os
 import re
-import shutil
 import urllib.error
 import urllib.request
 from threading import Thread
 
-import pytest
 from live_cell import wait_until
-
-CHROMIUM = shutil.which("chromium")
-REQUIRED = bool(os.environ.get("ROTCAL_REQUIRE_CHROMIUM"))
 
 
 def address(live, name="operator_page"):
@@ -62,13 +56,3 @@ class Viewer:
                     self.names.append(name)
                 elif field == "data":
                     self.state = {**self.state, **json.loads(text)}
-
-
-def launched(playwright, **options):
-    """Return Debian's Chromium; skip the test where it is missing, fail where it is required."""
-    if CHROMIUM is None:
-        if REQUIRED:
-            pytest.fail("Chromium is required here (ROTCAL_REQUIRE_CHROMIUM): install chromium")
-        pytest.skip("Chromium is not installed: apt install chromium")
-    arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
-    return playwright.chromium.launch(executable_path=CHROMIUM, args=arguments, **options)

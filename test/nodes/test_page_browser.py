@@ -4,8 +4,9 @@ import re
 from pathlib import Path
 
 import pytest
+from browser import launched
 from live_cell import SUITE, LiveCell
-from page_viewer import address, launched
+from page_viewer import address
 from test_bridge import SECRET, Bench, table
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration

@@ -22,7 +22,7 @@ from rotcal_ros.methods.tracer.settings import TracerSolverSettings
 from rotcal_ros.methods.tracer.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
 from rotcal_ros.planning.plan import Plan, Point, Step
-from rotcal_ros.planning.points import block, in_a_line
+from rotcal_ros.planning.points import block, in_a_line, in_a_plane
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.tracer_design.candidates import candidates
 from rotcal_ros.planning.tracer_design.scene import Scene, on_table
@@ -173,8 +173,8 @@ def check_plan(solver: TracerSolverSettings, planned: Plan) -> None:
         )
     if not (on_circle or shared or missing) and n == 4 and in_a_plane(np.array(planned.targets)):
         missing = (
-            "4 targets in one plane do not determine a station with a zero of its own: put one out "
-            "of the plane, or measure more"
+            "4 targets in one plane do not determine a station with a zero of its own: put one "
+            "out of the plane, or measure more"
         )
     if (angles := len(set(planned.table_angles))) < LEAST_ANGLES:
         missing = missing or f"{angles} table angles: a circle needs at least {LEAST_ANGLES}"
