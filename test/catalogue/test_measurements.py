@@ -120,11 +120,12 @@ def test_lengths_in_millimetres_do_not_fit_the_targets(
     [
         ("", "expected the header line"),
         (
-            "station;target;length_m\n0;0;1\n",
+            "station,target,length\n0,0,1\n",
             "expected the header line 'position,target,length_m' or 'station,target,length_m'",
         ),
         ("station,target,length_mm\n0,0,1\n", "found 'station,target,length_mm'"),
         ("0,0,0.25\n", "expected the header line"),
+        ("station;target;length_m\n0;0;1\n", "separated by semicolons: save it with commas"),
     ],
 )
 def test_wrong_header(configuration: Configuration, tmp_path: Path, text: str, error: str) -> None:
@@ -181,7 +182,9 @@ def test_ball_plate_table(position: str, tmp_path: Path) -> None:
         (1, 0, 5, (1.0, 2.0, 3.0), PointKind.CENTRE),
     ]
     path.write_text(f"{position},ball_step,x_m,y_m,z_m\n1,2,0.1,0.2,0.3\n")
-    with pytest.raises(DataError, match=r"row 2: position 1, target 2 is not .* targets 0, 1, 5"):
+    with pytest.raises(
+        DataError, match=r"row 2: position 1, ball step 2 is not .* ball steps 0, 1, 5"
+    ):
         read_measurements(path, setup)
 
 
@@ -220,7 +223,7 @@ def test_plane_mirror_table_is_read_by_its_method(tmp_path: Path) -> None:
         read_measurements(path, setup).solve()
     tracer = parse_configuration(dump_configuration("tracer_multistation", {}))
     with pytest.raises(
-        DataError, match=r"a table of the method plane_mirror, but .* sets up tracer_multistation"
+        BagError, match=r"a table of the method plane_mirror, but .* sets up tracer_multistation"
     ):
         read_measurements(path, tracer).solve()
 

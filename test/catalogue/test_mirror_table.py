@@ -70,7 +70,7 @@ def test_every_row_is_read_to_the_last_bit(tmp_path_factory, rows):
     ("text", "message"),
     [
         ("", "points.csv: expected the header line 'position,tracker_station"),
-        ("position;x\n", "found 'position;x'"),
+        ("position,x\n", "found 'position,x'"),
         (HEAD, "points.csv: the table has a header but no rows"),
         (HEAD + "0,A,direct,1,1,2\n", "row 2: expected 7 values"),
         (HEAD + "0,A,direkt,1,1,2,3\n", "row 2: kind 'direkt', expected direct, mirrored, nest"),

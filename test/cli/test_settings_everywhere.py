@@ -97,6 +97,7 @@ def test_a_configuration_file(refused, tmp_path, arguments, change, nearest):
 )  # fmt: skip
 def test_what_verify_will_write_is_checked_before_it_measures(refused, tmp_path, options, words):
     (tmp_path / "file").write_text("")
-    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "bag").mkdir(parents=True)
+    (tmp_path / "taken" / "bag" / "bag_0.mcap").write_text("")
     assert words in refused("verify", CONFIG / "verify_demo.yaml", "-o", "out", *options)
     assert not (tmp_path / "out").exists()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.curves.measured import MeasuredCurve
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.compare import compare, compare_all
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
 from rotcal_ros.units import ARCSEC
@@ -180,8 +180,12 @@ def test_autocollimator_and_polygon():
 
 
 def test_polygon_without_a_face_is_refused():
-    reading = read_reference("angle_deg,deviation_arcsec\n0,1\n120,2\n240,3\n", "r.csv")
-    polygon = read_reference("angle_deg,deviation_arcsec\n0,1\n90,2\n180,3\n270,1\n", "p.csv")
+    reading = read_reference(
+        "angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n120,2,0\n240,3,0\n", "r.csv"
+    )
+    polygon = read_reference(
+        "angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n90,2,0\n180,3,0\n270,1,0\n", "p.csv"
+    )
     with pytest.raises(DataError, match="no face for 120 deg"):
         without_polygon(reading, polygon)
 
@@ -189,20 +193,31 @@ def test_polygon_without_a_face_is_refused():
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "columns are none"),
-        ("angle,dev\n", "columns are angle, dev"),
         ("angle_deg,deviation_arcsec\n0,1\n90,1\n", "2 rows, expected at least 3"),
         ("angle_deg,deviation_arcsec\n0,1\n90\n180,1\n", "line 3: 1 columns"),
         ("angle_deg,deviation_arcsec\n0,1\n90,one\n180,1\n", "line 3: .*numbers only"),
         ("angle_deg,deviation_arcsec\n0,1\n90,inf\n180,1\n", "line 3.*finite"),
         ("angle_deg,deviation_arcsec,u_arcsec\n0,1,1\n90,1,-1\n180,1,1\n", "u not negative"),
         ("angle_deg,deviation_arcsec\n0,1\n90,1\n90,2\n180,1\n", "90 deg is there twice"),
-        ("angle_deg,deviation_arcsec\n0,1\n120,1\n240,1\n360,9\n", "differ by 8 arcsec"),
-        ("angle_deg,deviation_arcsec\n0,1\n120,1\n240,1\n480,9\n", "more than one turn"),
+        (
+            "angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n120,1,0\n240,1,0\n360,9,0\n",
+            "differ by 8 arcsec",
+        ),
+        (
+            "angle_deg,deviation_arcsec,u_arcsec\n0,1,0\n120,1,0\n240,1,0\n480,9,0\n",
+            "more than one turn",
+        ),
+        ("angle_deg,deviation_arcsec\n0,1\n120,1\n240,1\n", "states no uncertainty"),
     ],
 )
 def test_bad_references_are_refused_with_the_place(text, expected):
     with pytest.raises(DataError, match=expected):
+        read_reference(text, "ref.csv")
+
+
+@pytest.mark.parametrize(("text", "found"), [("", "none"), ("angle,dev\n", "angle, dev")])
+def test_other_columns_are_no_reference(text, found):
+    with pytest.raises(BagError, match=rf"ref\.csv: the columns are {found}, expected angle_deg"):
         read_reference(text, "ref.csv")
 
 

@@ -3,7 +3,7 @@ from statistics import mean, stdev
 import numpy as np
 import pytest
 
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.bidirectional import read_runs
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, iso230
 from rotcal_ros.units import ARCSEC
@@ -100,7 +100,6 @@ def test_runs_come_from_a_table_in_any_order():
     [
         (lambda lines: lines[:5] + lines[6:], r"missing 0 deg in run 5 up"),
         (lambda lines: [*lines, lines[3]], r"line 82: 0 deg, run 3 up is there twice"),
-        (lambda lines: ["a,b", *lines[1:]], "columns are a, b, expected angle_deg"),
         (lambda lines: [*lines, "0,6,left,1"], "line 82: direction 'left'"),
         (lambda lines: [*lines, "0,6,up,x"], "'x' is not a number"),
         (lambda lines: [*lines, "0,6,up,nan"], "not a finite number"),
@@ -112,6 +111,11 @@ def test_bad_tables_of_runs_are_refused_with_the_place(change, text):
     lines = change(csv_of(hand_checked_runs()).splitlines())
     with pytest.raises(DataError, match=text):
         read_runs("\n".join(lines), "runs.csv")
+
+
+def test_other_columns_are_no_table_of_runs():
+    with pytest.raises(BagError, match="columns are a, b, expected angle_deg"):
+        read_runs("a,b\n0,1\n", "runs.csv")
 
 
 def test_runs_that_do_not_fit_are_refused():

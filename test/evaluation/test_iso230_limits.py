@@ -8,7 +8,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from rotcal_ros.errors import DataError
+from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.bidirectional import read_runs, require_runs, runs_of
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
 from rotcal_ros.results import RepeatedRuns, Result
@@ -180,7 +180,7 @@ def test_three_that_are_missing_are_named_and_the_others_counted(gone, words):
 
 
 def test_a_table_without_a_line_has_no_columns():
-    with pytest.raises(DataError, match=r"r\.csv: the columns are , expected angle_deg, run"):
+    with pytest.raises(BagError, match=r"r\.csv: the columns are , expected angle_deg, run"):
         read_runs("", "r.csv")
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from certified import CIRCUMSTANCES, Clauses, report, result, text_of
+from certified_samples import CIRCUMSTANCES, Clauses, report, result, text_of
 
 from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.evaluation.verification import Positioning, Verification

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from certified import report, result
+from certified_samples import report, result
 
 from rotcal_ros.figures import style
 from rotcal_ros.figures.inline import PROPERTIES

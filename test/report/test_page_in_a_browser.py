@@ -7,7 +7,7 @@ from subprocess import run
 
 import pytest
 from browser import launched
-from certified import CIRCUMSTANCES, report, result
+from certified_samples import CIRCUMSTANCES, report, result
 
 from rotcal_ros.report.page import render_report
 
