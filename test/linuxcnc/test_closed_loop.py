@@ -19,6 +19,7 @@ from rotcal_ros.results import Result
 from rotcal_ros.sessions import commands
 from rotcal_ros.sessions.following import calibrate
 from rotcal_ros.sessions.session import prepare_session
+from rotcal_ros.sessions.viewers import Viewers
 from rotcal_ros.units import ARCSEC, DEGREE
 
 pytest.importorskip("rclpy")
@@ -80,7 +81,8 @@ def with_driver(axis, monkeypatch):
 def measured(folder: Path) -> Result:
     """Calibrate through all nodes."""
     session = prepare_session(CONFIGURATION, folder, CHANGES)
-    outcome = calibrate(session)
+    with Viewers(session) as viewers:
+        outcome = calibrate(session, viewers)
     assert outcome["verdict"] == "ok", outcome
     return Result.from_dict(json.loads((folder / "result.json").read_text()))
 
