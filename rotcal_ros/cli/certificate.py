@@ -42,7 +42,7 @@ def write_certificate(
     folder = given.path if session.bag.is_dir() else given.path.parent
     output = output or folder / "certificate.xml"
     if output.exists():
-        raise BagError(f"{output} exists and is not overwritten; name another file: --dcc FILE")
+        raise BagError(f"{output} exists and is not overwritten; name another file with -o")
     result = read_source(given.path, given).result
     title = find_method(result.method).title if result.method in method_names() else result.method
     data = certificate(result, title, datetime.now(timezone.utc).date())

@@ -23,7 +23,7 @@ from rotcal_ros.session_folder import SessionFolder
     "--output",
     type=click.Path(dir_okay=False, path_type=Path),
     help="The page to write; unless given report.html of the session, else NAME_report.html "
-    "beside SOURCE. Never overwrites, never writes into a bag.",
+    "beside it. Never overwrites, never writes into a bag.",
 )
 @click.option(
     "--truth",
@@ -32,10 +32,8 @@ from rotcal_ros.session_folder import SessionFolder
 )
 @click.option(
     "--dcc",
-    is_flag=False,
-    flag_value="",
-    metavar="[FILE]",
-    help="Write a digital calibration certificate instead; certificate.xml beside BAG.",
+    is_flag=True,
+    help="Write a digital calibration certificate instead: certificate.xml, or OUTPUT.",
 )
 @click.option(
     "--sign",
@@ -56,7 +54,7 @@ def command(
     changes: tuple[str, ...],
     output: Path | None,
     truth: Path | None,
-    dcc: str | None,
+    dcc: bool,
     sign: Path | None,
     certificate: Path | None,
 ) -> int:
@@ -66,12 +64,14 @@ def command(
 
     RESULT (.json): about a result as it is, be it a combination or one whose bag is elsewhere.
     """
-    if dcc is not None:
+    if dcc:
+        if truth:
+            raise click.UsageError("a certificate has no room for --truth")
         from rotcal_ros.cli.certificate import write_certificate
         from rotcal_ros.recordings.inputs import Input
 
         given = Input(source, setup, targets, changes)
-        return write_certificate(given, Path(dcc) if dcc else None, sign, certificate)
+        return write_certificate(given, output, sign, certificate)
     if sign or certificate:
         raise click.UsageError("--sign and --certificate belong to --dcc")
     # Figures take a second to load; a wrong option should not wait for them.

@@ -43,12 +43,12 @@ def test_it_is_written_beside_the_result_once(result_file):
     again = run(result_file, "--dcc")
     assert (again.exit_code, "not overwritten" in again.output) == (2, True)
     other = result_file.with_name("other.xml")
-    assert run(result_file, "--dcc", other).exit_code == 0
+    assert run(result_file, "--dcc", "-o", other).exit_code == 0
     assert other.read_bytes() == written.read_bytes()
 
 
 def test_a_result_without_identity_is_refused_with_all_it_needs(tmp_path):
-    refused = run(DATA / "result_ball_plate.json", "--dcc", tmp_path / "c.xml")
+    refused = run(DATA / "result_ball_plate.json", "--dcc", "-o", tmp_path / "c.xml")
     assert refused.exit_code == 2
     assert refused.output.count("identity.") == 11
     assert not (tmp_path / "c.xml").exists()
