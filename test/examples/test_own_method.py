@@ -116,7 +116,7 @@ def test_bag_and_report_tell_the_same_as_the_live_run(session, rotcal):
 @pytest.mark.ros
 def test_trials_confirm_the_uncertainty(session, rotcal):
     for source in (session / "bag", DEMO):
-        words = rotcal("uncertainty", source, "--trials", "20000", "--workers", "1").stdout
+        words = rotcal("uncertainty", source, "--trials", "20000", "--workers", "1").stderr
         assert "trials confirm the solver's uncertainty" in words
 
 
