@@ -10,6 +10,7 @@ from typing import Final
 from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.air import Refraction
+from rotcal_ros.catalogue.air_settings import AirSettings
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
@@ -47,6 +48,14 @@ class Calibration:
     def method(self) -> Method:
         """What the method of the configuration brings."""
         return self.configuration.method
+
+    @property
+    def of_distances(self) -> Calibration:
+        """The same for lengths that are distances already, as predicted ones are.
+
+        What :meth:`nominal_observations` and :meth:`measured` return is solved with it.
+        """
+        return replace(self, configuration=replace(self.configuration, air=AirSettings()))
 
     def capture(self, run: int = 0) -> Capture:
         """Return a new capture for one run of the plan."""
