@@ -135,5 +135,9 @@ def test_a_method_that_lists_no_disturbances_has_no_rows(real):
     class Silent:
         method = replace(real.method, disturbances=None)
 
+        @property
+        def of_distances(self):
+            return self
+
     with pytest.raises(ConfigurationError, match=r"does not say how these look: drift, knock"):
         power_rows(Bench(Silent(), runs=2))
