@@ -11,7 +11,7 @@ from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.air import Refraction
 from rotcal_ros.catalogue.air_settings import AirSettings
-from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.configuration import Configuration, read_policy
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.catalogue.method import Adaptive, Method, Trials
@@ -81,7 +81,7 @@ class Calibration:
         retried = {o.step for o in used if o.attempt % ATTEMPTS_PER_RUN}
         planned = len(self.plan.steps)
         # Offline the group planner has done its work and is not read.
-        chosen = UNTIL_GOAL in self.configuration.text
+        chosen = read_policy(self.configuration.text) == UNTIL_GOAL
         dated = [o for o in used if o.window_start_ns > _DATED_NS]
         return Circumstances(
             simulated=self.configuration.simulated,
