@@ -59,7 +59,9 @@ class Calibration:
 
     def capture(self, run: int = 0) -> Capture:
         """Return a new capture for one run of the plan."""
-        return Capture(self.plan, self.configuration.capture, self.method.capture, run)
+        settings = self.configuration.capture
+        required = self.refraction.required(settings)
+        return Capture(self.plan, settings, self.method.capture, run, required)
 
     def solve(self, observations: Iterable[Observation], announced: Iterable[str] = ()) -> Result:
         """Solve with the observations that count; see :func:`final_observations`.

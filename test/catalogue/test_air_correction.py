@@ -132,3 +132,13 @@ def test_the_verbs_that_predict_ask_for_no_air():
     assert found.result.verdict == "ok"
     bench = Bench(prepare(corrected), 1)
     assert bench.plain(0).verdict == "ok"
+
+
+def test_only_what_the_correction_cannot_do_without_is_required():
+    def required(name, *changes):
+        calibration = prepare(configured(name, *changes))
+        return calibration.refraction.required(calibration.configuration.capture)
+
+    assert required("tracer") == frozenset()
+    assert required("tracer", CIDDOR) == {"temperature", "pressure", "humidity"}
+    assert required("tracer", CIDDOR, "air.humidity=0.5") == {"temperature", "pressure"}
