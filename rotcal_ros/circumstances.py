@@ -5,7 +5,7 @@ They follow from the configuration and the observations that count, live and off
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -35,7 +35,7 @@ class Counts:
     """How many steps there were.
 
     ``planned``: in the plan, for a policy those on offer; ``used``: observed and accepted;
-    ``skipped``: given up after all attempts, 0 where a policy chooses; ``retried``: accepted after
+    ``skipped``: not measured or given up, 0 where a policy chooses; ``retried``: accepted after
     one attempt or more had been rejected.
     """
 
@@ -70,6 +70,18 @@ class Circumstances:
         """Return what is known in plain types, as it stands in result.json."""
         data = asdict(self) | {"identity": self.identity.to_dict()}
         return {k: v for k, v in data.items() if v not in (None, "", {})}
+
+    @classmethod
+    def joined(cls, parts: Sequence[Circumstances]) -> Circumstances:
+        """Return what holds for a result from several: an item or axis only if all agree on it."""
+        identities = [part.identity for part in parts]
+        axes = {part.axis for part in parts}
+        agree = bool(parts) and all(identity == identities[0] for identity in identities)
+        return cls(
+            simulated=any(part.simulated for part in parts),
+            axis=axes.pop() if len(axes) == 1 else "",
+            identity=identities[0] if agree else Identity(),
+        )
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Circumstances:

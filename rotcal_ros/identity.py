@@ -115,12 +115,12 @@ class Identity:
 
 def _check_date(name: str, text: str) -> None:
     try:
-        if text:
-            date.fromisoformat(text)
+        # It takes 20260331 and 2026-W14-2 as well, which no xs:date of a certificate may be.
+        whole = not text or date.fromisoformat(text).isoformat() == text
     except ValueError:
-        raise ConfigurationError(
-            f"{name}: {text!r} is no date: expected one as 2026-03-31"
-        ) from None
+        whole = False
+    if not whole:
+        raise ConfigurationError(f"{name}: {text!r} is no date: expected one as 2026-03-31")
 
 
 def _without_nothing(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -32,6 +32,8 @@ def test_what_is_known_comes_back_and_nothing_else_is_written():
         ({"serial": 815}, "identity.serial: expected str"),
         ({"seriall": "815"}, "did you mean 'serial'"),
         ({"received": "31.1.2026"}, "'31.1.2026' is no date"),
+        ({"received": "20260331"}, "'20260331' is no date"),
+        ({"received": "2026-W14-2"}, "'2026-W14-2' is no date"),
         ({"instruments": {"tracer": {"calibrated": "2026-02-30"}}}, "'2026-02-30' is no date"),
         ({"laboratory_country": "Germany"}, "two capital letters"),
         ({"tolerance_arcsec": -1.0}, "out of range"),

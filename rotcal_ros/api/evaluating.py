@@ -217,7 +217,7 @@ def _measured_input(number: int, source: Curve) -> CombinationInput:
 def _measured(source: Configuration | Recording | Measurements) -> Measurements:
     """Return what was measured, or for a configuration the nominal observations of its plan."""
     if isinstance(source, Configuration):
-        calibration = prepare_whole(source)
+        calibration = prepare_whole(source).of_distances
         return PlannedMeasurements(calibration, calibration.nominal_observations())
     if isinstance(source, Recording):
         return PlannedMeasurements(source.calibration, source.observations, source.sha256)

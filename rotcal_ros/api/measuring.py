@@ -44,20 +44,22 @@ def simulate_records(configuration: Configuration) -> Iterator[Record]:
     """Yield what the instruments of the simulated cell deliver, step by step, without ROS.
 
     The cell is that of the group ``simulation``: its seed makes the same records again. Units as
-    in :func:`capture_records`; errors as there.
+    in :func:`capture_records`; errors as there, and ConfigurationError without this group.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
     >>> type(next(rc.simulate_records(configuration))).__name__
     'TemperatureSample'
     """
+    _require_simulation(configuration)
     return (record for record, _ in _simulated(configuration))
 
 
 def simulate_observations(configuration: Configuration) -> tuple[Observation, ...]:
     """Return the observations of one simulated attempt at every step, without ROS.
 
-    ``mean`` and ``std`` are metres, ``table_angle`` radians; errors as in :func:`capture_records`.
+    ``mean`` and ``std`` are metres, ``table_angle`` radians; errors as in
+    :func:`simulate_records`.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -65,6 +67,7 @@ def simulate_observations(configuration: Configuration) -> tuple[Observation, ..
     >>> len(observations), observations[0].accepted
     (78, True)
     """
+    _require_simulation(configuration)
     return tuple(found for _, observed in _simulated(configuration) for found in observed)
 
 
@@ -72,13 +75,14 @@ def simulated_truth(configuration: Configuration) -> dict[str, Floats]:
     """Return the deviations that the simulation injects, as far as the method can see them.
 
     Component -> (n,) in m or rad at the table angles of the plan; deviation = actual -
-    commanded. Compare them with ``Result.deviations``. Errors as in :func:`capture_records`.
+    commanded. Compare them with ``Result.deviations``. Errors as in :func:`simulate_records`.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/tracer.yaml")
     >>> float(rc.simulated_truth(configuration)["ECC"][0])  # counted from the first angle
     0.0
     """
+    _require_simulation(configuration)
     calibration = prepare(configuration)
     angles = np.array(calibration.plan.distinct_angles)
     truth = SimulatedCell(configuration.simulation).truth(angles)
@@ -99,6 +103,15 @@ def solve(observations: Iterable[Observation], configuration: Configuration) -> 
     ['EAC', 'EBC', 'ECC', 'EXC', 'EYC', 'EZC']
     """
     return prepare(configuration).solve(observations)
+
+
+def _require_simulation(configuration: Configuration) -> None:
+    """Raise ConfigurationError where the result would pass for that of a real cell."""
+    if not configuration.simulated:
+        raise ConfigurationError(
+            f"{configuration.source} has no group 'simulation': it describes a real cell; add "
+            "the group (it may be empty: simulation: {}) to simulate one"
+        )
 
 
 def _simulated(configuration: Configuration) -> Iterator[tuple[Record, Observations]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict
 from math import dist, isfinite
 from typing import Any, Final
@@ -47,16 +47,23 @@ class Capture:
     time) behind another, equal streams give equal observations to the last bit. A stream that
     falls further behind rejects the attempt: it is silent, or stamped by another clock.
 
-    ``rules`` are those of the method; ``run`` is the number of the run that is captured. Nor does
+    ``rules`` are those of the method; ``run`` is the number of the run that is captured;
+    ``required_air`` names what of the air an observation is useless without. Nor does
     it matter how long before the first attempt the capture began to listen. Commands are only
     compared with the plan: what counts is what the machine did.
     """
 
     def __init__(
-        self, plan: Plan, settings: CaptureSettings, rules: CaptureRules, run: int = 0
+        self,
+        plan: Plan,
+        settings: CaptureSettings,
+        rules: CaptureRules,
+        run: int = 0,
+        required_air: Collection[str] = (),
     ) -> None:
         tolerance = nanoseconds(settings.clock_tolerance_s)
         self._plan, self._settings, self._rules, self._run = plan, settings, rules, run
+        self._required = [q for q in QUANTITIES.values() if q.name in required_air]
         self._streams = Streams(
             tracer=TracerStream(
                 tolerance,
@@ -273,7 +280,16 @@ class Capture:
         if late and isinstance(outcome, Observation):
             names = ", ".join(late)
             self._remarks.append(f"step {attempt.step.index}: no {names} came in time")
-        return outcome
+        return outcome if isinstance(outcome, Wait) else self._with_air(attempt, outcome)
+
+    def _with_air(self, attempt: Attempt, outcome: Observation) -> Observation:
+        """Reject what is useless without the air that goes with it: it is measured again."""
+        missing = [q.name for q in self._required if getattr(outcome, q.column) is None]
+        if not outcome.accepted or not missing:
+            return outcome
+        return attempt.rejection(
+            f"no {', '.join(missing)} of the air came in time: the index of refraction is unknown"
+        )
 
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:
         """Let every stream report when it brings what is needed, or gets too far ahead."""

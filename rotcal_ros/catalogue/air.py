@@ -57,6 +57,16 @@ class Refraction:
                     f"air.{column}"
                 )
 
+    def required(self, capture: CaptureSettings) -> frozenset[str]:
+        """Return the quantities of the capture without which a length cannot be corrected."""
+        if self.equation is None:
+            return frozenset()
+        return frozenset(
+            quantity
+            for column, (_, quantity) in _COLUMNS.items()
+            if getattr(self.settings, column) is None and getattr(capture, f"{quantity}_expected")
+        )
+
     def corrected(self, observations: Observations) -> tuple[Observation, ...]:
         """Return the observations with lengths of distance instead of optical path.
 

@@ -10,7 +10,8 @@ from typing import Final
 from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.air import Refraction
-from rotcal_ros.catalogue.configuration import Configuration
+from rotcal_ros.catalogue.air_settings import AirSettings
+from rotcal_ros.catalogue.configuration import Configuration, read_policy
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.catalogue.method import Adaptive, Method, Trials
@@ -48,9 +49,19 @@ class Calibration:
         """What the method of the configuration brings."""
         return self.configuration.method
 
+    @property
+    def of_distances(self) -> Calibration:
+        """The same for lengths that are distances already, as predicted ones are.
+
+        What :meth:`nominal_observations` and :meth:`measured` return is solved with it.
+        """
+        return replace(self, configuration=replace(self.configuration, air=AirSettings()))
+
     def capture(self, run: int = 0) -> Capture:
         """Return a new capture for one run of the plan."""
-        return Capture(self.plan, self.configuration.capture, self.method.capture, run)
+        settings = self.configuration.capture
+        required = self.refraction.required(settings)
+        return Capture(self.plan, settings, self.method.capture, run, required)
 
     def solve(self, observations: Iterable[Observation], announced: Iterable[str] = ()) -> Result:
         """Solve with the observations that count; see :func:`final_observations`.
@@ -72,7 +83,7 @@ class Calibration:
         retried = {o.step for o in used if o.attempt % ATTEMPTS_PER_RUN}
         planned = len(self.plan.steps)
         # Offline the group planner has done its work and is not read.
-        chosen = UNTIL_GOAL in self.configuration.text
+        chosen = read_policy(self.configuration.text) == UNTIL_GOAL
         dated = [o for o in used if o.window_start_ns > _DATED_NS]
         return Circumstances(
             simulated=self.configuration.simulated,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +27,7 @@ from rotcal_ros.identity import Identity
 from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
+from rotcal_ros.planning.policy.names import AS_LISTED
 from rotcal_ros.plugins import nearest
 from rotcal_ros.settings import declarations, load, to_mapping
 
@@ -160,6 +162,15 @@ def read_subject(text: str, source: str = "configuration") -> tuple[Identity, bo
     _, values = _parameters(text, source)
     identity = load(Identity, values.get("identity"), f"{source}: identity")
     return identity, SIMULATION in values
+
+
+def read_policy(text: str) -> str:
+    """Return the policy that a configuration states, whatever else of it can be read today."""
+    with suppress(ConfigurationError):
+        planner = _parameters(text, "configuration")[1].get("planner")
+        if isinstance(planner, Mapping):
+            return str(planner.get("policy", AS_LISTED))
+    return AS_LISTED
 
 
 def changed(

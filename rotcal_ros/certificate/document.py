@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 from base64 import b64encode
 from datetime import date
+from hashlib import sha256
 from typing import Any, Final
 
 from lxml import etree
@@ -15,6 +17,8 @@ from rotcal_ros.certificate.required import require
 from rotcal_ros.results import Result
 
 SCHEMA: Final = "3.3.0"
+LARGEST_TEXT: Final = 9_900_000
+"""Characters in one text: parsers of XML refuse more than 10 million."""
 _LOCATION: Final = "{http://www.w3.org/2001/XMLSchema-instance}schemaLocation"
 
 
@@ -43,10 +47,24 @@ def as_bytes(root: Any) -> bytes:
 
 
 def _result_file(result: Result) -> Any:
-    """Return result.json, from which all of it can be computed again."""
+    """Return result.json, from which all of it can be computed again.
+
+    A large one is compressed; of one that is too large even so only its SHA-256 is here.
+    """
+    name, mime, data = "result.json", "application/json", result.to_json().encode()
+    digest = sha256(data).hexdigest()
+    if _too_large(data):
+        name, mime, data = f"{name}.gz", "application/gzip", gzip.compress(data, mtime=0)
+    if _too_large(data):
+        name, mime = "result.json.sha256", "text/plain"
+        data = f"{digest}  result.json\n".encode()
     return DCC.document(
         text("name", "The result in the machine-readable form of rotcal_ros"),
-        leaf("fileName", "result.json"),
-        leaf("mimeType", "application/json"),
-        leaf("dataBase64", b64encode(result.to_json().encode()).decode()),
+        leaf("fileName", name),
+        leaf("mimeType", mime),
+        leaf("dataBase64", b64encode(data).decode()),
     )
+
+
+def _too_large(data: bytes) -> bool:
+    return 4 * len(data) > 3 * LARGEST_TEXT

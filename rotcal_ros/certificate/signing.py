@@ -20,13 +20,18 @@ ROOT: Final = f"{{{DCC_NAMESPACE}}}digitalCalibrationCertificate"
 def signed(certificate: bytes, key: bytes, x509: bytes) -> bytes:
     """Return a certificate signed with a private ``key`` (PEM); ``x509`` is who signs (PEM).
 
-    Raises ConfigurationError for a key or a certificate that cannot be used.
+    Raises ConfigurationError for a key or a certificate that cannot be used, DataError for a
+    document that is no XML.
     """
     signer = XMLSigner(
         method=SignatureConstructionMethod.enveloped, signature_algorithm="rsa-sha256"
     )
     try:
         root = signer.sign(etree.fromstring(certificate), key=key, cert=x509.decode("ascii"))
+    except etree.XMLSyntaxError as error:
+        raise DataError(
+            f"cannot sign: the certificate is no XML that can be read: {error}"
+        ) from error
     except (InvalidInput, TypeError, ValueError) as error:
         raise ConfigurationError(
             f"cannot sign: {error}; expected an RSA key and its X.509 certificate, both PEM"

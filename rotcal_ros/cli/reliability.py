@@ -64,7 +64,7 @@ def command(
     from rotcal_ros.catalogue import changed, prepare_whole, read_configuration
     from rotcal_ros.evaluation.reliability import effects_on_deviations, reliability
 
-    calibration = prepare_whole(changed(read_configuration(configuration), changes))
+    calibration = prepare_whole(changed(read_configuration(configuration), changes)).of_distances
     observations = _predicted(calibration)
     result = calibration.solve(observations)
     if result.residuals is None:

@@ -87,5 +87,6 @@ def _read(given: Input) -> Measurements:
 
     if given.setup is not None or given.targets is not None:
         raise click.UsageError("--setup and --targets belong to a table or a bag")
-    calibration = prepare_whole(changed(read_configuration(given.path), given.changes))
+    configuration = changed(read_configuration(given.path), given.changes)
+    calibration = prepare_whole(configuration).of_distances
     return PlannedMeasurements(calibration, calibration.nominal_observations())

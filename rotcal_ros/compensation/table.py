@@ -215,7 +215,7 @@ def table_from_result(
         between_std=between,
         widest_gap=float(np.max(gaps_of(curve.angles, curve.period))),
         measured_on=_measured_on(result, reverse),
-        item=result.circumstances.identity.title,
+        item=_item(result, reverse),
         simulated=result.simulated or (reverse is not None and reverse.simulated),
     )
 
@@ -267,6 +267,19 @@ def _standard_uncertainties(
         return np.sqrt(up), None
     from_zero = np.hstack([np.tile(-zero, (len(rows), 1)), rows])
     return np.sqrt(up), np.sqrt(np.maximum(variances(from_zero, curve.covariance), 0.0))
+
+
+def _item(result: Result, reverse: Result | None) -> str:
+    """Return what both directions were measured of; DataError for two serial numbers."""
+    ours = result.circumstances.identity
+    theirs = ours if reverse is None else reverse.circumstances.identity
+    if ours.serial and theirs.serial and ours.serial != theirs.serial:
+        raise DataError(
+            f"the directions are those of two items, no. {ours.serial} and no. {theirs.serial}: "
+            "measure both of one table"
+        )
+    titles = dict.fromkeys(title for title in (ours.title, theirs.title) if title)
+    return "; other direction: ".join(titles)
 
 
 def _measured_on(result: Result, reverse: Result | None) -> str:

@@ -26,7 +26,8 @@ class MeasuredCurve:
     """Deviation (n,) at ascending angles (n,) rad with covariance (n, n), in rad or metres.
 
     ``period`` is 2 pi when the angles go round, with no angle twice, and 0 for an arc.
-    ``verdict_line`` is that of the result it comes from, empty for a reference without one.
+    ``verdict_line`` is that of the result it comes from, empty for a reference without one;
+    ``simulated``: it comes from a simulation.
     """
 
     angles: Floats
@@ -34,6 +35,7 @@ class MeasuredCurve:
     covariance: Floats
     period: float
     verdict_line: str = ""
+    simulated: bool = False
 
 
 def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
@@ -50,6 +52,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
         covariance=merge @ curve.covariance @ merge.T,
         period=curve.period,
         verdict_line=result.verdict_line,
+        simulated=result.simulated,
     )
 
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.curves.interpolation import interpolation_matrix
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import ConfigurationError, DataError
@@ -36,7 +37,10 @@ METHOD: Final = "combination"
 
 @dataclass(frozen=True, eq=False)
 class CombinationInput:
-    """One input: its curves by component, where it comes from, and how far to trust it."""
+    """One input: its curves by component, where it comes from, and how far to trust it.
+
+    ``circumstances`` are None for a reference that tells none.
+    """
 
     name: str
     method: str
@@ -44,6 +48,12 @@ class CombinationInput:
     verdict: Verdict = "ok"
     warnings: tuple[str, ...] = ()
     protections: tuple[Protection, ...] = ()
+    circumstances: Circumstances | None = None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulation measured it."""
+        return self.circumstances is not None and self.circumstances.simulated
 
     @classmethod
     def of(cls, name: str, source: Result | MeasuredCurve) -> CombinationInput:
@@ -52,7 +62,8 @@ class CombinationInput:
         Raises DataError for a failed result, and for one that states no uncertainty.
         """
         if isinstance(source, MeasuredCurve):
-            measured = cls(name, "reference", {"ECC": source})
+            known = Circumstances(simulated=True) if source.simulated else None
+            measured = cls(name, "reference", {"ECC": source}, circumstances=known)
         else:
             measured = cls(
                 name,
@@ -61,6 +72,7 @@ class CombinationInput:
                 source.verdict,
                 source.warnings,
                 source.protections,
+                source.circumstances,
             )
         if measured.verdict == "failed":
             why = f" ({'; '.join(measured.warnings)})" if measured.warnings else ""
@@ -162,6 +174,9 @@ def _result(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> Resu
         details=_details(groups, inputs),
         protections=join_protections(
             {m.name: m.protections for m in inputs}, _largest_shares(groups)
+        ),
+        circumstances=Circumstances.joined(
+            [m.circumstances for m in inputs if m.circumstances is not None]
         ),
     )
 

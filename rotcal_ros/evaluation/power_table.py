@@ -54,7 +54,7 @@ class Bench:
     """Measures one plan again and again; the undisturbed solutions are kept."""
 
     def __init__(self, calibration: Calibration, runs: int) -> None:
-        self.calibration, self.runs = calibration, runs
+        self.calibration, self.runs = calibration.of_distances, runs
         self._plain: dict[int, Result] = {}
 
     def plain(self, number: int) -> Result:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,10 +22,13 @@ from rotcal_ros.catalogue.configuration import (
     OFFLINE_GROUPS,
     Configuration,
     parse_configuration,
+    read_policy,
+    read_subject,
 )
 from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.errors import BagError, ConfigurationError, DataError, RotcalError
+from rotcal_ros.identity import Identity
 from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
@@ -37,6 +40,8 @@ from rotcal_ros.results import Result
 
 Source = Literal["streams", "observations"]
 Decoders = dict[ChannelDefinition, Decoder]
+Subject = tuple[Identity, bool]
+"""What is measured, and whether a simulation does."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,7 @@ class Recording:
         if not self.choices or names.CONFIGURATION not in self.attachments:
             return None
         text = self.attachments[names.CONFIGURATION].decode(errors="replace")
-        if UNTIL_GOAL not in text:
+        if read_policy(text) != UNTIL_GOAL:
             return None
         return catalogue.prepare(parse_configuration(text, "the bag's configuration"))
 
@@ -179,10 +184,11 @@ def read_recording(
         raise BagError(f"the bag {path} holds no messages")
     attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
-    recorded = tuple(_recorded_configurations((attached, *found.planned)))
-    _require_its_method(configuration, recorded, path)
+    texts = (attached, *found.planned)
+    _require_its_method(configuration, _recorded_configurations(texts), path)
+    subjects = tuple(_recorded_subjects(texts, found.scans))
     return Recording(
-        calibration=replace(calibration, configuration=_as_recorded(configuration, recorded)),
+        calibration=replace(calibration, configuration=_as_recorded(configuration, subjects)),
         source=source,
         observations=tuple(feeder.observations if source == "streams" else found.recorded),
         recorded=tuple(found.recorded),
@@ -272,18 +278,30 @@ def _require_its_method(
             )
 
 
-def _as_recorded(configuration: Configuration, recorded: Iterable[Configuration]) -> Configuration:
+def _recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[Subject]:
+    """Yield what a bag says that it measures: its configurations first, then its recorder.
+
+    Settings of an earlier version, which cannot be read today, hide none of it.
+    """
+    for text in texts:
+        with suppress(ConfigurationError):
+            yield read_subject(text, names.CONFIGURATION)
+    for note in (scan.metadata.get(names.SUBJECT, {}) for scan in scans):
+        yield Identity(item=note.get("item", "")), note.get("simulated") == "true"
+
+
+def _as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Configuration:
     """Return the configuration with what no other set-up can change about a recording.
 
-    A simulation stays one, and who and what was measured stands in the bag unless it is given.
+    A simulation stays one, and who and what was measured stands in the bag unless it is given:
+    what is told first counts.
     """
-    for known in recorded:
-        identity = configuration.identity
-        if "identity" not in configuration.given:
-            identity = known.identity
-        simulated = configuration.simulated or known.simulated
-        configuration = replace(configuration, simulated=simulated, identity=identity)
-    return configuration
+    identity = configuration.identity
+    if "identity" not in configuration.given:
+        told = (known for known, _ in subjects if known != Identity())
+        identity = next(told, identity)
+    simulated = configuration.simulated or any(simulated for _, simulated in subjects)
+    return replace(configuration, simulated=simulated, identity=identity)
 
 
 def _as_planned(

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.catalogue.configuration import read_policy
 from rotcal_ros.compensation.adding import combined
 from rotcal_ros.compensation.export import ExportFiles, prepare_export
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
@@ -62,7 +63,7 @@ def write_products(
 
 def goal_line(folder: SessionFolder) -> str:
     """Return in one line how a session stands to its goal; empty where it had none."""
-    if UNTIL_GOAL not in folder.configuration.read_text(encoding="utf-8"):
+    if read_policy(folder.configuration.read_text(encoding="utf-8")) != UNTIL_GOAL:
         return ""
     recording = read_recording(folder.bag, "observations")
     standing = recording.goal_standing(read_source(folder.result).result)

@@ -160,6 +160,14 @@ def test_changes_of_a_configuration_are_checked():
         rc.read_configuration(DATA / "ball_plate.yaml", "plan.points_per_bal=9")
 
 
+def test_a_real_cell_is_not_simulated_behind_its_back():
+    """Its result would say that an instrument had measured."""
+    real = rc.read_configuration(ROOT / "config" / "tracer.yaml")
+    for simulate in (rc.simulate_records, rc.simulate_observations, rc.simulated_truth):
+        with pytest.raises(ConfigurationError, match="no group 'simulation'"):
+            simulate(real)
+
+
 def test_a_cell_that_nobody_turns_is_not_simulated_for_ever():
     external = rc.read_configuration(
         DATA / "ball_plate.yaml", "simulation.table.external=true", "simulation.time_scale=1.0"

@@ -69,3 +69,18 @@ def test_counts_hold_what_is_expected_or_came():
     plain = Capture(PLAN, SETTINGS, RULES)
     assert "humidity" not in plain.counts
     assert isinstance(scene.temperature[0], TemperatureSample)
+
+
+def test_what_is_useless_without_its_pressure_is_measured_again():
+    """The correction of its length needs it: a retry may have it, the solver never would."""
+    impatient = replace(ALL, clock_tolerance_s=0.4)
+    scene = make_scene(PLAN, 2)
+    capture = Capture(PLAN, impatient, RULES, 0, {"pressure"})
+    found = [o for record in scene.by_stamp() for o in capture.feed(record)]
+    assert found
+    assert not any(o.accepted for o in found)
+    assert all(o.reason.startswith("no pressure of the air came in time") for o in found)
+    pressure, _ = slow_streams(scene)
+    capture = Capture(PLAN, impatient, RULES, 0, {"pressure"})
+    records = sorted([*scene.by_stamp(), *pressure], key=lambda r: r.stamp_ns)
+    assert all(o.accepted for record in records for o in capture.feed(record))

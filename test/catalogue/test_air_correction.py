@@ -12,6 +12,7 @@ from rotcal_ros.catalogue.calibration import prepare, prepare_to_measure
 from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.evaluation.power_table import Bench
 
 DATA = Path(__file__).parents[2] / "examples" / "data"
 RAW = [
@@ -111,3 +112,33 @@ def test_an_uncertain_index_makes_the_result_more_uncertain(measured):
     assert unsure.deviations["ECC"].tolist() == sure.deviations["ECC"].tolist()
     assert any(np.any(unsure.std[n] > sure.std[n]) for n in sure.components)
     assert all(np.all(unsure.std[n] >= 0.999999 * sure.std[n]) for n in sure.components)
+
+
+@pytest.mark.parametrize("name", ["tracer", "tracer_six"])
+def test_what_is_predicted_are_distances_already(name):
+    """Their uncertainty is that of a cell whose instrument corrects; no air is asked for."""
+    plain = prepare(read_configuration(DATA / f"{name}.yaml"))
+    other = prepare(changed(read_configuration(DATA / f"{name}.yaml"), [CIDDOR]))
+    expected = plain.solve(plain.nominal_observations())
+    found = other.of_distances.solve(other.nominal_observations())
+    assert (found.verdict, found.std.keys()) == ("ok", expected.std.keys())
+    for component, values in expected.std.items():
+        assert found.std[component].tolist() == values.tolist()
+
+
+def test_the_verbs_that_predict_ask_for_no_air():
+    corrected = changed(read_configuration(DATA / "tracer.yaml"), [CIDDOR])
+    found = rc.uncertainty(corrected, trials=100, workers=1)
+    assert found.result.verdict == "ok"
+    bench = Bench(prepare(corrected), 1)
+    assert bench.plain(0).verdict == "ok"
+
+
+def test_only_what_the_correction_cannot_do_without_is_required():
+    def required(name, *changes):
+        calibration = prepare(configured(name, *changes))
+        return calibration.refraction.required(calibration.configuration.capture)
+
+    assert required("tracer") == frozenset()
+    assert required("tracer", CIDDOR) == {"temperature", "pressure", "humidity"}
+    assert required("tracer", CIDDOR, "air.humidity=0.5") == {"temperature", "pressure"}

@@ -1,15 +1,18 @@
 """Certificates: what they say, read back by another library, and what is refused."""
 
+import gzip
 import json
 from base64 import b64decode
 from dataclasses import replace
 from datetime import date
+from hashlib import sha256
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from certified import IDENTITY, certified
 
+from rotcal_ros.certificate import document as written
 from rotcal_ros.certificate.document import certificate
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.results import Result
@@ -73,6 +76,22 @@ def test_it_says_who_what_when_and_how_warm():
     assert [text_of(e, "dcc:name/dcc:content") for e in equipment] == ["tracer", "ball plate"]
     assert "Certificate B 77." in ElementTree.tostring(equipment[1], encoding="unicode")
     assert "corrected by the instrument" in ElementTree.tostring(root, encoding="unicode")
+
+
+def test_a_large_result_is_compressed_and_a_larger_one_named(monkeypatch):
+    """A parser of XML takes 10 million characters in one text: here, fewer."""
+    result = certified()
+    plain = result.to_json().encode()
+    packed = len(gzip.compress(plain))
+    for limit, name in ((packed * 3, "result.json.gz"), (packed, "result.json.sha256")):
+        monkeypatch.setattr(written, "LARGEST_TEXT", limit)
+        found = document(result).find("dcc:document", NAMES)
+        data = b64decode(text_of(found, "dcc:dataBase64"))
+        assert text_of(found, "dcc:fileName") == name
+        if name.endswith(".gz"):
+            assert gzip.decompress(data) == plain
+        else:
+            assert data.decode().split() == [sha256(plain).hexdigest(), "result.json"]
 
 
 def test_the_result_itself_is_in_it():

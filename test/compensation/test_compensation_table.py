@@ -1,13 +1,17 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from compensation_examples import TAU, even, result_of, wavy
 from scipy.interpolate import CubicSpline
 
+from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import averaged, resample
 from rotcal_ros.compensation.table import CompensationTable, table_from_result
 from rotcal_ros.curves.interpolation import harmonic_estimator, interpolation_matrix
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.identity import Identity
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC
 
@@ -91,6 +95,23 @@ def test_too_many_harmonics_are_refused_with_the_number(order):
     angles = even(12)
     with pytest.raises(DataError, match="at most 5"):
         table_from_result(result_of(angles, wavy(angles)), harmonics=order)
+
+
+def test_both_directions_are_of_one_item():
+    angles = even(12)
+
+    def of(item, serial):
+        identity = Identity(item=item, serial=serial)
+        return replace(result_of(angles, wavy(angles)), circumstances=Circumstances(
+            identity=identity,
+        ))  # fmt: skip
+
+    known, unknown = of("table", "1"), of("", "")
+    assert table_from_result(known, reverse=known).item == "table no. 1"
+    assert table_from_result(unknown, reverse=known).item == "table no. 1"
+    assert table_from_result(unknown).item == ""
+    with pytest.raises(DataError, match=r"two items, no\. 1 and no\. 2"):
+        table_from_result(known, reverse=of("table", "2"))
 
 
 def test_both_directions_keep_the_reversal():

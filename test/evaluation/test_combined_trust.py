@@ -1,5 +1,6 @@
 """Combined results: their angles, what is refused or named, and that they are results."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -7,10 +8,13 @@ import pytest
 from campaigns import TAU, about_mean, campaign, combined, result_of, three, truth
 from scipy import stats
 
+from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.compensation.table import check_verdict, table_from_result
-from rotcal_ros.curves.measured import MeasuredCurve
+from rotcal_ros.compensation.volumetric import volumetric_files
+from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.identity import Identity
 from rotcal_ros.protection import EFFECTS, Protection
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
@@ -102,6 +106,27 @@ def test_false_alarms_are_one_percent_over_all_groups():
         )
     )
     assert both.verdict == "ok"
+
+
+def test_a_combination_says_what_was_measured_and_whether_anything_was():
+    rng = np.random.default_rng(21)
+    grid = np.arange(12) * TAU / 12
+    table, other = Identity(item="table", serial="1"), Identity(item="table", serial="2")
+
+    def made(**known):
+        found = campaign(grid, 0.2 * ARCSEC, rng)[2]
+        return replace(found, circumstances=Circumstances(axis="C", **known))
+
+    both = combined(made(identity=table, simulated=True), made(identity=table))
+    assert (both.simulated, both.circumstances.identity, both.circumstances.axis) == (
+        True, table, "C",
+    )  # fmt: skip
+    two = combined(made(identity=table), made(identity=other))
+    assert (two.simulated, two.circumstances.identity) == (False, Identity())
+    curve = measured_curve(made(simulated=True))
+    assert combined(made(), curve).simulated
+    assert not combined(made(), replace(curve, simulated=False)).simulated
+    assert json.loads(volumetric_files(both, "both")["both.json"])["simulated"] is True
 
 
 def test_one_measurement_under_two_names_is_refused():

@@ -68,6 +68,10 @@ class Plain:
     def __getattr__(self, name):
         return getattr(self._real, name)
 
+    @property
+    def of_distances(self):
+        return self
+
     def measured(self, sizes, seed):
         self._sizes = sizes
         return self._real.measured({}, seed)
@@ -130,6 +134,10 @@ def test_the_scale_of_a_tracer_is_noticed_before_it_matters(real):
 def test_a_method_that_lists_no_disturbances_has_no_rows(real):
     class Silent:
         method = replace(real.method, disturbances=None)
+
+        @property
+        def of_distances(self):
+            return self
 
     with pytest.raises(ConfigurationError, match=r"does not say how these look: drift, knock"):
         power_rows(Bench(Silent(), runs=2))

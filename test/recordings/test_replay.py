@@ -17,7 +17,7 @@ from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.verdict import losses_in_words, session_losses
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
-from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.catalogue.configuration import parse_configuration, read_policy
 from rotcal_ros.catalogue.setup_file import read_setup
 from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.observations import LengthStatus, Observation, TracerSample
@@ -130,6 +130,34 @@ def test_configuration_from_the_plan_topic(simulated_run: Run, tmp_path: Path) -
     path = tmp_path / "bag" / "bag_0.mcap"
     path.write_bytes(path.read_bytes().replace(b"configuration.yaml", b"configuration.yamX"))
     assert read_recording(path).calibration.configuration.text == CONFIGURATION
+
+
+def test_a_simulation_stays_one_in_an_old_bag(run_bag: Path, tmp_path: Path) -> None:
+    """Settings that nobody knows today: the group ``simulation`` and the identity are read."""
+    real = CONFIGURATION[: CONFIGURATION.index("    simulation:")]
+    given = parse_configuration(real)
+    assert not given.simulated
+    assert read_recording(run_bag, configuration=given).configuration.simulated
+    sample = TracerSample(START_NS, 1, 0.5, 1e-7, LengthStatus.OK)
+    known = "    identity: {item: table, serial: '7'}\n"
+    for bag, text, note in (
+        ("old", CONFIGURATION.replace("window_samples", "window_of_old") + known, {}),
+        ("noted", "not: this", {"item": "table", "simulated": "true"}),
+    ):
+        writer, channels = open_writer(tmp_path / bag, configuration=text)
+        with writer:
+            if note:
+                writer.note(names.SUBJECT, note)
+            data = encode(sample)[0][1]
+            writer.write(channels[names.TRACER_LENGTH], data, START_NS, START_NS)
+        found = read_recording(tmp_path / bag, configuration=given).configuration
+        assert (found.simulated, found.identity.item) == (True, "table")
+
+
+def test_a_policy_in_a_comment_is_none() -> None:
+    assert read_policy("# until_goal is not meant\n" + CONFIGURATION) == "as_listed"
+    assert read_policy(CONFIGURATION + "    planner: {policy: until_goal}\n") == "until_goal"
+    assert read_policy("not: this") == "as_listed"
 
 
 def test_two_cells_in_one_bag_must_be_told_apart(simulated_run: Run, tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def _plans(
 def _measured(
     configuration: Configuration, move_s: float, pair_s: float, nest_s: float
 ) -> MirrorTrade:
-    calibration = prepare(configuration)
+    calibration = prepare(configuration).of_distances
     steps = calibration.plan.steps
     covariance = calibration.solve(calibration.nominal_observations()).covariance["ECC"]
     centred = covariance - covariance.mean(axis=0)
