@@ -56,9 +56,9 @@ class OperatorPage(CellNode):
         self._server = PageServer(settings, self.board, self)
         self.get_logger().info(f"page: {self._server.address}")
 
-    def resume(self) -> Future[Answer]:
+    def resume(self, instruction: str) -> Future[Answer]:
         """Go on after a person's work; called from the server's thread."""
-        return self._asked(self._goal.resume)
+        return self._asked(partial(self._goal.resume, instruction))
 
     def stop(self) -> Future[Answer]:
         """Cancel the goal; called from the server's thread."""

@@ -33,13 +33,17 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Now:
-    """What happens now, large; ``resume`` and ``stop`` are what a person may do."""
+    """What happens now, large; ``resume`` and ``stop`` are what a person may do.
+
+    ``instruction`` is the work whose end ``resume`` reports.
+    """
 
     kind: Kind = "waiting"
     headline: str = "Waiting for the planner"
     detail: str = ""
     resume: bool = False
     stop: bool = False
+    instruction: str = ""
 
 
 @dataclass(frozen=True, slots=True)

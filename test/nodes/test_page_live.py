@@ -62,7 +62,7 @@ def test_resume_is_refused_in_words_when_nothing_waits(cell):
     live.start("planner", "operator_page")
     viewer = Viewer(address(live))
     viewer.wait_for("ready")
-    status, answer = viewer.post("resume")
+    status, answer = viewer.post("resume", instruction="put it there")
     assert status == 409
     assert "nothing waits for resume" in answer["message"]
 

@@ -2,12 +2,16 @@
 import { number, text } from "./words.js";
 
 let token = "";
+let answering = false; // a Continue has been sent and not been answered
+let dead = false;
 const by = (id) => document.getElementById(id);
 
 export function useToken(given) { token = given; }
 
 export function disable(off) {
-  for (const id of ["resume", "stop", "review"]) by(id).disabled = off;
+  dead = off;
+  for (const id of ["stop", "review"]) by(id).disabled = off;
+  by("resume").disabled = off || answering;
   if (off) for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close("no");
 }
 
@@ -30,8 +34,17 @@ async function ask(what, values = {}) {
 
 const sentence = (words) => (words ? words[0].toUpperCase() + words.slice(1) : "");
 
+async function resume(instruction) { // what is looked at is what is done
+  if (answering) return;
+  answering = true;
+  disable(dead);
+  await ask("resume", { instruction });
+  answering = false;
+  disable(dead);
+}
+
 export function prepare(state) {
-  by("resume").addEventListener("click", () => ask("resume"));
+  by("resume").addEventListener("click", () => resume(state.now.instruction));
   by("stop").addEventListener("click", () => by("stop_dialog").showModal());
   by("stop_dialog").addEventListener("close", () => {
     if (by("stop_dialog").returnValue === "yes") ask("stop");
