@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from rotcal_ros.catalogue import read_configuration
 from rotcal_ros.errors import ConfigurationError, DataError
@@ -82,14 +82,18 @@ def running_sessions(place: Path) -> list[SessionFolder]:
 
 def _show(event: Event, display: Display, person: Person, folder: SessionFolder) -> None:
     if event["event"] == "gone":
-        if not folder.meeting_point.exists():  # it ended while we came
-            raise ConfigurationError(_why_nothing_runs(folder))
-        raise DataError(f"the calibration in {folder.path} was killed; {_how_to_go_on(folder)}")
+        _raise_gone(folder)
     if event["event"] == "line":
         display.line(event["text"])
     display.line(person.hear(event))
     if event["event"] == "feedback":
         display.feedback(event)
+
+
+def _raise_gone(folder: SessionFolder) -> NoReturn:
+    if not folder.meeting_point.exists():  # it ended while we came
+        raise ConfigurationError(_why_nothing_runs(folder))
+    raise DataError(f"the calibration in {folder.path} was killed; {_how_to_go_on(folder)}")
 
 
 def _person(folder: SessionFolder, session: Attachment) -> Person:
@@ -98,6 +102,8 @@ def _person(folder: SessionFolder, session: Attachment) -> Person:
         greeting = session.events.get(timeout=GREETING_TIMEOUT_S)
     except Empty:
         raise DataError(f"the calibration in {folder.path} does not answer") from None
+    if greeting["event"] == "gone":
+        _raise_gone(folder)
     configuration = read_configuration(folder.configuration)
     if configuration.simulated:
         say(NO_MACHINE)

@@ -4,6 +4,7 @@ import json
 import socket
 import time
 from contextlib import suppress
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
@@ -171,3 +172,14 @@ def test_what_cannot_be_attached_to_is_told_with_its_reason(session):
     session.folder.configuration.unlink()
     with pytest.raises(ConfigurationError, match="holds no calibration"):
         watch(session.folder)
+
+
+def test_a_session_that_lets_go_without_a_word_is_told_as_dead(session, tmp_path):
+    address = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(address))
+        server.listen()
+        session.folder.meeting_point.write_text(json.dumps({"socket": str(address)}))
+        Thread(target=lambda: server.accept()[0].close(), daemon=True).start()
+        with pytest.raises(DataError, match="was killed"):
+            watch(session.folder)
