@@ -152,6 +152,8 @@ class OperatorPage(CellNode):
         if curve is not None and curve != self._drawn:
             self._drawn = curve
             self._course.add(feedback.accepted, round(curve / ARCSEC, 4))
+        if self._topics.withheld:
+            return Standing(withheld=self._topics.withheld)
         policy, goal = feedback.uncertainty_rad, feedback.goal_rad
         found = curve if policy is None else policy
         return Standing(

@@ -13,6 +13,7 @@ from rotcal_msgs.msg import DeviationArray
 
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.evaluation.withheld import withheld_by
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.page.state import (
     Cell,
@@ -67,14 +68,15 @@ def above(place: Point) -> tuple[float, float]:
 
 
 def deviations(message: DeviationArray) -> Deviations:
-    """Return the curves of a solution, in the units of people."""
+    """Return the curves of a solution, in the units of people; without U where it is withheld."""
+    why = withheld_by(message.verdict, message.warnings) if message.final else ""
     curves = []
     for name in COMPONENTS:
         values = getattr(message, name.lower())
         std = getattr(message, f"{name.lower()}_std")
         if len(values):
             factor, unit = unit_of(name)
-            expanded = [COVERAGE_FACTOR * s / factor for s in std]
+            expanded = [] if why else [COVERAGE_FACTOR * s / factor for s in std]
             curves.append(Curve(name, unit, _rounded(v / factor for v in values),
                                 _rounded(expanded)))  # fmt: skip
     return Deviations(
@@ -84,11 +86,12 @@ def deviations(message: DeviationArray) -> Deviations:
         final=message.final,
         verdict=message.verdict,
         warnings=tuple(message.warnings),
+        withheld=why,
     )
 
 
-def _rounded(values: Iterable[float]) -> tuple[float, ...]:
-    return tuple(round(float(v), 5) if math.isfinite(v) else 0.0 for v in values)
+def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:
+    return tuple(round(float(v), 5) if math.isfinite(v) else None for v in values)
 
 
 def nodes(health: Health) -> tuple[NodeState, ...]:

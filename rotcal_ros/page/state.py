@@ -60,24 +60,31 @@ class Steps:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A deviation with its expanded uncertainty (k = 2), both in ``unit``."""
+    """A deviation with its expanded uncertainty (k = 2), both in ``unit``.
+
+    ``expanded`` is empty where it is withheld.
+    """
 
     name: str
     unit: str
-    values: tuple[float, ...]
-    expanded: tuple[float, ...]
+    values: tuple[float | None, ...]
+    expanded: tuple[float | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
-    """What is known of the table so far; ``verdict`` counts once it is ``final``."""
+    """What is known of the table so far; ``verdict`` counts once it is ``final``.
 
-    angles_deg: tuple[float, ...]
+    ``withheld`` says why no uncertainty may be stated; empty where it may.
+    """
+
+    angles_deg: tuple[float | None, ...]
     curves: tuple[Curve, ...]
     observations: int
     final: bool
     verdict: str
     warnings: tuple[str, ...]
+    withheld: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +93,14 @@ class Standing:
 
     ``now_arcsec`` is that of the policy, which the goal is for; until it is known, and without a
     goal, the largest of the curve (``of_curve``). ``course`` holds the latter over the steps.
+    ``withheld`` says why none of it may be stated; empty where it may.
     """
 
     now_arcsec: float | None = None
     goal_arcsec: float | None = None
     of_curve: bool = True
     course: Points = ()
+    withheld: str = ""
 
 
 @dataclass(frozen=True, slots=True)

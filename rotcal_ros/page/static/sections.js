@@ -48,7 +48,14 @@ const RENDER = {
     text("rejected", steps ? String(steps.rejected) : "–");
   },
   standing(standing) {
-    const { now_arcsec: now, goal_arcsec: goal, of_curve: ofCurve, course } = standing;
+    const { now_arcsec: now, goal_arcsec: goal, of_curve: ofCurve, course, withheld } = standing;
+    if (withheld) {
+      text("uncertainty", "withheld");
+      text("goal", withheld);
+      by("standing_chart").hidden = true;
+      text("standing_words", `U withheld: ${withheld}.`);
+      return;
+    }
     text("uncertainty", now === null ? "–" : `${number(now)}″`);
     const aim = goal === null ? "no goal" : `goal ${number(goal)}″`;
     const place = now === null ? "" : ofCurve ? ", this is the largest of the curve" : now <= goal ? ", reached" : "";
@@ -165,13 +172,17 @@ function curve(found) {
   text("curve_title", shown ? `Deviation ${shown.name} ${found.final ? "" : "so far"}` : "Deviation so far");
   by("curve").hidden = !shown;
   if (!shown) return;
-  const largest = Math.max(...shown.expanded);
-  const words = `${shown.name} at ${found.angles_deg.length} angles from ${found.observations} observations, `
-    + `${number(Math.min(...shown.values))} to ${number(Math.max(...shown.values))}${unit(shown.unit)}; `
-    + `band: expanded uncertainty, k = 2, at most ${number(largest)}${unit(shown.unit)}`;
+  const values = shown.values.filter((v) => v !== null);
+  const wide = shown.values.map((_, i) => shown.expanded[i] ?? null); // null: withheld or unknown
+  const known = wide.filter((u) => u !== null);
+  const range = values.length ? `${number(Math.min(...values))} to ${number(Math.max(...values))}${unit(shown.unit)}` : "no values";
+  const band = found.withheld ? `U withheld: ${found.withheld}`
+    : known.length ? `band: expanded uncertainty, k = 2, at most ${number(Math.max(...known))}${unit(shown.unit)}` : "U not known";
+  const words = `${shown.name} at ${found.angles_deg.length} angles from ${found.observations} observations, ${range}; ${band}`;
+  const edge = (sign) => shown.values.map((v, i) => (v === null || wide[i] === null ? null : v + sign * wide[i]));
   text("curve_words", `${words}.${found.final ? ` Verdict: ${found.verdict}.` : ""}`);
   draw("curve", {
-    data: [found.angles_deg, shown.values, shown.values.map((v, i) => v + shown.expanded[i]), shown.values.map((v, i) => v - shown.expanded[i])],
+    data: [found.angles_deg, shown.values, edge(1), edge(-1)],
     series: [{ label: shown.name, colour: "blue", points: true }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
     bands: [[2, 3]], unit: unit(shown.unit), x: angles, words });
 }
