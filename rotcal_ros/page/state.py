@@ -199,7 +199,9 @@ class Offer:
 
     ``in_force``, ``residual`` and ``bridge`` are what the bridge says in words of the table that
     it replaces or adds to, of what will be left, and of itself.
-    ``before_arcsec``, ``after_arcsec``: correction of the controller now and with this table.
+    ``before_arcsec``, ``after_arcsec``: correction of the controller now and with this table,
+    for increasing angle; ``*_reverse_*`` the same for decreasing angle. ``simulated``: no
+    instrument measured the table.
     """
 
     confirmation: str
@@ -214,6 +216,10 @@ class Offer:
     before_arcsec: tuple[float, ...] = ()
     after_arcsec: tuple[float, ...] = ()
     expanded_arcsec: tuple[float, ...] = ()
+    before_reverse_arcsec: tuple[float, ...] = ()
+    after_reverse_arcsec: tuple[float, ...] = ()
+    expanded_reverse_arcsec: tuple[float, ...] = ()
+    simulated: bool = False
 
 
 @dataclass(frozen=True, slots=True)

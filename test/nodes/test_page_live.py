@@ -121,6 +121,7 @@ def test_a_table_is_drawn_and_applied_on_its_hash_with_the_secret(bench):
     angles = np.radians(shown["angles_deg"])
     np.testing.assert_allclose(shown["before_arcsec"], 0.0, atol=1e-3)
     np.testing.assert_allclose(shown["after_arcsec"], -10 * np.sin(angles), atol=1e-3)
+    assert shown["after_reverse_arcsec"] == shown["after_arcsec"]
     # Against the reference, whose own uncertainty it carries: U = 2 sqrt(2) 0.1 arcsec.
     at_reference, opposite = shown["expanded_arcsec"][0], shown["expanded_arcsec"][12]
     assert (at_reference, opposite) == (0.0, pytest.approx(2 * 2**0.5 * 0.1, abs=1e-3))

@@ -54,10 +54,12 @@ export function prepare(state) {
   by("review").addEventListener("click", () => {
     confirmation = state.offer.confirmation; // what is looked at is what is confirmed
     text("apply_hash", confirmation);
+    by("apply_simulated").hidden = !state.offer.simulated;
     text("apply_change", change(state.offer));
     by("apply_dialog").showModal();
     by("secret").focus();
   });
+  by("apply_not_now").addEventListener("click", () => by("apply_dialog").close("no"));
   by("apply_dialog").addEventListener("close", () => {
     const secret = by("secret").value;
     by("secret").value = "";
@@ -68,6 +70,7 @@ export function prepare(state) {
 
 export function change(offer) {
   if (!offer.angles_deg.length) return "";
-  const changes = offer.after_arcsec.map((after, i) => Math.abs(after - offer.before_arcsec[i]));
+  const changes = ["", "_reverse"].flatMap((side) => offer[`after${side}_arcsec`]
+    .map((after, i) => Math.abs(after - offer[`before${side}_arcsec`][i])));
   return `Largest change of the correction: ${number(Math.max(...changes))}″.`;
 }

@@ -139,24 +139,35 @@ const RENDER = {
   offer(offer) {
     by("offer").hidden = !offer;
     if (!offer) return;
-    const facts = [["hash", offer.confirmation || "none"], ["verdict", offer.verdict], ["table", offer.in_force],
+    const facts = [["hash", offer.confirmation || "none"], ["verdict", offer.verdict + (offer.simulated ? " (SIMULATED)" : "")], ["table", offer.in_force],
       ["leaves", offer.residual], ["bridge", offer.bridge]].filter(([, words]) => words);
     if (offer.angles_deg.length) facts.push(["change", change(offer)]);
     if (offer.applied) facts.push(["applied", "the controller holds this table"]);
     else if (offer.why_not && offer.why_not !== offer.bridge) facts.push(["apply", offer.why_not]);
     by("offer_facts").replaceChildren(...facts.flatMap(([name, words]) => [element("dt", name), element("dd", words, name === "hash" ? "hash" : "")]));
     by("offer_chart").hidden = !offer.angles_deg.length;
-    text("offer_words", offer.angles_deg.length ? "Correction of the controller: with this table (line) and its U (band, k = 2); while it was measured, as far as known (dashed)." : "");
-    if (offer.angles_deg.length) {
-      const wide = offer.expanded_arcsec;
-      draw("offer_chart", {
-        data: [offer.angles_deg, offer.before_arcsec, offer.after_arcsec, offer.after_arcsec.map((v, i) => v + wide[i]), offer.after_arcsec.map((v, i) => v - wide[i])],
-        series: [{ label: "now", colour: "soft", dash: [0.5, 0.4] }, { label: "after", colour: "blue" }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
-        bands: [[3, 4]], unit: "″", x: angles,
-        words: `correction of the controller now (dashed) and with this table (line), by angle; ${change(offer)}` });
-    }
+    if (offer.angles_deg.length) draw_offer(offer);
+    else text("offer_words", "");
   },
 };
+
+function draw_offer(offer) {
+  const sides = [["", "blue", "increasing angle"]];
+  const same = ["after", "before"].every((name) => String(offer[`${name}_reverse_arcsec`]) === String(offer[`${name}_arcsec`]));
+  if (!same) sides.push(["_reverse", "orange", "decreasing angle"]);
+  const data = [offer.angles_deg], series = [], bands = [];
+  for (const [side, colour, way] of sides) {
+    const [before, after, wide] = ["before", "after", "expanded"].map((name) => offer[`${name}${side}_arcsec`]);
+    data.push(before, after, after.map((v, i) => v + wide[i]), after.map((v, i) => v - wide[i]));
+    series.push({ label: `now, ${way}`, colour: same ? "soft" : colour, dash: [0.5, 0.4] }, { label: `after, ${way}`, colour },
+      { hidden: true, colour }, { hidden: true, colour });
+    bands.push([series.length - 1, series.length]);
+  }
+  const ways = same ? "" : " Blue for increasing angle, orange for decreasing angle.";
+  text("offer_words", `Correction of the controller: with this table (line) and its U (band, k = 2); while it was measured, as far as known (dashed).${ways}`);
+  draw("offer_chart", { data, series, bands, unit: "″", x: angles,
+    words: `correction of the controller now (dashed) and with this table (line), by angle; ${change(offer)}${ways}` });
+}
 
 function choices(names, found) {
   by("components").replaceChildren(...(names.length > 1 ? names : []).map((name) => {
