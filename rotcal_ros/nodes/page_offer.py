@@ -55,6 +55,8 @@ class WaitingTable:
         why_not = "" if apply == OFFERED else apply or "the bridge does not offer it"
         if not confirmation:
             why_not = health.state(BRIDGE)
+        elif never := values.get("never", ""):
+            why_not = never
         elif self._drawn_for != confirmation:
             why_not = why_not or UNDRAWN
             self._see_to_the_drawing(confirmation, values["table_hash"])

@@ -34,14 +34,13 @@ OF_THE_BAG: Final = ("file", "messages", "topics")
 def cell(calibration: Calibration, namespace: str) -> Cell:
     """Return what is calibrated."""
     configuration = calibration.configuration
-    identity = getattr(configuration, "identity", None)
     return Cell(
         namespace=namespace,
         method=calibration.method.title,
         axis=configuration.cell.axis,
         simulated=configuration.simulated,
-        item=str(getattr(identity, "item", "") or ""),
-        serial=str(getattr(identity, "serial", "") or ""),
+        item=configuration.identity.item,
+        serial=configuration.identity.serial,
         plan_id=configuration.plan_id,
     )
 

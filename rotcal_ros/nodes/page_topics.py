@@ -23,7 +23,7 @@ from rotcal_ros.nodes.plans import calibration_of
 from rotcal_ros.nodes.qos import LATCHED, VIEW
 from rotcal_ros.observations import Command
 from rotcal_ros.page.board import Board
-from rotcal_ros.page.state import LogLine, Pointing, Rejection
+from rotcal_ros.page.state import Cell, LogLine, Pointing, Rejection
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 REJECTIONS: Final = 50
@@ -67,6 +67,7 @@ class PageTopics:
             self._calibration = calibration_of(message)
         except RotcalError as error:
             self._calibration = None
+            self._board.show(cell=Cell(), view=None)
             self._node.get_logger().warning(f"the plan cannot be drawn: {error}")
             return
         finally:

@@ -1,5 +1,7 @@
 """The operator's page with the real nodes over DDS, looked at by a program."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from live_cell import SUITE, wait_until
@@ -137,6 +139,20 @@ def test_a_table_is_drawn_and_applied_on_its_hash_with_the_secret(bench):
     assert "c_linuxcnc.comp" in bench.files()
     viewer.wait(lambda s: s["offer"]["applied"] and s["now"]["kind"] != "confirm", "it is applied")
     assert SECRET not in bench.live.log("operator_page")
+
+
+def test_a_simulated_table_is_called_so_and_not_to_be_confirmed_at_a_real_cell(bench):
+    bench.publish(replace(table(), simulated=True))
+    bench.start()
+    bench.live.start("operator_page")
+    viewer = Viewer(address(bench.live))
+    shown = viewer.wait(lambda s: s["offer"] and s["offer"]["simulated"], "the table")
+    assert "SIMULATED" in shown["offer"]["why_not"]
+    assert shown["now"]["kind"] != "confirm"
+    answer = bench.apply(bench.wait_for_state("written")["confirmation"])
+    assert not answer.success
+    assert "no instrument measured it" in answer.message
+    assert bench.files() == set()
 
 
 def test_a_table_that_the_bridge_refuses_is_shown_with_the_reason(bench):
