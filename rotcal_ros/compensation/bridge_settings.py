@@ -59,6 +59,11 @@ class BridgeSettings:
     accept_unverified: bool = setting(
         False, doc="write files although something about the controller is not verified"
     )
+    accept_simulated: bool = setting(
+        False,
+        doc="apply tables that no instrument measured; a configuration with a group simulation "
+        "needs no such word",
+    )
     combine: str = setting(
         "as_measured",
         doc="whether a table replaces the one in force or adds to it, where the measurement does "

@@ -52,6 +52,7 @@ class Feed:
     """The feed of one controller for one axis.
 
     ``now_ns`` returns the time (ns since 1970). ``store`` replaces that of the settings.
+    ``simulated``: the cell is, so that its tables may be too.
     """
 
     def __init__(
@@ -60,8 +61,11 @@ class Feed:
         axis: str,
         now_ns: Callable[[], int],
         store: ControllerStore | None = None,
+        *,
+        simulated: bool = False,
     ) -> None:
         self.settings, self.axis = settings, axis
+        self._takes_simulated = simulated or settings.accept_simulated
         self._now_ns = now_ns
         self._controller = make_controller(settings.controller, settings.controller_settings)
         self._store = store or make_store(settings, self._controller)
@@ -87,6 +91,15 @@ class Feed:
         """Have no table to apply any more."""
         self.offer = None
 
+    def never(self) -> str:
+        """Return why the table that is offered can be applied under no circumstances, or ""."""
+        if self.offer is None or not self.offer.table.simulated or self._takes_simulated:
+            return ""
+        return (
+            "the table is SIMULATED, no instrument measured it, and this is the bridge of a real "
+            "cell; bridge.accept_simulated takes it all the same"
+        )
+
     def in_force(self) -> str:
         """Return which table the controller holds: its hash, "none", or "unknown"."""
         if not self.settings.controller_folder or self._journal.unfinished():
@@ -107,6 +120,8 @@ class Feed:
         anything else afterwards the old table is put back and ControllerError raised.
         """
         offer = self._confirmed(confirmation)
+        if why := self.never():
+            raise DataError(why)
         self._refuse_unfinished()
         self._refuse_stale(offer)
         self._refuse_unused(offer)

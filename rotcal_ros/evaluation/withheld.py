@@ -7,7 +7,7 @@ simulation injected. The numbers stay in result.json.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -27,10 +27,16 @@ def withheld(result: Result, truth: Mapping[str, Any] | None = None) -> str:
 
     ``truth`` is the content of the truth.json of a simulation.
     """
-    if result.verdict != "ok":
-        reasons = "; ".join(result.warnings) or "its reason is not recorded"
-        return f"the verdict is {result.verdict}: {reasons}"
+    if why := withheld_by(result.verdict, result.warnings):
+        return why
     return _contradicted(result, truth) if truth is not None else ""
+
+
+def withheld_by(verdict: str, warnings: Sequence[str]) -> str:
+    """Return why a verdict forbids to state an uncertainty; empty where it does not."""
+    if verdict == "ok":
+        return ""
+    return f"the verdict is {verdict}: {'; '.join(warnings) or 'its reason is not recorded'}"
 
 
 def not_covered(result: Result) -> str:

@@ -30,7 +30,8 @@ class BridgeNode(CellNode):
         super().__init__("bridge")
         settings = self.settings("bridge", BridgeSettings)
         cell = self.settings("cell", CellSettings)
-        self._feed = Feed(settings, cell.axis, self.now_ns)
+        simulated = "simulation" in self.given
+        self._feed = Feed(settings, cell.axis, self.now_ns, simulated=simulated)
         self._correction: Correction | None = None
         self._state = "waiting for a table"
         self._own: dict[str, Any] = {"controller": settings.controller, "axis": cell.axis}
@@ -63,6 +64,8 @@ class BridgeNode(CellNode):
             "in_force": standing(offer.table),
             "residual": offer.export.residual.in_words(),
         }
+        if never := self._feed.never():
+            self._facts["never"] = never
         self._note(f"table {table.table_hash[:12]} written, not applied")
 
     def _look_up(

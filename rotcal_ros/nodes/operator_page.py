@@ -56,9 +56,9 @@ class OperatorPage(CellNode):
         self._server = PageServer(settings, self.board, self)
         self.get_logger().info(f"page: {self._server.address}")
 
-    def resume(self) -> Future[Answer]:
+    def resume(self, instruction: str) -> Future[Answer]:
         """Go on after a person's work; called from the server's thread."""
-        return self._asked(self._goal.resume)
+        return self._asked(partial(self._goal.resume, instruction))
 
     def stop(self) -> Future[Answer]:
         """Cancel the goal; called from the server's thread."""
@@ -152,6 +152,8 @@ class OperatorPage(CellNode):
         if curve is not None and curve != self._drawn:
             self._drawn = curve
             self._course.add(feedback.accepted, round(curve / ARCSEC, 4))
+        if self._topics.withheld:
+            return Standing(withheld=self._topics.withheld)
         policy, goal = feedback.uncertainty_rad, feedback.goal_rad
         found = curve if policy is None else policy
         return Standing(

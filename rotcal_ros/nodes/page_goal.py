@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from action_msgs.msg import GoalStatus, GoalStatusArray
@@ -65,11 +66,20 @@ class FollowedGoal:
             end_s=None if left_s is None else round(time.time() + left_s, 1),
         )
 
-    async def resume(self) -> Answer:
-        """Tell the planner that a person's work is done."""
+    async def resume(self, instruction: str) -> Answer:
+        """Tell the planner that the work of this instruction is done, once."""
+        asked = self.feedback
+        if asked is None or not asked.instruction:
+            return Answer(False, "nothing waits for resume")
+        if instruction != asked.instruction:
+            return Answer(False, "something else is asked for now")
         if not self._resume.service_is_ready():
             return Answer(False, "the planner does not answer")
+        # A second click finds nothing asked for until the planner has spoken again.
+        self.feedback = told = replace(asked, activity="going on")
         answer = await self._resume.call_async(Trigger.Request())
+        if not answer.success and self.feedback is told:
+            self.feedback = asked
         return Answer(answer.success, answer.message or "the calibration goes on")
 
     async def stop(self) -> Answer:

@@ -13,6 +13,7 @@ from rotcal_msgs.msg import DeviationArray
 
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.evaluation.withheld import withheld_by
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.page.state import (
     Cell,
@@ -33,14 +34,13 @@ OF_THE_BAG: Final = ("file", "messages", "topics")
 def cell(calibration: Calibration, namespace: str) -> Cell:
     """Return what is calibrated."""
     configuration = calibration.configuration
-    identity = getattr(configuration, "identity", None)
     return Cell(
         namespace=namespace,
         method=calibration.method.title,
         axis=configuration.cell.axis,
         simulated=configuration.simulated,
-        item=str(getattr(identity, "item", "") or ""),
-        serial=str(getattr(identity, "serial", "") or ""),
+        item=configuration.identity.item,
+        serial=configuration.identity.serial,
         plan_id=configuration.plan_id,
     )
 
@@ -67,14 +67,15 @@ def above(place: Point) -> tuple[float, float]:
 
 
 def deviations(message: DeviationArray) -> Deviations:
-    """Return the curves of a solution, in the units of people."""
+    """Return the curves of a solution, in the units of people; without U where it is withheld."""
+    why = withheld_by(message.verdict, message.warnings) if message.final else ""
     curves = []
     for name in COMPONENTS:
         values = getattr(message, name.lower())
         std = getattr(message, f"{name.lower()}_std")
         if len(values):
             factor, unit = unit_of(name)
-            expanded = [COVERAGE_FACTOR * s / factor for s in std]
+            expanded = [] if why else [COVERAGE_FACTOR * s / factor for s in std]
             curves.append(Curve(name, unit, _rounded(v / factor for v in values),
                                 _rounded(expanded)))  # fmt: skip
     return Deviations(
@@ -84,11 +85,12 @@ def deviations(message: DeviationArray) -> Deviations:
         final=message.final,
         verdict=message.verdict,
         warnings=tuple(message.warnings),
+        withheld=why,
     )
 
 
-def _rounded(values: Iterable[float]) -> tuple[float, ...]:
-    return tuple(round(float(v), 5) if math.isfinite(v) else 0.0 for v in values)
+def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:
+    return tuple(round(float(v), 5) if math.isfinite(v) else None for v in values)
 
 
 def nodes(health: Health) -> tuple[NodeState, ...]:

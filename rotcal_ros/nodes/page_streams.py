@@ -37,6 +37,7 @@ class Streams:
         self._courses: dict[str, Course] = {}
         self._ranges: dict[str, tuple[float, float]] = {}
         self._latest: dict[str, float] = {}
+        self._offered_s: dict[str, float] = {}
         self._values: Mapping[str, str] = {}
 
     def hear(self, values: Mapping[str, str]) -> None:
@@ -95,7 +96,8 @@ class Streams:
             return
         sensor, now_s = " ".join(words[1:]), round(time.time(), 1)
         course = self._courses.setdefault(sensor, Course())
-        if not course.points or now_s - course.points[-1][0] >= TEMPERATURE_PERIOD_S:
+        if now_s - self._offered_s.get(sensor, -math.inf) >= TEMPERATURE_PERIOD_S:
+            self._offered_s[sensor] = now_s  # the course may have left it out
             course.add(now_s, value)
         low, high = self._ranges.get(sensor, (value, value))
         self._ranges[sensor] = min(low, value), max(high, value)

@@ -23,7 +23,7 @@ from rotcal_ros.nodes.plans import calibration_of
 from rotcal_ros.nodes.qos import LATCHED, VIEW
 from rotcal_ros.observations import Command
 from rotcal_ros.page.board import Board
-from rotcal_ros.page.state import LogLine, Pointing, Rejection
+from rotcal_ros.page.state import Cell, LogLine, Pointing, Rejection
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 REJECTIONS: Final = 50
@@ -34,7 +34,8 @@ ROSOUT: Final = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCA
 class PageTopics:
     """Shows on a board what its topics say.
 
-    ``uncertainty`` is the largest expanded one (k = 2) of ECC in the latest solution, rad.
+    ``uncertainty`` is the largest expanded one (k = 2) of ECC in the latest solution, rad; None
+    where it is not known. ``withheld`` says why it may not be stated, else it is empty.
     ``state`` says that the node is busy, else it is empty.
     """
 
@@ -45,7 +46,7 @@ class PageTopics:
         self._log: deque[LogLine] = deque(maxlen=LOG_LINES)
         self._visited: dict[float, None] = {}
         self.uncertainty: float | None = None
-        self.state = ""
+        self.withheld = self.state = ""
         node.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
         node.listen(DeviationArray, "deviations", self._take_deviations, LATCHED)
         node.listen(ObservationMsg, names.OBSERVATION, self._take_observation, VIEW)
@@ -56,7 +57,7 @@ class PageTopics:
         """Forget what belongs to an earlier goal."""
         self._rejections.clear()
         self._visited.clear()
-        self.uncertainty = None
+        self.uncertainty, self.withheld = None, ""
         self._board.show(rejections=(), deviations=None, pointing=None)
 
     def _take_plan(self, message: CalibrationPlan) -> None:
@@ -66,6 +67,7 @@ class PageTopics:
             self._calibration = calibration_of(message)
         except RotcalError as error:
             self._calibration = None
+            self._board.show(cell=Cell(), view=None)
             self._node.get_logger().warning(f"the plan cannot be drawn: {error}")
             return
         finally:
@@ -80,7 +82,9 @@ class PageTopics:
             found = page_sections.deviations(message)
             self._board.show(deviations=found)
             ecc = next((c for c in found.curves if c.name == "ECC"), None)
-            self.uncertainty = max(ecc.expanded) * ARCSEC if ecc else None
+            known = [u for u in ecc.expanded if u is not None] if ecc else []
+            self.uncertainty = max(known) * ARCSEC if known else None
+            self.withheld = found.withheld
 
     def _take_observation(self, message: ObservationMsg) -> None:
         if not message.accepted:

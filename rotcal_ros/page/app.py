@@ -43,8 +43,8 @@ class Answer:
 class Actions(Protocol):
     """What a person may ask the cell for; each is done in the cell's own time."""
 
-    def resume(self) -> Future[Answer]:
-        """Go on after a person's work."""
+    def resume(self, instruction: str) -> Future[Answer]:
+        """Go on after the work of a person that this instruction asked for, and no other."""
 
     def stop(self) -> Future[Answer]:
         """End the calibration with a valid bag."""
@@ -62,8 +62,11 @@ def make_app(board: Board, actions: Actions, host: str, password: Secret | None 
     async def events(_request: Request) -> Response:
         return EventSourceResponse(_events(board, guard.token), ping=15, send_timeout=30, sep="\n")
 
-    async def resume(_request: Request) -> Response:
-        return await _answered(actions.resume())
+    async def resume(request: Request) -> Response:
+        asked = await _asked(request, "instruction")
+        if asked is None:
+            return _response(Answer(False, "expected the instruction that was followed"), 400)
+        return await _answered(actions.resume(*asked))
 
     async def stop(_request: Request) -> Response:
         return await _answered(actions.stop())
@@ -128,7 +131,9 @@ async def _asked(request: Request, *names: str) -> tuple[str, ...] | None:
 
 async def _answered(future: Future[Answer]) -> Response:
     try:
-        answer = await asyncio.wait_for(asyncio.wrap_future(future), ANSWER_TIMEOUT_S)
+        # Shielded: the cell could not give its late answer to a future that was canceled.
+        waiting = asyncio.shield(asyncio.wrap_future(future))
+        answer = await asyncio.wait_for(waiting, ANSWER_TIMEOUT_S)
     except asyncio.TimeoutError:
         return _response(Answer(False, "no answer from the cell"), 504)
     return _response(answer, 200 if answer.success else 409)

@@ -59,7 +59,8 @@ def _calibrating(heard: Heard) -> Now:
     if heard.instruction:
         what, _, more = heard.instruction.partition("; ")
         detail = f"{_sentence(more)} Press Continue when it is done."
-        return Now("person", _sentence(what), detail.strip(), resume=True, stop=True)
+        return Now("person", _sentence(what), detail.strip(), resume=True, stop=True,
+                   instruction=heard.instruction)  # fmt: skip
     word = heard.activity.partition(":")[0].partition(" ")[0]
     if word in _WORDS:
         return Now("measuring", _WORDS[word], stop=True)

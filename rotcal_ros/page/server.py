@@ -32,8 +32,7 @@ class PageServer:
         host = LOOPBACK if settings.host == "localhost" else settings.host
         listening = _listen(host, settings.port)
         port = listening.getsockname()[1]
-        shown = f"[{host}]" if ":" in host else host
-        self.address = f"http://{shown}:{port}"
+        self.address = f"http://{_name(host)}:{port}"
         self._board = board
         self._server = uvicorn.Server(
             uvicorn.Config(
@@ -59,6 +58,13 @@ class PageServer:
     def closed(self) -> bool:
         """Whether nobody is served any more."""
         return not self._thread.is_alive()
+
+
+def _name(host: str) -> str:
+    """Return how a browser calls a host; all interfaces together go by the machine's name."""
+    if ip_address(host).is_unspecified:
+        return socket.gethostname()
+    return f"[{host}]" if ":" in host else host
 
 
 def _listen(host: str, port: int) -> socket.socket:

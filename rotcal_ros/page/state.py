@@ -33,13 +33,17 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Now:
-    """What happens now, large; ``resume`` and ``stop`` are what a person may do."""
+    """What happens now, large; ``resume`` and ``stop`` are what a person may do.
+
+    ``instruction`` is the work whose end ``resume`` reports.
+    """
 
     kind: Kind = "waiting"
     headline: str = "Waiting for the planner"
     detail: str = ""
     resume: bool = False
     stop: bool = False
+    instruction: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,24 +60,31 @@ class Steps:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A deviation with its expanded uncertainty (k = 2), both in ``unit``."""
+    """A deviation with its expanded uncertainty (k = 2), both in ``unit``.
+
+    ``expanded`` is empty where it is withheld.
+    """
 
     name: str
     unit: str
-    values: tuple[float, ...]
-    expanded: tuple[float, ...]
+    values: tuple[float | None, ...]
+    expanded: tuple[float | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
-    """What is known of the table so far; ``verdict`` counts once it is ``final``."""
+    """What is known of the table so far; ``verdict`` counts once it is ``final``.
 
-    angles_deg: tuple[float, ...]
+    ``withheld`` says why no uncertainty may be stated; empty where it may.
+    """
+
+    angles_deg: tuple[float | None, ...]
     curves: tuple[Curve, ...]
     observations: int
     final: bool
     verdict: str
     warnings: tuple[str, ...]
+    withheld: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +93,14 @@ class Standing:
 
     ``now_arcsec`` is that of the policy, which the goal is for; until it is known, and without a
     goal, the largest of the curve (``of_curve``). ``course`` holds the latter over the steps.
+    ``withheld`` says why none of it may be stated; empty where it may.
     """
 
     now_arcsec: float | None = None
     goal_arcsec: float | None = None
     of_curve: bool = True
     course: Points = ()
+    withheld: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +199,9 @@ class Offer:
 
     ``in_force``, ``residual`` and ``bridge`` are what the bridge says in words of the table that
     it replaces or adds to, of what will be left, and of itself.
-    ``before_arcsec``, ``after_arcsec``: correction of the controller now and with this table.
+    ``before_arcsec``, ``after_arcsec``: correction of the controller now and with this table,
+    for increasing angle; ``*_reverse_*`` the same for decreasing angle. ``simulated``: no
+    instrument measured the table.
     """
 
     confirmation: str
@@ -201,6 +216,10 @@ class Offer:
     before_arcsec: tuple[float, ...] = ()
     after_arcsec: tuple[float, ...] = ()
     expanded_arcsec: tuple[float, ...] = ()
+    before_reverse_arcsec: tuple[float, ...] = ()
+    after_reverse_arcsec: tuple[float, ...] = ()
+    expanded_reverse_arcsec: tuple[float, ...] = ()
+    simulated: bool = False
 
 
 @dataclass(frozen=True, slots=True)

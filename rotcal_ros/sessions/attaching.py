@@ -9,10 +9,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from rotcal_ros.catalogue import read_configuration
-from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.files import FolderLock
 from rotcal_ros.report.terminal.console import progress_bar, say
 from rotcal_ros.session_folder import MEETING_POINT, SessionFolder
 from rotcal_ros.sessions.display import NO_MACHINE, Display
@@ -82,14 +83,18 @@ def running_sessions(place: Path) -> list[SessionFolder]:
 
 def _show(event: Event, display: Display, person: Person, folder: SessionFolder) -> None:
     if event["event"] == "gone":
-        if not folder.meeting_point.exists():  # it ended while we came
-            raise ConfigurationError(_why_nothing_runs(folder))
-        raise DataError(f"the calibration in {folder.path} was killed; {_how_to_go_on(folder)}")
-    if event["event"] == "line":
+        _raise_gone(folder)
+    if event["event"] in ("line", "page"):
         display.line(event["text"])
     display.line(person.hear(event))
     if event["event"] == "feedback":
         display.feedback(event)
+
+
+def _raise_gone(folder: SessionFolder) -> NoReturn:
+    if not folder.meeting_point.exists():  # it ended while we came
+        raise ConfigurationError(_why_nothing_runs(folder))
+    raise DataError(f"the calibration in {folder.path} was killed; {_how_to_go_on(folder)}")
 
 
 def _person(folder: SessionFolder, session: Attachment) -> Person:
@@ -98,6 +103,8 @@ def _person(folder: SessionFolder, session: Attachment) -> Person:
         greeting = session.events.get(timeout=GREETING_TIMEOUT_S)
     except Empty:
         raise DataError(f"the calibration in {folder.path} does not answer") from None
+    if greeting["event"] == "gone":
+        _raise_gone(folder)
     configuration = read_configuration(folder.configuration)
     if configuration.simulated:
         say(NO_MACHINE)
@@ -151,7 +158,20 @@ def _why_nothing_runs(folder: SessionFolder) -> str:
             f"the calibration in {folder.path} is finished, see {folder.result}; "
             f"to look at it: rotcal report {folder.path}"
         )
+    if _is_locked(folder):
+        return (
+            f"a calibration still writes in {folder.path}, but nobody can attach to it: its "
+            "socket is gone; see its log, or wait for its end"
+        )
     return f"no calibration runs in {folder.path}, it was interrupted; {_how_to_go_on(folder)}"
+
+
+def _is_locked(folder: SessionFolder) -> bool:
+    try:
+        FolderLock(folder.path).release()
+    except (BagError, OSError):
+        return True
+    return False
 
 
 def _how_to_go_on(folder: SessionFolder) -> str:

@@ -108,7 +108,8 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
         while True:
             _obey(viewers, person)
             if not address:
-                display.line(address := nodes.page())
+                address = nodes.page()
+                _tell_page(address, display, viewers)
             if person.is_done():
                 nodes.resume()
             try:
@@ -124,6 +125,13 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
             display.line(person.hear(event))
             if event["event"] == "feedback":
                 display.feedback(event)
+
+
+def _tell_page(address: str, display: Display, viewers: Viewers) -> None:
+    """Say where the page is, as soon as it is known, here and to viewers."""
+    if address:
+        display.line(address)
+        viewers.publish({"event": "page", "text": address})
 
 
 def _obey(viewers: Viewers, person: Person) -> None:

@@ -51,7 +51,8 @@ class History:
 
     def events(self) -> list[Event]:
         """Return what counts now, in the order in which it is understood."""
-        return [self._now[k] for k in ("session", "feedback", "paused", "ended") if k in self._now]
+        kinds = ("session", "page", "feedback", "paused", "ended")
+        return [self._now[kind] for kind in kinds if kind in self._now]
 
 
 class Viewers:
@@ -184,7 +185,8 @@ def _listening() -> socket.socket:
 def _place() -> str:
     """Return a folder for sockets whose path is short enough; that of a session seldom is."""
     room = len(os.fsencode("/rotcal-12345678/socket"))
-    for place in (os.environ.get("XDG_RUNTIME_DIR", ""), tempfile.gettempdir(), "/tmp"):
+    # That of XDG comes last: it is removed with the last login, which a calibration may outlive.
+    for place in (tempfile.gettempdir(), "/tmp", os.environ.get("XDG_RUNTIME_DIR", "")):
         if os.access(place, os.W_OK | os.X_OK) and len(os.fsencode(place)) + room <= MAX_ADDRESS:
             return place
-    raise OSError("no folder for its socket: set XDG_RUNTIME_DIR")
+    raise OSError("no folder for its socket: set TMPDIR to a short path")

@@ -122,6 +122,19 @@ def test_the_hash_is_the_confirmation(cell, confirmation):
     assert cell.files() == {}
 
 
+def test_a_simulated_table_is_for_a_simulated_cell_or_the_word_of_its_user(cell):
+    simulated = replace(table_of(), simulated=True)
+    feed = cell.feed()
+    with pytest.raises(DataError, match="SIMULATED, no instrument measured it"):
+        applied(feed, simulated)
+    assert cell.files() == {}
+    feed.close()
+    feed = Feed(cell.settings, "C", cell.clock, simulated=True)
+    assert applied(feed, simulated).files
+    feed.close()
+    assert applied(cell.feed(accept_simulated=True), simulated).files
+
+
 def test_without_a_table_nothing_is_applied(cell):
     with pytest.raises(DataError, match="no table has arrived"):
         cell.feed().apply("")

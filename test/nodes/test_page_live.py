@@ -1,5 +1,7 @@
 """The operator's page with the real nodes over DDS, looked at by a program."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from live_cell import SUITE, wait_until
@@ -62,7 +64,7 @@ def test_resume_is_refused_in_words_when_nothing_waits(cell):
     live.start("planner", "operator_page")
     viewer = Viewer(address(live))
     viewer.wait_for("ready")
-    status, answer = viewer.post("resume")
+    status, answer = viewer.post("resume", instruction="put it there")
     assert status == 409
     assert "nothing waits for resume" in answer["message"]
 
@@ -121,6 +123,7 @@ def test_a_table_is_drawn_and_applied_on_its_hash_with_the_secret(bench):
     angles = np.radians(shown["angles_deg"])
     np.testing.assert_allclose(shown["before_arcsec"], 0.0, atol=1e-3)
     np.testing.assert_allclose(shown["after_arcsec"], -10 * np.sin(angles), atol=1e-3)
+    assert shown["after_reverse_arcsec"] == shown["after_arcsec"]
     # Against the reference, whose own uncertainty it carries: U = 2 sqrt(2) 0.1 arcsec.
     at_reference, opposite = shown["expanded_arcsec"][0], shown["expanded_arcsec"][12]
     assert (at_reference, opposite) == (0.0, pytest.approx(2 * 2**0.5 * 0.1, abs=1e-3))
@@ -136,6 +139,20 @@ def test_a_table_is_drawn_and_applied_on_its_hash_with_the_secret(bench):
     assert "c_linuxcnc.comp" in bench.files()
     viewer.wait(lambda s: s["offer"]["applied"] and s["now"]["kind"] != "confirm", "it is applied")
     assert SECRET not in bench.live.log("operator_page")
+
+
+def test_a_simulated_table_is_called_so_and_not_to_be_confirmed_at_a_real_cell(bench):
+    bench.publish(replace(table(), simulated=True))
+    bench.start()
+    bench.live.start("operator_page")
+    viewer = Viewer(address(bench.live))
+    shown = viewer.wait(lambda s: s["offer"] and s["offer"]["simulated"], "the table")
+    assert "SIMULATED" in shown["offer"]["why_not"]
+    assert shown["now"]["kind"] != "confirm"
+    answer = bench.apply(bench.wait_for_state("written")["confirmation"])
+    assert not answer.success
+    assert "no instrument measured it" in answer.message
+    assert bench.files() == set()
 
 
 def test_a_table_that_the_bridge_refuses_is_shown_with_the_reason(bench):

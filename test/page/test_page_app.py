@@ -29,8 +29,8 @@ class Cellar:
     def __init__(self):
         self.asked = []
 
-    def resume(self):
-        return self._done("resume")
+    def resume(self, instruction):
+        return self._done("resume", instruction)
 
     def stop(self):
         return self._done("stop")
@@ -120,13 +120,13 @@ def test_every_answer_forbids_other_sources_and_frames(client):
 
 @pytest.mark.parametrize("what", POSTS)
 def test_a_person_on_the_page_is_heard(client, guard, cellar, what):
-    body = {"confirmation": "abc", "secret": "open sesame"}
+    body = {"confirmation": "abc", "secret": "open sesame", "instruction": "move it"}
     answer = client.post(f"/{what}", json=body, headers=own(guard))
     assert (answer.status_code, answer.json()) == (
         200, {"success": True, "message": "as you wish"},
     )  # fmt: skip
-    expected = ("apply", "abc", "open sesame") if what == "apply" else (what,)
-    assert cellar.asked == [expected]
+    said = {"apply": ("abc", "open sesame"), "resume": ("move it",), "stop": ()}[what]
+    assert cellar.asked == [(what, *said)]
 
 
 @pytest.mark.parametrize("what", POSTS)
@@ -184,15 +184,16 @@ def test_a_token_is_of_one_start_only(cellar):
 def test_a_request_that_is_no_confirmation_is_refused(client, guard, cellar):
     bodies = (b"", b"[]", b"{}", b'{"confirmation": 1, "secret": 2}', b"x" * 20_000, b"\xff")
     for body in bodies:
-        assert client.post("/apply", content=body, headers=own(guard)).status_code == 400
+        for path in ("/apply", "/resume"):
+            assert client.post(path, content=body, headers=own(guard)).status_code == 400
     assert cellar.asked == []
 
 
 def test_a_refusal_of_the_cell_is_told_in_its_words(client, guard, cellar, monkeypatch):
     future = Future()
     future.set_result(Answer(False, "nothing waits for resume"))
-    monkeypatch.setattr(cellar, "resume", lambda: future)
-    answer = client.post("/resume", headers=own(guard))
+    monkeypatch.setattr(cellar, "resume", lambda _instruction: future)
+    answer = client.post("/resume", json={"instruction": "x"}, headers=own(guard))
     assert (answer.status_code, answer.json()["message"]) == (409, "nothing waits for resume")
 
 
@@ -200,6 +201,15 @@ def test_a_cell_that_never_answers_is_told(client, guard, cellar, monkeypatch):
     monkeypatch.setattr(page_app, "ANSWER_TIMEOUT_S", 0.01)
     monkeypatch.setattr(cellar, "stop", Future)
     assert client.post("/stop", headers=own(guard)).status_code == 504
+
+
+def test_an_answer_after_the_time_limit_harms_nobody(client, guard, cellar, monkeypatch):
+    late = Future()
+    monkeypatch.setattr(page_app, "ANSWER_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(cellar, "stop", lambda: late)
+    assert client.post("/stop", headers=own(guard)).status_code == 504
+    late.set_result(Answer(True, "too late"))  # as the node's executor would
+    assert late.result().message == "too late"
 
 
 @pytest.fixture
@@ -226,6 +236,8 @@ def test_with_a_password_nothing_is_served_without_it(cellar, secret):
     for headers in wrong:
         assert client.get("/", headers=headers).status_code == 401
         assert client.post("/stop", headers=own(guard) | headers).status_code == 401
+    strange = {"authorization": "Basic \u00e9\u00e9".encode()}
+    assert client.get("/", headers=strange).status_code == 401
     assert client.get("/", headers=basic(f"me:{PASSWORD}")).status_code == 200
     assert client.post("/stop", headers=own(guard, **basic(f":{PASSWORD}"))).status_code == 200
     assert cellar.asked == [("stop",)]

@@ -41,6 +41,11 @@ def test_the_large_line(heard, kind, headline, resume, stop):
     assert (found.kind, found.headline, found.resume, found.stop) == (kind, headline, resume, stop)
 
 
+def test_continue_is_for_the_instruction_that_is_shown():
+    asking = Heard("calibrating", calibrating=True, instruction="move it; do not tilt it")
+    assert now(asking).instruction == "move it; do not tilt it"
+
+
 def test_a_table_waits_only_where_a_person_can_confirm_it():
     ready = Heard(planner="ready", ended=True, verdict="ok")
     assert now(ready, OFFER).kind == "confirm"

@@ -25,6 +25,10 @@ class Nodes:
             self.events.put(event)
         self._ended = ended or {}
         self.resumed = 0
+        self.address = ""
+
+    def page(self):
+        return self.address
 
     def ended(self):
         return self._ended
@@ -71,6 +75,15 @@ def test_progress_is_a_line_for_every_tenth_of_the_steps(capsys):
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 10
     assert lines[0] == "2 of 20 steps, table position 1, 9 s left"
+
+
+def test_viewers_are_told_where_the_page_is_once(capsys):
+    nodes, viewers = Nodes(STARTED, feedback(1), RESULT), Viewers()
+    nodes.address = "page: http://127.0.0.1:8000"
+    follow(nodes, viewers=viewers)
+    told = [event for event in viewers.heard if event["event"] == "page"]
+    assert told == [{"event": "page", "text": nodes.address}]
+    assert capsys.readouterr().err.count(nodes.address) == 1
 
 
 def test_work_of_a_person_that_counts_as_done_goes_on():

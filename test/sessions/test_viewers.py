@@ -4,11 +4,13 @@ import json
 import socket
 import time
 from contextlib import suppress
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
 
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.files import FolderLock
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions import viewers as module
 from rotcal_ros.sessions.attaching import Attachment, running_sessions, watch
@@ -57,12 +59,19 @@ def order_of(viewers):
 def test_who_comes_late_hears_how_it_stands():
     history = History()
     history.remember({"event": "session", "at_once": False})
-    for event in (feedback(1), feedback(2, "paused: put it there"), PAUSED, {"event": "alive"}):
+    page = {"event": "page", "text": "page: http://127.0.0.1:8000"}
+    for event in (
+        page,
+        feedback(1),
+        feedback(2, "paused: put it there"),
+        PAUSED,
+        {"event": "alive"},
+    ):
         history.remember(event)
-    assert [e["event"] for e in history.events()] == ["session", "feedback", "paused"]
-    assert history.events()[1]["step"] == 2
+    assert [e["event"] for e in history.events()] == ["session", "page", "feedback", "paused"]
+    assert history.events()[1:3] == [page, feedback(2, "paused: put it there")]
     history.remember(feedback(3))  # somebody has done it
-    assert [e["event"] for e in history.events()] == ["session", "feedback"]
+    assert [e["event"] for e in history.events()] == ["session", "page", "feedback"]
 
 
 def test_all_viewers_hear_all_and_one_of_them_answers(session):
@@ -158,6 +167,22 @@ def test_the_running_sessions_below_a_folder_are_found_and_killed_ones_told(sess
         watch(session.folder)
 
 
+def test_a_session_that_still_writes_is_not_called_interrupted(session):
+    lock = FolderLock(session.folder.path)
+    try:
+        with pytest.raises(ConfigurationError, match="still writes in"):
+            watch(session.folder)
+    finally:
+        lock.release()
+
+
+def test_a_socket_does_not_lie_where_the_last_login_takes_it_away(session, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with Viewers(session):
+        address = json.loads(session.folder.meeting_point.read_text())["socket"]
+    assert not address.startswith(str(tmp_path))
+
+
 def test_what_cannot_be_attached_to_is_told_with_its_reason(session):
     with pytest.raises(ConfigurationError, match="no calibration runs in"):
         watch(session.folder)
@@ -171,3 +196,14 @@ def test_what_cannot_be_attached_to_is_told_with_its_reason(session):
     session.folder.configuration.unlink()
     with pytest.raises(ConfigurationError, match="holds no calibration"):
         watch(session.folder)
+
+
+def test_a_session_that_lets_go_without_a_word_is_told_as_dead(session, tmp_path):
+    address = tmp_path / "s"
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(address))
+        server.listen()
+        session.folder.meeting_point.write_text(json.dumps({"socket": str(address)}))
+        Thread(target=lambda: server.accept()[0].close(), daemon=True).start()
+        with pytest.raises(DataError, match="was killed"):
+            watch(session.folder)

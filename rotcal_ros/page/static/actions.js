@@ -2,12 +2,16 @@
 import { number, text } from "./words.js";
 
 let token = "";
+let answering = false; // a Continue has been sent and not been answered
+let dead = false;
 const by = (id) => document.getElementById(id);
 
 export function useToken(given) { token = given; }
 
 export function disable(off) {
-  for (const id of ["resume", "stop", "review"]) by(id).disabled = off;
+  dead = off;
+  for (const id of ["stop", "review"]) by(id).disabled = off;
+  by("resume").disabled = off || answering;
   if (off) for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close("no");
 }
 
@@ -30,8 +34,17 @@ async function ask(what, values = {}) {
 
 const sentence = (words) => (words ? words[0].toUpperCase() + words.slice(1) : "");
 
+async function resume(instruction) { // what is looked at is what is done
+  if (answering) return;
+  answering = true;
+  disable(dead);
+  await ask("resume", { instruction });
+  answering = false;
+  disable(dead);
+}
+
 export function prepare(state) {
-  by("resume").addEventListener("click", () => ask("resume"));
+  by("resume").addEventListener("click", () => resume(state.now.instruction));
   by("stop").addEventListener("click", () => by("stop_dialog").showModal());
   by("stop_dialog").addEventListener("close", () => {
     if (by("stop_dialog").returnValue === "yes") ask("stop");
@@ -41,10 +54,12 @@ export function prepare(state) {
   by("review").addEventListener("click", () => {
     confirmation = state.offer.confirmation; // what is looked at is what is confirmed
     text("apply_hash", confirmation);
+    by("apply_simulated").hidden = !state.offer.simulated;
     text("apply_change", change(state.offer));
     by("apply_dialog").showModal();
     by("secret").focus();
   });
+  by("apply_not_now").addEventListener("click", () => by("apply_dialog").close("no"));
   by("apply_dialog").addEventListener("close", () => {
     const secret = by("secret").value;
     by("secret").value = "";
@@ -55,6 +70,7 @@ export function prepare(state) {
 
 export function change(offer) {
   if (!offer.angles_deg.length) return "";
-  const changes = offer.after_arcsec.map((after, i) => Math.abs(after - offer.before_arcsec[i]));
+  const changes = ["", "_reverse"].flatMap((side) => offer[`after${side}_arcsec`]
+    .map((after, i) => Math.abs(after - offer[`before${side}_arcsec`][i])));
   return `Largest change of the correction: ${number(Math.max(...changes))}″.`;
 }

@@ -9,10 +9,12 @@ const RETRY_MS = 2000;
 const state = {};
 let source = null;
 let heard = null;
+let tried = 0;
 let ended = false;
 
 function connect() {
   source?.close();
+  tried = Date.now();
   source = new EventSource("/events");
   source.addEventListener("state", (event) => {
     for (const name of Object.keys(state)) delete state[name];
@@ -64,6 +66,7 @@ function watch() {
   banner(`Connection lost since ${clock(heard / 1000, true)}`,
     "What stands below is old. The calibration may go on without this page; it tries to reach it again.");
   actions.disable(true);
+  if (Date.now() - tried < SILENCE_MS) return; // an attempt gets the time to be answered
   if (source.readyState === EventSource.CLOSED || Date.now() - heard > 5 * SILENCE_MS) connect();
 }
 

@@ -48,7 +48,14 @@ const RENDER = {
     text("rejected", steps ? String(steps.rejected) : "–");
   },
   standing(standing) {
-    const { now_arcsec: now, goal_arcsec: goal, of_curve: ofCurve, course } = standing;
+    const { now_arcsec: now, goal_arcsec: goal, of_curve: ofCurve, course, withheld } = standing;
+    if (withheld) {
+      text("uncertainty", "withheld");
+      text("goal", withheld);
+      by("standing_chart").hidden = true;
+      text("standing_words", `U withheld: ${withheld}.`);
+      return;
+    }
     text("uncertainty", now === null ? "–" : `${number(now)}″`);
     const aim = goal === null ? "no goal" : `goal ${number(goal)}″`;
     const place = now === null ? "" : ofCurve ? ", this is the largest of the curve" : now <= goal ? ", reached" : "";
@@ -132,24 +139,35 @@ const RENDER = {
   offer(offer) {
     by("offer").hidden = !offer;
     if (!offer) return;
-    const facts = [["hash", offer.confirmation || "none"], ["verdict", offer.verdict], ["table", offer.in_force],
+    const facts = [["hash", offer.confirmation || "none"], ["verdict", offer.verdict + (offer.simulated ? " (SIMULATED)" : "")], ["table", offer.in_force],
       ["leaves", offer.residual], ["bridge", offer.bridge]].filter(([, words]) => words);
     if (offer.angles_deg.length) facts.push(["change", change(offer)]);
     if (offer.applied) facts.push(["applied", "the controller holds this table"]);
     else if (offer.why_not && offer.why_not !== offer.bridge) facts.push(["apply", offer.why_not]);
     by("offer_facts").replaceChildren(...facts.flatMap(([name, words]) => [element("dt", name), element("dd", words, name === "hash" ? "hash" : "")]));
     by("offer_chart").hidden = !offer.angles_deg.length;
-    text("offer_words", offer.angles_deg.length ? "Correction of the controller: with this table (line) and its U (band, k = 2); while it was measured, as far as known (dashed)." : "");
-    if (offer.angles_deg.length) {
-      const wide = offer.expanded_arcsec;
-      draw("offer_chart", {
-        data: [offer.angles_deg, offer.before_arcsec, offer.after_arcsec, offer.after_arcsec.map((v, i) => v + wide[i]), offer.after_arcsec.map((v, i) => v - wide[i])],
-        series: [{ label: "now", colour: "soft", dash: [0.5, 0.4] }, { label: "after", colour: "blue" }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
-        bands: [[3, 4]], unit: "″", x: angles,
-        words: `correction of the controller now (dashed) and with this table (line), by angle; ${change(offer)}` });
-    }
+    if (offer.angles_deg.length) draw_offer(offer);
+    else text("offer_words", "");
   },
 };
+
+function draw_offer(offer) {
+  const sides = [["", "blue", "increasing angle"]];
+  const same = ["after", "before"].every((name) => String(offer[`${name}_reverse_arcsec`]) === String(offer[`${name}_arcsec`]));
+  if (!same) sides.push(["_reverse", "orange", "decreasing angle"]);
+  const data = [offer.angles_deg], series = [], bands = [];
+  for (const [side, colour, way] of sides) {
+    const [before, after, wide] = ["before", "after", "expanded"].map((name) => offer[`${name}${side}_arcsec`]);
+    data.push(before, after, after.map((v, i) => v + wide[i]), after.map((v, i) => v - wide[i]));
+    series.push({ label: `now, ${way}`, colour: same ? "soft" : colour, dash: [0.5, 0.4] }, { label: `after, ${way}`, colour },
+      { hidden: true, colour }, { hidden: true, colour });
+    bands.push([series.length - 1, series.length]);
+  }
+  const ways = same ? "" : " Blue for increasing angle, orange for decreasing angle.";
+  text("offer_words", `Correction of the controller: with this table (line) and its U (band, k = 2); while it was measured, as far as known (dashed).${ways}`);
+  draw("offer_chart", { data, series, bands, unit: "″", x: angles,
+    words: `correction of the controller now (dashed) and with this table (line), by angle; ${change(offer)}${ways}` });
+}
 
 function choices(names, found) {
   by("components").replaceChildren(...(names.length > 1 ? names : []).map((name) => {
@@ -165,13 +183,17 @@ function curve(found) {
   text("curve_title", shown ? `Deviation ${shown.name} ${found.final ? "" : "so far"}` : "Deviation so far");
   by("curve").hidden = !shown;
   if (!shown) return;
-  const largest = Math.max(...shown.expanded);
-  const words = `${shown.name} at ${found.angles_deg.length} angles from ${found.observations} observations, `
-    + `${number(Math.min(...shown.values))} to ${number(Math.max(...shown.values))}${unit(shown.unit)}; `
-    + `band: expanded uncertainty, k = 2, at most ${number(largest)}${unit(shown.unit)}`;
+  const values = shown.values.filter((v) => v !== null);
+  const wide = shown.values.map((_, i) => shown.expanded[i] ?? null); // null: withheld or unknown
+  const known = wide.filter((u) => u !== null);
+  const range = values.length ? `${number(Math.min(...values))} to ${number(Math.max(...values))}${unit(shown.unit)}` : "no values";
+  const band = found.withheld ? `U withheld: ${found.withheld}`
+    : known.length ? `band: expanded uncertainty, k = 2, at most ${number(Math.max(...known))}${unit(shown.unit)}` : "U not known";
+  const words = `${shown.name} at ${found.angles_deg.length} angles from ${found.observations} observations, ${range}; ${band}`;
+  const edge = (sign) => shown.values.map((v, i) => (v === null || wide[i] === null ? null : v + sign * wide[i]));
   text("curve_words", `${words}.${found.final ? ` Verdict: ${found.verdict}.` : ""}`);
   draw("curve", {
-    data: [found.angles_deg, shown.values, shown.values.map((v, i) => v + shown.expanded[i]), shown.values.map((v, i) => v - shown.expanded[i])],
+    data: [found.angles_deg, shown.values, edge(1), edge(-1)],
     series: [{ label: shown.name, colour: "blue", points: true }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
     bands: [[2, 3]], unit: unit(shown.unit), x: angles, words });
 }
