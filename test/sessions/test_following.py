@@ -39,9 +39,6 @@ class Nodes:
     def resume(self):
         self.resumed += 1
 
-    def page(self):
-        return ""
-
 
 class Viewers:
     """Stands for viewers: notes what they hear, and asks for what the test wants."""
