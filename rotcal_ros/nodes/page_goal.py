@@ -76,9 +76,9 @@ class FollowedGoal:
         if not self._resume.service_is_ready():
             return Answer(False, "the planner does not answer")
         # A second click finds nothing asked for until the planner has spoken again.
-        self.feedback = told = replace(asked, activity="going on")
+        self.feedback = continuing = replace(asked, activity="going on")
         answer = await self._resume.call_async(Trigger.Request())
-        if not answer.success and self.feedback is told:
+        if not answer.success and self.feedback is continuing:
             self.feedback = asked
         return Answer(answer.success, answer.message or "the calibration goes on")
 

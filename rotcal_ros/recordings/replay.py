@@ -298,8 +298,8 @@ def _as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> C
     """
     identity = configuration.identity
     if "identity" not in configuration.given:
-        told = (known for known, _ in subjects if known != Identity())
-        identity = next(told, identity)
+        stated = (known for known, _ in subjects if known != Identity())
+        identity = next(stated, identity)
     simulated = configuration.simulated or any(simulated for _, simulated in subjects)
     return replace(configuration, simulated=simulated, identity=identity)
 
