@@ -13,6 +13,7 @@ from rotcal_ros.identity import Identity
 
 SIMULATED: Final = "SIMULATED"
 """How all that comes from a simulation is marked."""
+NOTHING_MEASURED: Final = f"{SIMULATED}: no instrument measured this"
 
 
 @dataclass(frozen=True, slots=True)

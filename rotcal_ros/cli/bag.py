@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from rotcal_ros.circumstances import SIMULATED
+from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress, say
 
@@ -140,7 +140,7 @@ def _print(summary: dict[str, Any]) -> None:
         click.echo(f"begin     {start:%Y-%m-%d %H:%M:%S} UTC")
         click.echo(f"duration  {summary['duration_s']:.3f} s")
     if summary["simulated"]:
-        click.echo(f"{SIMULATED}: no instrument measured this")
+        click.echo(NOTHING_MEASURED)
     for name in ("method", "item", "plan_id"):
         if summary[name]:
             click.echo(f"{name:9} {summary[name]}")

@@ -12,7 +12,6 @@ from rotcal_ros.cli.check_options import rule_of, rule_options
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.curve_options import align_option, component_option, reference_option
 from rotcal_ros.components import unit_of
-from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.quick_check import CheckVerdict
@@ -31,7 +30,7 @@ EXIT_CODES: Final[Mapping[CheckVerdict, int]] = {"still valid": 0, "changed": 1,
 def command(
     earlier: Path,
     new: Path,
-    reference_u: float | None,
+    reference_std: float | None,
     component: str,
     align_order: int,
     as_json: bool,
@@ -48,8 +47,7 @@ def command(
     from rotcal_ros.recordings.sources import read_curve
 
     unit, label = unit_of(component)
-    std = None if reference_u is None else reference_u * ARCSEC
-    curves = [read_curve(path, component, None, std) for path in (earlier, new)]
+    curves = [read_curve(path, component, None, reference_std) for path in (earlier, new)]
     check = quick_check(curves[0], curves[1], rule_of(unit, **asked), align_order, unit, label)
     if as_json:
         print_json({"component": component, **check.to_dict()})

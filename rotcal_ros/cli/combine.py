@@ -10,7 +10,6 @@ import click
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
 from rotcal_ros.cli.curve_options import polygon_faces, reference_option
 from rotcal_ros.report.terminal.console import say
-from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.evaluation.component_groups import Enlargement
@@ -39,7 +38,7 @@ def command(
     output: Path | None,
     enlarge: Enlargement,
     polygon: Path | None,
-    reference_u: float | None,
+    reference_std: float | None,
     as_json: bool,
 ) -> int:
     """Combine results of one table: result.json, bags, sessions, reference tables (.csv).
@@ -54,8 +53,9 @@ def command(
     from rotcal_ros.recordings.sources import read_measured
 
     faces = polygon_faces(polygon, sources)
-    std = None if reference_u is None else reference_u * ARCSEC
-    combined = combine([read_measured(source, faces, std) for source in sources], enlarge)
+    combined = combine(
+        [read_measured(source, faces, reference_std) for source in sources], enlarge
+    )
     result = combined.result
     text = result.to_json()
     if output is not None:

@@ -16,7 +16,6 @@ from rotcal_ros.cli.curve_options import (
     polygon_faces,
     reference_option,
 )
-from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.curves.measured import MeasuredCurve
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 def command(
     sources: tuple[Path, ...],
     polygon: Path | None,
-    reference_u: float | None,
+    reference_std: float | None,
     component: str,
     align_order: int,
     output: Path | None,
@@ -57,7 +56,7 @@ def command(
 
     if len(sources) < 2 or len(set(sources)) < len(sources):
         raise click.UsageError("give at least two different results to compare")
-    curves = _read(sources, polygon, component, reference_u)
+    curves = _read(sources, polygon, component, reference_std)
     comparisons = compare_all(curves, align_order)
     if output is not None:
         from rotcal_ros.report.comparison import comparison_page, curves_and_errors
@@ -75,13 +74,12 @@ def command(
 
 
 def _read(
-    sources: tuple[Path, ...], polygon: Path | None, component: str, reference_u: float | None
+    sources: tuple[Path, ...], polygon: Path | None, component: str, reference_std: float | None
 ) -> dict[str, MeasuredCurve]:
     from rotcal_ros.recordings.sources import read_curve
 
     faces = polygon_faces(polygon, sources)
-    std = None if reference_u is None else reference_u * ARCSEC
-    return {str(source): read_curve(source, component, faces, std) for source in sources}
+    return {str(source): read_curve(source, component, faces, reference_std) for source in sources}
 
 
 def _plain(comparisons: Mapping[tuple[str, str], Comparison], component: str) -> Mapping[str, Any]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from rotcal_ros.components import COMPONENTS
+from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
     from rotcal_ros.curves.measured import MeasuredCurve
@@ -29,8 +30,10 @@ align_option: Final = click.option(
 )
 reference_option: Final = click.option(
     "--reference-u",
+    "reference_std",
     type=click.FloatRange(min=0.0),
     metavar="ARCSEC",
+    callback=lambda _context, _option, given: None if given is None else given * ARCSEC,
     help="Standard uncertainty (k = 1) of reference tables that state none; 0: exact.",
 )
 

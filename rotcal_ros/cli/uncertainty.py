@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.input_options import set_option, setup_options
-from rotcal_ros.report.terminal.console import progress
+from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.method import Measurements
@@ -81,7 +82,10 @@ def command(
 def _read(given: Input) -> Measurements:
     """Return what was measured, or for a configuration the nominal observations of its plan."""
     if given.path.suffix not in (".yaml", ".yml"):
-        return given.read()
+        measured = given.read()
+        if measured.configuration.simulated:
+            say(NOTHING_MEASURED)
+        return measured
     from rotcal_ros.catalogue import changed, prepare_whole, read_configuration
     from rotcal_ros.catalogue.measurements import PlannedMeasurements
 

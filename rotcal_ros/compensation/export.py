@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rotcal_ros.circumstances import SIMULATED
+from rotcal_ros.circumstances import NOTHING_MEASURED, SIMULATED
 from rotcal_ros.compensation.controller import Controller, Lag
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held import in_force_of
@@ -192,7 +192,7 @@ def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ..
     line = table.verdict_line
     reserve = (f"the result is {line}",) if line not in ("", "ok") else ()
     if table.simulated:
-        reserve = (f"{SIMULATED}: no instrument measured this table", *reserve)
+        reserve = (f"{NOTHING_MEASURED} table", *reserve)
     unverified = (f"not verified: {text}" for text in controller.unverified)
     known = averaged(table).warnings if controller.one_direction else table.warnings
     return (*reserve, *known, *unverified)

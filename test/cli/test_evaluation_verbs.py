@@ -282,3 +282,12 @@ def test_uncertainty_of_every_method_before_anything_is_measured(name, tmp_path)
     for part in json.loads(ran.stdout)["components"].values():
         assert part["std"] == pytest.approx(part["linear_std"], rel=0.1)
         assert part["value"] == pytest.approx(np.zeros(len(part["value"])), abs=1e-10)
+
+
+def test_the_uncertainty_of_a_simulation_says_that_nothing_was_measured():
+    data = Path(__file__).parents[2] / "examples" / "data"
+    found = CliRunner().invoke(
+        rotcal, ["uncertainty", str(data / "lengths.csv"), "--setup", str(data / "tracer.yaml"),
+                 "--trials", "50", "--workers", "1"],
+    )  # fmt: skip
+    assert "SIMULATED: no instrument measured this" in found.stderr

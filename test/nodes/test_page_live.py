@@ -101,8 +101,10 @@ def test_a_port_that_is_taken_is_told(cell):
     port = address(live).rpartition(":")[2]
     live.file.write_text(f"/**:\n  ros__parameters:\n    page: {{port: {port}}}\n")
     live.start("operator_page", name="second")
-    live.wait_for_log("second", f"the page cannot be served on 127.0.0.1, port {port}")
-    wait_until(lambda: live.processes.ended().get("second") == 2, "it ends with exit code 2")
+    wait_until(lambda: "second" in live.processes.ended(), "the second page ends")
+    assert live.processes.ended()["second"] == 2
+    assert f"the page cannot be served on 127.0.0.1, port {port}" in live.log("second")
+    assert "operator_page" not in live.processes.ended()
 
 
 @pytest.fixture
