@@ -114,8 +114,10 @@ class GoalWatch:
             how = f"start_index {self.progress.step}" if listed else "rotcal run --resume"
             raise GoalError(Codes.CANCELED, f"canceled {place}; continue with {how}")
         if missing := self.links.health.missing(self.nodes):
-            how = "fell silent" if set(missing) & self.links.health.lost else "was ended"
-            raise GoalError(Codes.NODE_LOST, f"node {', '.join(missing)} {how} {place}")
+            lost = [name for name in missing if name in self.links.health.lost]
+            how = "fell silent" if lost else "was ended"
+            words = f" ({self.links.health.last_words(lost[0])})" if lost else ""
+            raise GoalError(Codes.NODE_LOST, f"node {', '.join(missing)} {how} {place}{words}")
         if self.recording:
             state = self.links.health.state("recorder")
             if state.startswith(RECORDING_FAILED):

@@ -74,8 +74,8 @@ class RollCall:
 class Health:
     """The health of one node.
 
-    ``lost`` holds the names of the others that fell silent, as of the last beat, ``concerns``
-    what a person should look at.
+    ``lost`` is name -> silence (s) of the others that fell silent, as of the last beat,
+    ``concerns`` what a person should look at.
     ``report`` returns (state in words, values) at any time for every beat; without it the node
     only listens, and nobody will miss it.
     ``on_lost`` is called once for every other node that falls silent, with its name.
@@ -92,7 +92,7 @@ class Health:
         self._node = node
         self._report = report
         self._on_lost = on_lost
-        self.lost: set[str] = set()
+        self.lost: dict[str, float] = {}
         self._roll = RollCall(timeout_s)
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
@@ -127,7 +127,7 @@ class Health:
 
     def present(self) -> set[str]:
         """Return the names of the other nodes that beat."""
-        return self.others.keys() - self.lost
+        return self.others.keys() - self.lost.keys()
 
     def missing(self, names: Iterable[str]) -> list[str]:
         """Return those of ``names`` that fell silent, left, or never were there."""
@@ -142,6 +142,11 @@ class Health:
         """Return the state of node ``name`` in words, empty when it was never heard."""
         status = self.others.get(name)
         return "" if status is None else str(status.message)
+
+    def last_words(self, name: str) -> str:
+        """Return how long node ``name`` has been silent and what it did before, for a message."""
+        state = self.state(name) or "never heard"
+        return f"{self.lost[name]:.1f} s, before that: {state}" if name in self.lost else state
 
     def leave(self) -> None:
         """Tell the others that this node ends on purpose, and let the word reach them."""
@@ -165,11 +170,11 @@ class Health:
     def _beat(self) -> None:
         self.beat()
         silent = self._roll.silent(time.monotonic())
-        for name in silent.keys() - self.lost:
+        for name in silent.keys() - self.lost.keys():
             self._node.get_logger().error(f"node {name} fell silent {silent[name]:.1f} s ago")
             if self._on_lost is not None:
                 self._on_lost(name)
-        self.lost = set(silent)
+        self.lost = silent
 
     def _diagnose(self) -> None:
         if self._report is None:

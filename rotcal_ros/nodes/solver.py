@@ -93,23 +93,26 @@ class SolverNode(CellNode):
 
     def _preliminary(self) -> None:
         """Begin a solution of what is there, unless one is running or nothing is new."""
-        if self._solving is not None or len(self._observations) == self._solved_count:
+        if self._is_solving() or len(self._observations) == self._solved_count:
             return
         calibration, run = self._calibration, self._run
         if calibration is not None:
             self._solved_count = len(self._observations)
-            self._solving = self._begin(calibration)
-            self._solving.add_done_callback(
+            self._begin(calibration).add_done_callback(
                 lambda future: self.executor.create_task(self._show_preliminary, future, run)
             )
 
     def _begin(self, calibration: Calibration) -> Future[Result]:
         observations, in_force = tuple(self._observations.values()), tuple(self._in_force)
-        return self._worker.submit(calibration.solve, observations, in_force)
+        self._solving = self._worker.submit(calibration.solve, observations, in_force)
+        self.health.beat()  # before the numerics can hold it up
+        return self._solving
+
+    def _is_solving(self) -> bool:
+        return self._solving is not None and not self._solving.done()
 
     def _show_preliminary(self, future: Future[Result], run: str) -> None:
-        self._solving = None
-        if future.cancelled() or run != self._run:
+        if future is not self._solving or future.cancelled() or run != self._run:
             return
         try:
             self._publish(future.result(), final=False)
@@ -148,9 +151,8 @@ class SolverNode(CellNode):
                 f"the observations of {len(missing)} accepted steps did not arrive at the solver "
                 f"(first: {missing[0][1]}); solve the bag instead, it holds them all"
             )
-        self._state = SOLVING
+        self._state = SOLVING  # beyond the solution: until it is published
         self._solved_count = len(self._observations)  # nothing preliminary follows what is final
-        self.health.beat()
         return await self.answer_of(self._begin(calibration), SOLVE_TIMEOUT_S)
 
     def _publish(self, result: Result, *, final: bool) -> None:
@@ -171,7 +173,8 @@ class SolverNode(CellNode):
         self._tables.publish(conversions.compensation_message(table, plan_id, now_ns))
 
     def _report(self) -> tuple[str, dict[str, Any]]:
-        return self._state, {"run": self._run, "observations": len(self._observations)}
+        state = SOLVING if self._is_solving() else self._state
+        return state, {"run": self._run, "observations": len(self._observations)}
 
 
 def main() -> None:
