@@ -9,6 +9,9 @@ from rotcal_ros.sessions.domains import free_domain
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Started in the background by a shell: the processes under test would never hear Ctrl-C.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    # Started by nohup: nor would they hear of a terminal that is gone.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 LIVE = ("ros", "linuxcnc")
