@@ -1,0 +1,130 @@
+"""rosbag2's compression message by message: what a bag declares, and the messages unpacked.
+
+rosbag2 knows one format, zstd; others are plugins of somebody else.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import yaml
+import zstandard
+
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.mcap_records import MAX_RECORD, DamagedRecord
+from rotcal_ros.errors import BagError
+
+Unpack = Callable[[bytes], bytes]
+"""Returns the message in compressed bytes; raises DamagedRecord."""
+
+METADATA_FILE: Final = "metadata.yaml"
+_MAX_METADATA: Final = 16 << 20
+_BLOCK_BYTES: Final = 4 << 20
+_STEP_BYTES: Final = 512
+"""Bytes unpacked at once; zstd can make 32,768 times as many of them."""
+
+
+def decompressor(mode: str, compression: str) -> Unpack | None:
+    """Return what unpacks the messages of a bag; None where they are as they were published.
+
+    ``mode`` and ``compression`` are rosbag2's ``compression_mode`` and ``compression_format``.
+    Raises BagError for a format that nobody here can unpack.
+    """
+    if mode.lower() != "message":
+        return None
+    if compression != "zstd":
+        raise BagError(
+            f"its messages are compressed one by one as {compression!r}, which cannot be read "
+            "(zstd can); let 'ros2 bag convert' write it with compression_mode none"
+        )
+    return _unpack_zstd
+
+
+def declared_compression(file: Path) -> tuple[str, str]:
+    """Return mode and format that ``metadata.yaml`` beside a storage file states, or two ''."""
+    try:
+        with (file.parent / METADATA_FILE).open("rb") as metadata:
+            text = metadata.read(_MAX_METADATA)
+    except OSError:
+        return "", ""
+    return stated_compression(text)
+
+
+def stated_compression(metadata: bytes | str) -> tuple[str, str]:
+    """Return mode and format in the text of a ``metadata.yaml``; two '' when it has none."""
+    try:
+        content: Any = yaml.load(metadata, Loader=_Loader)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return "", ""
+    if not isinstance(content, dict):
+        return "", ""
+    stated = content.get("rosbag2_bagfile_information", content)
+    if not isinstance(stated, dict):
+        return "", ""
+    mode, compression = (stated.get(f"compression_{name}") or "" for name in ("mode", "format"))
+    return str(mode), str(compression)
+
+
+def unpacked(block: Block, unpack: Unpack, lost: Counter[int]) -> Iterator[Block]:
+    """Yield the messages of ``block`` unpacked, few megabytes at a time.
+
+    Those that cannot be unpacked are left out and counted in ``lost``, by channel id.
+    """
+    rows: list[int] = []
+    payloads: list[bytes] = []
+    room = _BLOCK_BYTES
+    for row, channel in enumerate(block.headers["channel"].tolist()):
+        try:
+            payloads.append(unpack(block.payload(row)))
+        except DamagedRecord:
+            lost[channel] += 1
+            continue
+        rows.append(row)
+        room -= len(payloads[-1])
+        if room <= 0:
+            yield _block(block, rows, payloads)
+            rows, payloads, room = [], [], _BLOCK_BYTES
+    if rows:
+        yield _block(block, rows, payloads)
+
+
+def _block(block: Block, rows: list[int], payloads: list[bytes]) -> Block:
+    sizes = np.array([len(payload) for payload in payloads], np.int64)
+    return Block(b"".join(payloads), np.cumsum(sizes) - sizes, sizes, block.headers[rows])
+
+
+def _unpack_zstd(data: bytes) -> bytes:
+    try:
+        size = zstandard.frame_content_size(data)  # -1: not stated
+        if size > MAX_RECORD:
+            raise DamagedRecord(f"a message unpacks to {size} bytes, more than {MAX_RECORD}")
+        whole: bytes = (
+            _unpack_in_steps(data)
+            if size < 0
+            else zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
+        )
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise DamagedRecord(f"a compressed message cannot be unpacked: {error}") from None
+    return whole
+
+
+def _unpack_in_steps(data: bytes) -> bytes:
+    """Unpack a message of unstated size without allocating much more than is allowed."""
+    unpacker = zstandard.ZstdDecompressor().decompressobj()
+    parts: list[bytes] = []
+    room = MAX_RECORD
+    for begin in range(0, len(data), _STEP_BYTES):
+        parts.append(unpacker.decompress(data[begin : begin + _STEP_BYTES]))
+        room -= len(parts[-1])
+        if room < 0:
+            raise DamagedRecord(f"a message unpacks to more than {MAX_RECORD} bytes")
+        if unpacker.eof:
+            return b"".join(parts)
+    raise DamagedRecord("a compressed message is cut off")
+
+
+_Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

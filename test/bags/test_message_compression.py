@@ -1,0 +1,86 @@
+"""rosbag2's compression message by message, against zstandard and rosbags."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+
+from rotcal_ros.bags.blocks import HEADER_TYPE, Block
+from rotcal_ros.bags.mcap_records import DamagedRecord
+from rotcal_ros.bags.message_compression import (
+    declared_compression,
+    decompressor,
+    stated_compression,
+    unpacked,
+)
+from rotcal_ros.errors import BagError
+
+MESSAGE = b"\0\1\0\0" + b"length" * 5000
+
+
+@pytest.mark.parametrize("size_stated", [True, False])
+def test_a_message_is_unpacked_whole_or_refused(size_stated: bool) -> None:
+    packed = zstandard.ZstdCompressor(write_content_size=size_stated).compress(MESSAGE)
+    unpack = decompressor("MESSAGE", "zstd")
+    assert unpack is not None
+    assert unpack(packed) == MESSAGE
+    for cut in (0, 1, 5, len(packed) // 2, len(packed) - 1):
+        with pytest.raises(DamagedRecord):
+            unpack(packed[:cut])
+
+
+@pytest.mark.parametrize("size_stated", [True, False])
+def test_a_bomb_is_not_unpacked(size_stated: bool) -> None:
+    unpack = decompressor("message", "zstd")
+    bomb = zstandard.ZstdCompressor(write_content_size=size_stated).compress(bytes(200 << 20))
+    assert unpack is not None
+    assert len(bomb) < 20_000
+    with pytest.raises(DamagedRecord, match="more than 134217728"):
+        unpack(bomb)
+
+
+@pytest.mark.parametrize("mode", ["", "NONE", "none", "FILE", "file", "storage"])
+def test_other_modes_leave_messages_as_they_are(mode: str) -> None:
+    assert decompressor(mode, "zstd") is None
+
+
+def test_an_unknown_format_is_refused_with_its_name() -> None:
+    with pytest.raises(BagError, match="'fake_comp'"):
+        decompressor("MESSAGE", "fake_comp")
+
+
+def test_a_block_keeps_its_headers_and_counts_what_is_lost() -> None:
+    packed = [zstandard.compress(MESSAGE), b"\x28\xb5\x2f\xfdbroken", zstandard.compress(b"")]
+    sizes = np.array([len(data) for data in packed])
+    headers = np.zeros(3, HEADER_TYPE)
+    headers["channel"], headers["log_time"] = (4, 5, 6), (7, 8, 9)
+    lost = Counter[int]()
+    unpack = decompressor("message", "zstd")
+    assert unpack is not None
+    (block,) = unpacked(
+        Block(b"".join(packed), np.cumsum(sizes) - sizes, sizes, headers), unpack, lost
+    )
+    assert [block.payload(row) for row in range(len(block))] == [MESSAGE, b""]
+    assert block.headers["log_time"].tolist() == [7, 9]
+    assert lost == {5: 1}
+
+
+@pytest.mark.parametrize(
+    ("text", "stated"),
+    [
+        ("rosbag2_bagfile_information: {compression_mode: MESSAGE, compression_format: zstd}",
+         ("MESSAGE", "zstd")),
+        ("rosbag2_bagfile_information: {compression_mode: null}", ("", "")),
+        ("compression_mode: 7", ("7", "")),
+        ("a: [", ("", "")), ("", ("", "")), ("[" * 5000, ("", "")), ("\0\udcff", ("", "")),
+    ],
+)  # fmt: skip
+def test_what_metadata_states(text: str, stated: tuple[str, str], tmp_path: Path) -> None:
+    assert stated_compression(text) == stated
+    (tmp_path / "metadata.yaml").write_bytes(text.encode(errors="surrogateescape"))
+    assert declared_compression(tmp_path / "bag_0.db3") == stated
+    assert declared_compression(tmp_path / "none" / "bag_0.db3") == ("", "")
