@@ -5,13 +5,13 @@ rosbag2 knows one format, zstd; others are plugins of somebody else.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import yaml
 import zstandard
 
 from rotcal_ros.bags.blocks import Block
@@ -23,6 +23,7 @@ Unpack = Callable[[bytes], bytes]
 
 METADATA_FILE: Final = "metadata.yaml"
 _MAX_METADATA: Final = 16 << 20
+_STATED: Final = re.compile(rb"^\s*compression_(mode|format):[ \t]*[\"']?(\w+)", re.MULTILINE)
 _BLOCK_BYTES: Final = 4 << 20
 _STEP_BYTES: Final = 512
 """Bytes unpacked at once; zstd can make 32,768 times as many of them."""
@@ -48,25 +49,23 @@ def declared_compression(file: Path) -> tuple[str, str]:
     """Return mode and format that ``metadata.yaml`` beside a storage file states, or two ''."""
     try:
         with (file.parent / METADATA_FILE).open("rb") as metadata:
-            text = metadata.read(_MAX_METADATA)
+            return stated_compression(metadata.read(_MAX_METADATA))
     except OSError:
         return "", ""
-    return stated_compression(text)
 
 
-def stated_compression(metadata: bytes | str) -> tuple[str, str]:
-    """Return mode and format in the text of a ``metadata.yaml``; two '' when it has none."""
-    try:
-        content: Any = yaml.load(metadata, Loader=_Loader)
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return "", ""
-    if not isinstance(content, dict):
-        return "", ""
-    stated = content.get("rosbag2_bagfile_information", content)
-    if not isinstance(stated, dict):
-        return "", ""
-    mode, compression = (stated.get(f"compression_{name}") or "" for name in ("mode", "format"))
-    return str(mode), str(compression)
+def stated_compression(metadata: bytes) -> tuple[str, str]:
+    """Return mode and format in the text of a ``metadata.yaml``; two '' when it has none.
+
+    Two lines of a text that may be damaged or hostile are searched, not parsed as YAML.
+    """
+    stated = {match[1]: match[2].decode() for match in _STATED.finditer(metadata)}
+    return stated.get(b"mode", ""), stated.get(b"format", "")
+
+
+def looks_packed(message: bytes) -> bool:
+    """Tell whether ``message`` is compressed, declared or not: CDR never begins like zstd."""
+    return message.startswith(zstandard.FRAME_HEADER)
 
 
 def unpacked(block: Block, unpack: Unpack, lost: Counter[int]) -> Iterator[Block]:
@@ -125,6 +124,3 @@ def _unpack_in_steps(data: bytes) -> bytes:
         if unpacker.eof:
             return b"".join(parts)
     raise DamagedRecord("a compressed message is cut off")
-
-
-_Loader: Final = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

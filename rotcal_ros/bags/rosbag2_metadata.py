@@ -91,11 +91,20 @@ def _topic(channel: ChannelDefinition, files: Sequence[FileInfo]) -> dict[str, A
             "name": channel.topic,
             "type": channel.type_name,
             "serialization_format": "cdr",
-            "offered_qos_profiles": yaml.safe_load(channel.offered_qos) or [],
+            "offered_qos_profiles": _profiles(channel.offered_qos),
             "type_description_hash": channel.type_hash,
         },
         "message_count": sum(file.counts.get(channel.topic, 0) for file in files),
     }
+
+
+def _profiles(text: str) -> list[Any]:
+    """Return the profiles in a channel's text; none when somebody else's cannot be read."""
+    try:
+        profiles = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return []
+    return profiles if isinstance(profiles, list) else []
 
 
 def _span(files: Sequence[FileInfo]) -> dict[str, Any]:

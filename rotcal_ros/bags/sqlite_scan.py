@@ -1,94 +1,212 @@
-"""Reading a rosbag2 sqlite3 file through rosbags, in the same blocks as an MCAP file."""
+"""Reading a rosbag2 sqlite3 file of any version, in the same blocks as an MCAP file."""
 
 from __future__ import annotations
 
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader, ReaderError
-from rosbags.typesys import Stores, get_typestore
 
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.mcap_records import MAX_RECORD
+from rotcal_ros.bags.message_compression import (
+    Unpack,
+    declared_compression,
+    decompressor,
+    looks_packed,
+    stated_compression,
+    unpacked,
+)
 from rotcal_ros.bags.scan import Scan
-from rotcal_ros.bags.verdict import Damage, FileVerdict
+from rotcal_ros.bags.sqlite_channels import read_channels
+from rotcal_ros.bags.sqlite_file import Database, opened
+from rotcal_ros.bags.sqlite_salvage import salvaged
+from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
 from rotcal_ros.errors import BagError
 
 _BLOCK_BYTES: Final = 1 << 20
+_MAX_CHANNELS: Final = 1 << 16
+_LEAST_ROW: Final = 16
+_NEEDED: Final = {"topics": ("id", "name", "type"), "messages": ("topic_id", "timestamp", "data")}
+_UNKNOWN: Final = "(unknown topic)"
+_NAMELESS: Final = "/unknown_topic_"
+_NO_TYPE: Final = "unknown/msg/Unknown"
 
 
 class SqliteScan(Scan):
     """One pass over a sqlite3 file.
 
-    sqlite3 has no checksums: what the database gives is taken as it is.
+    Whether it is sound says sqlite3's own integrity check. It has no checksums: a changed byte
+    within a message is not noticed.
     """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._damages: tuple[Damage, ...] = ()
+        self._size = 0
+        self._damages: list[Damage] = []
+        self._numbers: dict[int, int] = {}  # channel id by the topic's id in the database
+        self._lost: Counter[int] = Counter()
+        self._unreadable = 0
+        self._oddities: Counter[str] = Counter()
+        self._unpack: Unpack | None = None
 
     def blocks(self) -> Iterator[Block]:
         """Yield the messages in the order of their log times."""
-        try:
-            with Reader(self.path) as reader:
-                for connection in reader.connections:
-                    self.channels[connection.id] = _definition(connection)
-                yield from self._read(reader)
-        except (ReaderError, sqlite3.Error, OSError) as error:
-            if not self._counts:
-                raise BagError(f"cannot read {self.path}: {error}") from error
-            self._damages = (Damage(0, f"the database cannot be read further: {error}"),)
+        with opened(self.path) as database:
+            self._size = self.path.stat().st_size
+            self._damages += database.damages()
+            if not self._damages:
+                self._require_tables(database)
+                yield from self._read(database)
+                return
+            with salvaged(database) as rescued:
+                yield from self._read(rescued)
+                self._missing_rows(rescued)
+        if not self._counts and not self.channels:
+            raise BagError(
+                f"cannot read {self.path}: {self._damages[0].what}; no page of it holds a row of "
+                "a bag (is it encrypted, or something else than a rosbag2 sqlite3 file?)"
+            )
 
     def verdict(self) -> FileVerdict:
         """Return the verdict on the file, after the iteration."""
+        odd = [Damage(0, f"{count} {what}") for what, count in self._oddities.items()]
+        damages = sorted((*self._damages, *odd), key=lambda damage: damage.offset)
+        topics = self._topics(self._lost)
+        if self._unreadable:
+            topics[_UNKNOWN] = TopicCount("", 0, self._unreadable)
         start_ns, end_ns = self._span or (None, None)
         return FileVerdict(
             path=self.path,
-            size=self.path.stat().st_size,
-            state="damaged" if self._damages else "complete",
-            damages=self._damages,
-            topics=self._topics(Counter()),
+            size=self._size,
+            state="damaged" if damages else "complete",
+            damages=tuple(damages),
+            topics=topics,
             start_ns=start_ns,
             end_ns=end_ns,
             lost_exactly=not self._damages,
         )
 
-    def _read(self, reader: Reader) -> Iterator[Block]:
+    def _require_tables(self, database: Database) -> None:
+        """Refuse a sound database that is no bag."""
+        for table, needed in _NEEDED.items():
+            missing = [name for name in needed if name not in database.columns(table)]
+            if missing:
+                raise BagError(
+                    f"{self.path} is no bag of rosbag2: its database has no table {table} with "
+                    f"the columns {', '.join(missing)}"
+                )
+
+    def _read(self, database: Database) -> Iterator[Block]:
+        for number, (topic_id, channel) in enumerate(read_channels(database)):
+            if number >= _MAX_CHANNELS:
+                self._oddities[f"topics or more, {_MAX_CHANNELS} are read"] = number
+                break
+            self._numbers[topic_id] = number
+            self.channels[number] = replace(channel, channel_id=number)
+        try:
+            self._unpack = decompressor(*self._compression(database))
+        except BagError as error:
+            raise BagError(f"cannot read {self.path}: {error}") from None
+        for block in self._batches(database):
+            yield from self._plain(block)
+
+    def _compression(self, database: Database) -> tuple[str, str]:
+        """Return mode and format of the messages' compression; the file's own word counts."""
+        stated = ("", "")
+        if "metadata" in database.columns("metadata"):
+            for (text,) in database.connection.execute("SELECT metadata FROM metadata"):
+                stated = stated_compression(text) if isinstance(text, bytes) else stated
+        return stated if stated[0] else declared_compression(self.path)
+
+    def _batches(self, database: Database) -> Iterator[Block]:
         batch: list[tuple[int, int, bytes]] = []
-        size = 0
-        for connection, time_ns, data in reader.messages():
-            batch.append((connection.id, time_ns, bytes(data)))
-            size += len(data)
-            if size >= _BLOCK_BYTES:
-                self.position += size
-                yield self._block(batch)
-                batch, size = [], 0
+        size, room = 0, 4 * self._size + MAX_RECORD
+        try:
+            for row in database.connection.execute(_MESSAGES):
+                if (message := self._understood(*row)) is None:
+                    continue
+                batch.append(message)
+                size += len(message[2])
+                if size >= _BLOCK_BYTES:
+                    self.position = min(self._size, self.position + size)
+                    room -= size
+                    yield _block(batch)
+                    batch, size = [], 0
+                if room < 0:
+                    raise sqlite3.DatabaseError("it holds more than its size allows")
+        except sqlite3.Error as error:
+            self._damages.append(Damage(0, f"the database cannot be read further: {error}"))
         if batch:
-            yield self._block(batch)
+            yield _block(batch)
 
-    def _block(self, batch: list[tuple[int, int, bytes]]) -> Block:
-        sizes = np.array([len(data) for _, _, data in batch], np.int64)
-        headers = np.zeros(len(batch), HEADER_TYPE)
-        headers["channel"] = [number for number, _, _ in batch]
-        headers["log_time"] = headers["publish_time"] = [time_ns for _, time_ns, _ in batch]
-        content = b"".join(data for _, _, data in batch)
-        block = Block(content, np.cumsum(sizes) - sizes, sizes, headers)
-        self._count(block)
-        return block
+    def _understood(
+        self, topic_id: object, time_ns: object, data: object, size: object
+    ) -> tuple[int, int, bytes] | None:
+        """Return channel, log time and message of a row; what is wrong with it is counted."""
+        number = self._numbers.get(topic_id) if isinstance(topic_id, int) else None
+        if number is None and isinstance(topic_id, int):
+            number = self._nameless(topic_id)
+        if number is None:
+            self._oddities["messages of no topic"] += 1
+            self._unreadable += 1
+            return None
+        if not isinstance(time_ns, int) or not isinstance(data, bytes):
+            what = "whose size is out of range" if size else "without content or time"
+            self._oddities[f"messages {what}"] += 1
+            self._lost[number] += 1
+            return None
+        if time_ns < 0:
+            self._oddities["messages with a time before 1970, read as 1970"] += 1
+        return number, max(0, time_ns), data
+
+    def _nameless(self, topic_id: int) -> int | None:
+        """Return a new channel for a topic whose row is missing; None when there are too many."""
+        number = len(self.channels)
+        if number >= _MAX_CHANNELS:
+            return None
+        self._numbers[topic_id] = number
+        name = f"{_NAMELESS}{topic_id}".replace("-", "minus_")
+        self.channels[number] = ChannelDefinition(number, name, _NO_TYPE, "", "")
+        self._oddities["topics without name and type; their messages are kept as they are"] += 1
+        return number
+
+    def _plain(self, block: Block) -> Iterator[Block]:
+        """Count and yield the messages of ``block`` as they were published."""
+        if self._unpack is None and looks_packed(block.payload(0)):
+            self._unpack = decompressor("message", "zstd")
+        broken = Counter[int]()
+        for plain in (block,) if self._unpack is None else unpacked(block, self._unpack, broken):
+            self._count(plain)
+            yield plain
+        if broken:
+            self._lost += broken
+            self._oddities["compressed messages that cannot be unpacked"] += broken.total()
+
+    def _missing_rows(self, rescued: Database) -> None:
+        """Count the ids that are missing: rosbag2 gives them one after the other."""
+        query = "SELECT count(*), min(id), max(id) FROM messages"
+        count, first, last = rescued.connection.execute(query).fetchone()
+        if count and first >= 1 and last <= count + self._size // _LEAST_ROW:
+            self._unreadable += last - count
 
 
-def _definition(connection: Connection) -> ChannelDefinition:
-    """Return a channel; older bags carry no definitions, so ROS's own types are looked up."""
-    text = connection.msgdef.data
-    if not text:
-        store = get_typestore(Stores.LATEST)
-        if connection.msgtype in store.fielddefs:
-            text, _ = store.generate_msgdef(connection.msgtype, ros_version=2)
-    return ChannelDefinition(
-        connection.id, connection.topic, connection.msgtype, "ros2msg" if text else "", text
-    )
+_MESSAGES: Final = (
+    "SELECT topic_id, timestamp,"
+    f" CASE WHEN length(data) <= {MAX_RECORD} THEN data END, length(data)"
+    " FROM messages ORDER BY timestamp, rowid"
+)
+
+
+def _block(batch: list[tuple[int, int, bytes]]) -> Block:
+    sizes = np.array([len(data) for _, _, data in batch], np.int64)
+    headers = np.zeros(len(batch), HEADER_TYPE)
+    headers["channel"] = [number for number, _, _ in batch]
+    headers["log_time"] = headers["publish_time"] = [time_ns for _, time_ns, _ in batch]
+    content = b"".join(data for _, _, data in batch)
+    return Block(content, np.cumsum(sizes) - sizes, sizes, headers)

@@ -36,7 +36,7 @@ def test_a_message_is_unpacked_whole_or_refused(size_stated: bool) -> None:
 @pytest.mark.parametrize("size_stated", [True, False])
 def test_a_bomb_is_not_unpacked(size_stated: bool) -> None:
     unpack = decompressor("message", "zstd")
-    bomb = zstandard.ZstdCompressor(write_content_size=size_stated).compress(bytes(200 << 20))
+    bomb = zstandard.ZstdCompressor(write_content_size=size_stated).compress(bytes(130 << 20))
     assert unpack is not None
     assert len(bomb) < 20_000
     with pytest.raises(DamagedRecord, match="more than 134217728"):
@@ -72,15 +72,15 @@ def test_a_block_keeps_its_headers_and_counts_what_is_lost() -> None:
 @pytest.mark.parametrize(
     ("text", "stated"),
     [
-        ("rosbag2_bagfile_information: {compression_mode: MESSAGE, compression_format: zstd}",
+        (b"rosbag2_bagfile_information:\n  compression_format: zstd\n  compression_mode: MESSAGE\n",
          ("MESSAGE", "zstd")),
-        ("rosbag2_bagfile_information: {compression_mode: null}", ("", "")),
-        ("compression_mode: 7", ("7", "")),
-        ("a: [", ("", "")), ("", ("", "")), ("[" * 5000, ("", "")), ("\0\udcff", ("", "")),
+        (b'  compression_format: ""\n  compression_mode: ""\n', ("", "")),
+        (b"compression_mode: 'FILE'", ("FILE", "")),
+        (b"[" * 100_000, ("", "")), (b"", ("", "")), (b"\xff\0: compression_mode: x", ("", "")),
     ],
 )  # fmt: skip
-def test_what_metadata_states(text: str, stated: tuple[str, str], tmp_path: Path) -> None:
+def test_what_metadata_states(text: bytes, stated: tuple[str, str], tmp_path: Path) -> None:
     assert stated_compression(text) == stated
-    (tmp_path / "metadata.yaml").write_bytes(text.encode(errors="surrogateescape"))
+    (tmp_path / "metadata.yaml").write_bytes(text)
     assert declared_compression(tmp_path / "bag_0.db3") == stated
     assert declared_compression(tmp_path / "none" / "bag_0.db3") == ("", "")
