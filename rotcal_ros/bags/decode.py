@@ -5,30 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys import (
-    Stores,
-    TypesysError,
-    get_types_from_idl,
-    get_types_from_msg,
-    get_typestore,
-)
 
 from rotcal_ros.arrays import Bytes, Ints
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.layout import Layout, work_out_layout
 from rotcal_ros.bags.mcap_records import DamagedRecord
+from rotcal_ros.bags.message_types import message_types
 from rotcal_ros.errors import BagError
 
 _MAX_LAYOUTS: Final = 64
-_ALWAYS_KNOWN: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-_SECONDS: Final = "int32 sec\nuint32 nanosec\n"
-"""The definition of both, in every distribution of ROS 2; a bag may leave it out."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +41,15 @@ class Columns:
 
 
 class Decoder:
-    """Decodes the messages of one channel; ``broken`` counts those that could not be."""
+    """Decodes the messages of one channel; ``broken`` counts those that could not be.
+
+    Raises BagError when the channel's definition cannot be used.
+    """
 
     def __init__(self, channel: ChannelDefinition) -> None:
         self.channel = channel
         self.broken = 0
-        self._definitions = _definitions(channel)
-        self._store = get_typestore(Stores.EMPTY)
-        self._store.register(self._definitions)
+        self._store, self._definitions = message_types(channel)
         self._layouts: dict[int, list[tuple[Layout, Bytes]]] = {}
 
     def message(self, data: bytes) -> Any | None:
@@ -117,26 +108,3 @@ class Decoder:
                 f"{', '.join(missing)}; it has {', '.join(layout.fields)}"
             )
         return layout.dtype(wanted)
-
-
-def _definitions(channel: ChannelDefinition) -> dict[str, Any]:
-    """Return the parsed definitions of a channel's type and all that it contains."""
-    try:
-        if channel.encoding == "ros2msg":
-            types = get_types_from_msg(channel.definition, channel.type_name)
-        elif channel.encoding == "ros2idl":
-            types = get_types_from_idl(channel.definition)
-        else:
-            raise BagError(
-                f"topic {channel.topic}: the bag holds no definition of {channel.type_name}"
-            )
-    except (TypesysError, SyntaxError, ValueError) as error:
-        raise BagError(
-            f"topic {channel.topic}: the definition of {channel.type_name} cannot be read: {error}"
-        ) from error
-    return _always_known() | dict(types)
-
-
-@cache
-def _always_known() -> dict[str, Any]:
-    return {name: get_types_from_msg(_SECONDS, name)[name] for name in _ALWAYS_KNOWN}

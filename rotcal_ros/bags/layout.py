@@ -22,11 +22,12 @@ Definitions = Mapping[str, tuple[Any, Fields]]
 """Message type -> (constants, fields), as rosbags parses it."""
 
 _ENCAPSULATION: Final = 4
-_NUMBERS: Final = {
+NUMBERS: Final = {
     "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1", "uint8": "u1", "int8": "i1",
     "uint16": "u2", "int16": "i2", "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+"""Kind and size in bytes of each base type, for numpy."""
 
 
 @dataclass
@@ -116,9 +117,9 @@ class _Walk:
             self._check_count(count or 0)
             self._layout.texts[name] = [self._text() for _ in range(1 if count is None else count)]
             return
-        if base not in _NUMBERS:
+        if base not in NUMBERS:
             raise DamagedRecord(f"field {name} has the type {base}, which has no fixed size")
-        item = np.dtype(self._order + _NUMBERS[base])
+        item = np.dtype(self._order + NUMBERS[base])
         if count == 0:
             self._layout.fields[name] = (np.dtype((item, (0,))), self._position)
             return

@@ -194,11 +194,13 @@ STATEMENTS = (
     "UPDATE schema SET schema_version = 99", "DELETE FROM schema",
     "UPDATE topics SET type_description_hash = x'00'",
     "ALTER TABLE messages RENAME TO m; CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1"
-    " UNION ALL SELECT i + 1 FROM n WHERE i < 1000) SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS data"
+    " UNION ALL SELECT i + 1 FROM n WHERE i < 1000)"
+    " SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS data"
     " FROM n",
     "ALTER TABLE messages RENAME TO m; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id,"
     " timestamp, data GENERATED ALWAYS AS (zeroblob(50000000)));"
-    "INSERT INTO messages(topic_id, timestamp) SELECT topic_id, timestamp FROM m LIMIT 3; DROP TABLE m",
+    "INSERT INTO messages(topic_id, timestamp) SELECT topic_id, timestamp FROM m LIMIT 3;"
+    "DROP TABLE m",
     "ALTER TABLE messages RENAME TO m; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id,"
     " timestamp, data); INSERT INTO messages SELECT * FROM m; DROP TABLE m;"
     "UPDATE messages SET data = NULL WHERE id % 4 = 0; UPDATE messages SET timestamp = NULL"

@@ -72,7 +72,7 @@ def test_a_block_keeps_its_headers_and_counts_what_is_lost() -> None:
 @pytest.mark.parametrize(
     ("text", "stated"),
     [
-        (b"rosbag2_bagfile_information:\n  compression_format: zstd\n  compression_mode: MESSAGE\n",
+        (b"information:\n  compression_format: zstd\n  compression_mode: MESSAGE\n",
          ("MESSAGE", "zstd")),
         (b'  compression_format: ""\n  compression_mode: ""\n', ("", "")),
         (b"compression_mode: 'FILE'", ("FILE", "")),

@@ -1,0 +1,131 @@
+"""The types of a channel's messages, parsed from its definition; anybody may have written it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, Final
+
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.layout import NUMBERS, Definitions
+from rotcal_ros.bags.mcap_records import MAX_RECORD
+from rotcal_ros.errors import BagError
+
+MAX_DEFINITION: Final = 1 << 18
+"""Longest definition that is parsed, in characters; ROS's own are up to a tenth of that."""
+MAX_DEPTH: Final = 64
+"""How deep messages may contain each other."""
+_MAX_ELEMENTS: Final = 10_000
+"""Most elements of arrays of texts and messages together: rosbags writes code for each."""
+_ALWAYS_KNOWN: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_SECONDS: Final = "int32 sec\nuint32 nanosec\n"
+"""The definition of both, in every distribution of ROS 2; a bag may leave it out."""
+_SHOWN: Final = 60
+_PLACE: Final = re.compile(r"\n(\d+)\n")
+
+
+class _Unusable(Exception):  # noqa: N818 - becomes a BagError that names the topic
+    """What is wrong with a definition."""
+
+
+def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
+    """Return the store that decodes the messages of ``channel``, and the types in it.
+
+    A message without fields has one byte in CDR, ``structure_needs_at_least_one_member``.
+    Raises BagError when there is no definition or none that can be used.
+    """
+    if channel.encoding not in ("ros2msg", "ros2idl"):
+        what = f"only one in {channel.encoding!r}" if channel.encoding else "no definition"
+        raise BagError(f"topic {channel.topic}: the bag holds {what} of {channel.type_name}")
+    store = get_typestore(Stores.EMPTY)
+    try:
+        types = _always_known() | _parsed(channel)
+        _Tree(types).least_size(channel.type_name)
+        store.register(types)
+    except _Unusable as error:
+        reason = str(error)
+    except Exception as error:
+        reason = _in_one_line(error)
+    else:
+        return store, store.fielddefs
+    raise BagError(
+        f"topic {channel.topic}: the definition of {channel.type_name} cannot be read: {reason}"
+    )
+
+
+def _parsed(channel: ChannelDefinition) -> dict[str, Any]:
+    if len(channel.definition) > MAX_DEFINITION:
+        raise _Unusable(f"it is longer than {MAX_DEFINITION} characters")
+    if channel.encoding == "ros2idl":
+        return dict(get_types_from_idl(channel.definition))
+    return dict(get_types_from_msg(channel.definition, channel.type_name))
+
+
+class _Tree:
+    """What contains what; refuses what no serialised message can look like."""
+
+    def __init__(self, types: Mapping[str, Any]) -> None:
+        self._types = types
+        self._sizes: dict[str, int] = {}
+        self._path: list[str] = []
+        self._elements = 0
+
+    def least_size(self, name: str) -> int:
+        """Return how many bytes a message of type ``name`` has at least."""
+        if name in self._sizes:
+            return self._sizes[name]
+        if name not in self._types:
+            raise _Unusable(f"it does not say what {_short(name)} is")
+        if name in self._path:
+            raise _Unusable(f"{_short(name)} contains itself")
+        if len(self._path) >= MAX_DEPTH:
+            raise _Unusable(f"more than {MAX_DEPTH} messages within each other")
+        self._path.append(name)
+        size = sum(self._field(field, *kind) for field, kind in self._types[name][1])
+        self._path.pop()
+        if size > MAX_RECORD:
+            raise _Unusable(f"{_short(name)} has {size} bytes at least, more than {MAX_RECORD}")
+        self._sizes[name] = max(1, size)
+        return self._sizes[name]
+
+    def _field(self, name: str, kind: Nodetype, detail: Any) -> int:
+        if kind == Nodetype.NAME:
+            return self.least_size(detail)
+        if kind == Nodetype.BASE:
+            base = detail[0]
+            if base != "string" and base not in NUMBERS:
+                raise _Unusable(f"field {_short(name)} is a {base}, which is not supported")
+            return 4 if base == "string" else int(NUMBERS[base][1])
+        inner, count = detail
+        size = self._field(name, *inner)
+        if kind == Nodetype.SEQUENCE:
+            return 4
+        self._elements += count if inner[0] == Nodetype.NAME or inner[1][0] == "string" else 0
+        if count < 1 or self._elements > _MAX_ELEMENTS:
+            raise _Unusable(f"field {_short(name)} is an array of {_short(str(count))} elements")
+        return int(size * count)
+
+
+def _in_one_line(error: Exception) -> str:
+    """Return where the parser stopped, or what it says, without the whole text."""
+    lines = str(error).splitlines() or [type(error).__name__]
+    place = _PLACE.search(str(error))
+    if place is None:
+        return _short(lines[0])
+    rest = str(error)[place.end() :].strip().splitlines()
+    return f"it ends too early or makes no sense at {_short(rest[0] if rest else '')!r}"
+
+
+def _short(text: str) -> str:
+    shown = text.encode("unicode_escape").decode()
+    return shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
+
+
+@cache
+def _always_known() -> dict[str, Any]:
+    return {name: get_types_from_msg(_SECONDS, name)[name] for name in _ALWAYS_KNOWN}
