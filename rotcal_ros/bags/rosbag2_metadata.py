@@ -15,6 +15,12 @@ VERSION: Final = 9
 INFINITE_NS: Final = 2**63 - 1
 
 
+_QOS_KEYS: Final = {
+    "history", "depth", "reliability", "durability", "deadline", "lifespan", "liveliness",
+    "liveliness_lease_duration", "avoid_ros_namespace_conventions",
+}  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True)
 class OfferedQos:
     """Quality of service that a publisher offers, in rosbag2's words; durations in ns."""
@@ -46,6 +52,18 @@ def qos_text(profiles: Iterable[OfferedQos]) -> str:
         for profile in profiles
     ]
     return yaml_text(entries) if entries else ""
+
+
+def qos_profiles(text: str) -> list[Any]:
+    """Return the profiles in a channel's ``offered_qos_profiles``; none unless all are whole."""
+    try:
+        profiles = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return []
+    whole = isinstance(profiles, list) and all(
+        isinstance(profile, dict) and profile.keys() >= _QOS_KEYS for profile in profiles
+    )
+    return profiles if whole else []
 
 
 @dataclass(slots=True)
@@ -91,20 +109,11 @@ def _topic(channel: ChannelDefinition, files: Sequence[FileInfo]) -> dict[str, A
             "name": channel.topic,
             "type": channel.type_name,
             "serialization_format": "cdr",
-            "offered_qos_profiles": _profiles(channel.offered_qos),
+            "offered_qos_profiles": qos_profiles(channel.offered_qos),
             "type_description_hash": channel.type_hash,
         },
         "message_count": sum(file.counts.get(channel.topic, 0) for file in files),
     }
-
-
-def _profiles(text: str) -> list[Any]:
-    """Return the profiles in a channel's text; none when somebody else's cannot be read."""
-    try:
-        profiles = yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError):
-        return []
-    return profiles if isinstance(profiles, list) else []
 
 
 def _span(files: Sequence[FileInfo]) -> dict[str, Any]:

@@ -79,13 +79,15 @@ def _selected(source: Database, table: str, order: str) -> Iterator[Row]:
         if not (present := source.columns(table)):
             return
         columns = ", ".join(name if name in present else "NULL" for name in TABLES[table])
+        key = "id" if "id" in present else "rowid"
         for row_id, *values in source.connection.execute(
-            f"SELECT rowid, {columns} FROM {table} NOT INDEXED ORDER BY rowid {order}"
+            f"SELECT {key}, {columns} FROM {table} NOT INDEXED ORDER BY {key} {order}"
         ):
             room, rows = room - _bytes(values), rows - 1
             if room < 0 or rows < 0:
                 return
-            yield row_id, tuple(values)
+            if isinstance(row_id, int):
+                yield row_id, tuple(values)
 
 
 def _bytes(values: Iterable[Value]) -> int:

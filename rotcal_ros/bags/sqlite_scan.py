@@ -128,7 +128,8 @@ class SqliteScan(Scan):
         batch: list[tuple[int, int, bytes]] = []
         size, room = 0, 4 * self._size + MAX_RECORD
         try:
-            for row in database.connection.execute(_MESSAGES):
+            key = "id" if "id" in database.columns("messages") else "rowid"
+            for row in database.connection.execute(_MESSAGES + key):
                 if (message := self._understood(*row)) is None:
                     continue
                 batch.append(message)
@@ -199,7 +200,7 @@ class SqliteScan(Scan):
 _MESSAGES: Final = (
     "SELECT topic_id, timestamp,"
     f" CASE WHEN length(data) <= {MAX_RECORD} THEN data END, length(data)"
-    " FROM messages ORDER BY timestamp, rowid"
+    " FROM messages ORDER BY timestamp, "
 )
 
 

@@ -106,10 +106,6 @@ class BagWriter:
         the RIHS01 hash (empty when the middleware offers none), ``offered_qos`` the text of
         :func:`rosbag2_metadata.qos_text`.
         """
-        if encoding and not definition:
-            raise BagError(
-                f"topic {topic}: no definition of {type_name}; without it nobody can read the bag"
-            )
         channel = ChannelDefinition(
             0, topic, type_name, encoding, definition, type_hash, offered_qos
         )

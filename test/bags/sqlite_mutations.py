@@ -16,8 +16,18 @@ PAGE = 1024
 TOPICS = ((1, f"/cell/{names.TRACER_LENGTH}", TYPES[names.TRACER_LENGTH]),
           (2, f"/cell/{names.TEMPERATURE}", TYPES[names.TEMPERATURE]))  # fmt: skip
 TEMPERATURE_EVERY = 10
-QOS = {2: "- history: 1\n  depth: 10\n  reliability: 1\n", 3: "- history: 3\n  depth: 0\n",
-       4: "- history: keep_last\n  depth: 10\n  reliability: reliable\n"}  # fmt: skip
+_TIMES = "".join(
+    f"  {name}: {{sec: 9223372036, nsec: 854775807}}\n"
+    for name in ("deadline", "lifespan", "liveliness_lease_duration")
+)
+_NUMBERS = "- history: 1\n  depth: 10\n  reliability: 1\n  durability: 2\n  liveliness: 1\n"
+_WORDS = (
+    "- history: keep_last\n  depth: 10\n  reliability: reliable\n  durability: volatile\n"
+    "  liveliness: automatic\n"
+)
+_LAST = f"{_TIMES}  avoid_ros_namespace_conventions: false\n"
+QOS = {2: _NUMBERS + _LAST, 3: _NUMBERS + _LAST, 4: _WORDS + _LAST}
+"""The quality of service as each version writes it."""
 
 
 def payloads(count: int) -> list[bytes]:

@@ -50,7 +50,7 @@ def judged_by_sqlite(path: Path, scratch: Path) -> tuple[bool, Counter[bytes]]:
             intact = database.execute("PRAGMA integrity_check").fetchall() == [(b"ok",)]
         except sqlite3.Error:
             intact = False
-        for row_id in range(1, N_MESSAGES + 1):
+        for row_id in (*range(1, N_MESSAGES + 1), 2**63 - 1, -(2**63)):
             with suppress(sqlite3.Error):
                 found = database.execute(_ROW, (row_id,))
                 rows.update(data for (data,) in found if isinstance(data, bytes))

@@ -227,13 +227,6 @@ def test_durable_file_never_replaces(tmp_path: Path) -> None:
     assert (tmp_path / "file").read_text() == "old"
 
 
-def test_channel_without_definition_is_refused(tmp_path: Path) -> None:
-    writer, _ = open_writer(tmp_path / "bag")
-    with pytest.raises(BagError, match="no definition of x_msgs/msg/Y"):
-        writer.channel("/topic", "x_msgs/msg/Y", "")
-    writer.close()
-
-
 CHILD = """
 import resource, sys, time
 from pathlib import Path
