@@ -34,6 +34,7 @@ from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.foreign import StepFinder
+from rotcal_ros.recordings.nothing_captured import why_nothing
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 from rotcal_ros.results import Result
@@ -52,7 +53,8 @@ class Recording:
     had published; ``counts`` is what the capture counted per stream (empty when the
     observations were taken from the bag), ``broken`` the messages per topic that could not be
     decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
-    ``announced`` which tables the cell announced to be in force.
+    ``announced`` which tables the cell announced to be in force, ``unreadable`` why topics could
+    not be read.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -71,6 +73,7 @@ class Recording:
     attachments: Mapping[str, bytes]
     choices: tuple[RecordedChoice, ...] = ()
     announced: frozenset[str] = frozenset()
+    unreadable: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def configuration(self) -> Configuration:
@@ -79,10 +82,12 @@ class Recording:
 
     def solve(self) -> Result:
         """Return the result; equal observations give equal results to the last bit."""
+        self._require_observations()
         return self.calibration.solve(self.observations, self.announced)
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""
+        self._require_observations()
         return self.calibration.trials(self.observations)
 
     def goal_standing(self, result: Result) -> GoalStanding | None:
@@ -95,6 +100,14 @@ class Recording:
             return None
         choices = [recorded.choice for recorded in self.choices]
         return goal_standing(calibration, result, choices, self.observations)
+
+    def _require_observations(self) -> None:
+        """Raise DataError with the reason when no observation was accepted."""
+        if any(observation.accepted for observation in self.observations):
+            return
+        topics = {name for verdict in self.verdicts for name in verdict.topics}
+        reason = why_nothing(self.observations, self.counts, self.unreadable, self.broken, topics)
+        raise DataError(f"the bag yields no observation that was accepted: {reason}")
 
     def _as_chosen(self) -> catalogue.Calibration | None:
         """Return the calibration whose policy chose the steps; None where it only listed them."""
@@ -142,6 +155,7 @@ class Recording:
         """Return what the reader of a result must know about the bag."""
         texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
+        texts += self.unreadable.values()
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
@@ -199,6 +213,7 @@ def read_recording(
         attachments=attachments,
         choices=tuple(found.choices),
         announced=frozenset(found.announced),
+        unreadable=dict(topics.unreadable),
     )
 
 
@@ -231,14 +246,15 @@ def _read(
             feeder.begin_run(int(run))
         parts = topics.split(block, scan.channels, found.decoders)
         for part in parts:
-            if part.role == names.OBSERVATION:
-                found.recorded += (records.observation(m) for _, m in part.messages(block))
-            elif part.role == names.PLAN:
-                found.planned += (message.configuration for _, message in part.messages(block))
-            elif part.role == names.STEP_CHOICE:
-                found.choices += (RecordedChoice.of(m) for _, m in part.messages(block))
-            elif part.role == names.TABLE_IN_FORCE:
-                found.announced |= {m.in_force for _, m in part.messages(block)}
+            with part.taken_as_expected():
+                if part.role == names.OBSERVATION:
+                    found.recorded += (records.observation(m) for _, m in part.messages(block))
+                elif part.role == names.PLAN:
+                    found.planned += (message.configuration for _, message in part.messages(block))
+                elif part.role == names.STEP_CHOICE:
+                    found.choices += (RecordedChoice.of(m) for _, m in part.messages(block))
+                elif part.role == names.TABLE_IN_FORCE:
+                    found.announced |= {m.in_force for _, m in part.messages(block)}
         if feeder is not None:
             feeder.feed(block, parts)
     return found
@@ -326,7 +342,8 @@ def _announced_steps(files: tuple[Path, ...], topics: Topics) -> Iterator[int]:
         for block in scan.blocks():
             for part in topics.split(block, scan.channels, decoders):
                 if part.role == names.PLAN:
-                    yield from (message.total_steps for _, message in part.messages(block))
+                    with part.taken_as_expected():
+                        yield from (message.total_steps for _, message in part.messages(block))
 
 
 def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
@@ -336,6 +353,7 @@ def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
             break
         for part in topics.split(block, scan.channels, decoders):
             if part.role == names.PLAN:
-                yield from (message.configuration for _, message in part.messages(block))
+                with part.taken_as_expected():
+                    yield from (message.configuration for _, message in part.messages(block))
     if names.CONFIGURATION in scan.attachments:
         yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")

@@ -116,12 +116,13 @@ class StreamFeeder:
             part.decoder.channel.type_name == POINT for part in parts
         )
         for part in parts:
-            if part.role == names.TRACER_LENGTH:
-                readings = self._readings(block, part)
-            elif part.role == names.JOINT_STATES:
-                feedback = self._feedback(block, part)
-            elif part.role in self._makers:
-                others.extend(self._single(block, part))
+            with part.taken_as_expected():
+                if part.role == names.TRACER_LENGTH:
+                    readings = self._readings(block, part)
+                elif part.role == names.JOINT_STATES:
+                    feedback = self._feedback(block, part)
+                elif part.role in self._makers:
+                    others.extend(self._single(block, part))
         if self._finding:  # a foreign position is the step at which the table stood just then
             others.extend(_samples(feedback))
             feedback = feedback[:0]
@@ -168,8 +169,8 @@ class StreamFeeder:
     def _floats(self, block: Block, part: Part) -> tuple[Ints, Ints, NDArray[Any]]:
         """Return rows, log times (ns) and values (n,) of a topic of bare numbers."""
         shapes = list(part.decoder.columns(block.select(part.rows), ("data",)))
-        rows = np.concatenate([part.rows[c.rows] for c in shapes])
-        values = np.concatenate([c.values["data"] for c in shapes])
+        rows = np.concatenate([part.rows[:0], *(part.rows[c.rows] for c in shapes)])
+        values = np.concatenate([np.zeros(0), *(c.values["data"] for c in shapes)])
         order = np.argsort(rows)
         rows = rows[order]
         return rows, block.headers["log_time"][rows].astype(np.int64), values[order]

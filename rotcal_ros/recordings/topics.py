@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -31,6 +32,21 @@ class Part:
             if message is not None:
                 yield row, message
 
+    @contextmanager
+    def taken_as_expected(self) -> Iterator[None]:
+        """Around taking the messages: a definition of somebody else has other fields, or kinds.
+
+        Raises BagError for what Python says to that.
+        """
+        try:
+            yield
+        except (AttributeError, IndexError, TypeError, ValueError, OverflowError) as error:
+            channel = self.decoder.channel
+            raise BagError(
+                f"topic {channel.topic}: {channel.type_name}, as this bag defines it, is no "
+                f"{self.role}: {error}"
+            ) from error
+
 
 @dataclass
 class Topics:
@@ -38,10 +54,12 @@ class Topics:
 
     A topic plays the role that its last name says (``/cell/tracer_length``), below
     ``namespace`` when that is given; ``renamed`` maps roles to topics with other names.
+    ``unreadable`` says of topics whose definition cannot be used why: the others are read.
     """
 
     namespace: str = ""
     renamed: Mapping[str, str] = field(default_factory=dict)
+    unreadable: dict[str, str] = field(default_factory=dict)
     _taken: dict[str, str] = field(default_factory=dict, repr=False)
 
     def role(self, topic: str) -> str | None:
@@ -74,7 +92,17 @@ class Topics:
             role = self.role(channel.topic)
             if role is None:
                 continue
-            if channel not in decoders:
-                decoders[channel] = Decoder(channel)
-            parts.append(Part(role, np.flatnonzero(numbers == number), decoders[channel]))
+            decoder = decoders.get(channel) or self._decoder(channel)
+            if decoder is not None:
+                decoders[channel] = decoder
+                parts.append(Part(role, np.flatnonzero(numbers == number), decoder))
         return parts
+
+    def _decoder(self, channel: ChannelDefinition) -> Decoder | None:
+        if channel.topic in self.unreadable:
+            return None
+        try:
+            return Decoder(channel)
+        except BagError as error:
+            self.unreadable[channel.topic] = str(error)
+            return None

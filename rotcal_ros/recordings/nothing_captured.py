@@ -1,0 +1,72 @@
+"""Why a bag yields no observation: what its reader can do something about, in one sentence."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+from rotcal_ros.bags import names
+from rotcal_ros.observations import Observation
+
+_TOPICS: Final = {
+    "tracer": names.TRACER_LENGTH,
+    "table": names.JOINT_STATES,
+    "probe": names.PROBE_POINT,
+    "temperature": names.TEMPERATURE,
+    "command": f"{names.TABLE_ANGLE} or {names.PROBE_TARGET}",
+}
+"""What delivers each stream of the capture."""
+_NUMBER: Final = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
+_MAX_NAMED: Final = 8
+
+
+def why_nothing(
+    observations: Sequence[Observation],
+    counts: Mapping[str, Mapping[str, int]],
+    unreadable: Mapping[str, str],
+    broken: Mapping[str, int],
+    topics: Iterable[str],
+) -> str:
+    """Return why none of ``observations`` was accepted.
+
+    ``counts`` is what the capture counted per stream, empty when the recorded observations were
+    taken; ``unreadable`` names topics without a usable definition and ``broken`` those whose
+    messages could not be decoded; ``topics`` are all of the bag.
+    """
+    reasons = list(unreadable.values())
+    reasons += [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
+    silent = [
+        _TOPICS[stream]
+        for stream, counted in counts.items()
+        if not counted.get("received") and stream in _TOPICS
+    ]
+    if observations:
+        reasons.insert(0, _rejections(observations))
+    elif not counts:
+        reasons.append(f"it holds none on a topic {names.OBSERVATION}; solve its streams instead")
+    elif silent:
+        reasons.append(f"nothing was read on {', '.join(silent)}; {_present(topics)}")
+    else:
+        reasons.append("its streams hold no step of the plan that came to its end")
+    return "; ".join(reasons)
+
+
+def _rejections(observations: Sequence[Observation]) -> str:
+    """Return how many were rejected, and the commonest reason, its numbers aside."""
+    kinds = Counter(_NUMBER.sub("#", o.reason) for o in observations)
+    ((kind, count),) = kinds.most_common(1)
+    example = next(o.reason for o in observations if _NUMBER.sub("#", o.reason) == kind)
+    return f"all {len(observations)} were rejected, {count} of them like this: {example}"
+
+
+def _present(topics: Iterable[str]) -> str:
+    found = sorted(topics)
+    if not found:
+        return "it has no topics at all"
+    more = f" and {len(found) - _MAX_NAMED} more" if len(found) > _MAX_NAMED else ""
+    return (
+        f"its topics are {', '.join(found[:_MAX_NAMED])}{more} (see --namespace, and the group "
+        "topics of the set-up for other names)"
+    )
