@@ -19,6 +19,9 @@ from rotcal_ros.errors import BagError
 
 _LEFT_BESIDE: Final = ("-wal", "-journal")
 _MAX_FAULTS: Final = 20
+_NO_FAULT: Final = ("ok", "*** in database main ***")
+FAILURES: Final = (sqlite3.Error, UnicodeDecodeError, OverflowError)
+"""What reading a damaged database raises; Python cannot decode every complaint of sqlite3."""
 _AT_PAGE: Final = re.compile(r"page (\d+)")
 
 
@@ -42,13 +45,10 @@ class Database:
         try:
             found = self.connection.execute(f"PRAGMA integrity_check({_MAX_FAULTS})").fetchall()
             (page_size,) = self.connection.execute("PRAGMA page_size").fetchone()
-        except sqlite3.Error as error:
-            return (Damage(0, f"the database cannot be checked: {error}"),)
+        except FAILURES as error:
+            return (Damage(0, f"the database cannot be checked: {words(error)}"),)
         lines = [line for (answer,) in found for line in text(answer).splitlines()]
         return tuple(_damage(line, page_size) for line in lines if line not in _NO_FAULT)
-
-
-_NO_FAULT: Final = ("ok", "*** in database main ***")
 
 
 @contextmanager
@@ -75,8 +75,8 @@ def opened(path: Path) -> Iterator[Database]:
             copy = Path(folder) / path.name
             with closing(_connected(copy, "mode=rw")) as connection:
                 yield Database(connection, copy)
-    except sqlite3.Error as error:
-        raise BagError(f"cannot read {path}: {error}") from error
+    except FAILURES as error:
+        raise BagError(f"cannot read {path}: {words(error)}") from error
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror or error}") from error
 
@@ -84,6 +84,12 @@ def opened(path: Path) -> Iterator[Database]:
 def text(value: object) -> str:
     """Return a text of the database, whatever its bytes; '' for anything else."""
     return value.decode(errors="backslashreplace") if isinstance(value, bytes) else ""
+
+
+def words(error: Exception) -> str:
+    """Return what a failure says, in one line of visible characters."""
+    said = "its texts are damaged" if isinstance(error, UnicodeDecodeError) else str(error)
+    return said.encode("unicode_escape").decode()
 
 
 def _connected(path: Path, how: str) -> sqlite3.Connection:
@@ -103,4 +109,7 @@ def _connected(path: Path, how: str) -> sqlite3.Connection:
 
 def _damage(line: str, page_size: int) -> Damage:
     page = _AT_PAGE.search(line)
-    return Damage((int(page[1]) - 1) * page_size if page else 0, f"the database: {line}")
+    return Damage(
+        (int(page[1]) - 1) * page_size if page else 0,
+        f"the database: {line.encode('unicode_escape').decode()}",
+    )

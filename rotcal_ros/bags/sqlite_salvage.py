@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO, Final
 
-from rotcal_ros.bags.sqlite_file import Database
+from rotcal_ros.bags.sqlite_file import FAILURES, Database
 from rotcal_ros.bags.sqlite_pages import PAGE_SIZES, LeafPages, Row, Value
 
 TABLES: Final = {
@@ -75,7 +75,7 @@ def _selected(source: Database, table: str, order: str) -> Iterator[Row]:
     """Yield the rows that SELECT reads, up to the first damage on its way."""
     size = source.file.stat().st_size
     room, rows = _MAX_READ * size, size // _LEAST_ROW
-    with suppress(sqlite3.DatabaseError):
+    with suppress(*FAILURES):
         if not (present := source.columns(table)):
             return
         columns = ", ".join(name if name in present else "NULL" for name in TABLES[table])

@@ -24,7 +24,7 @@ from rotcal_ros.bags.message_compression import (
 )
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.sqlite_channels import read_channels
-from rotcal_ros.bags.sqlite_file import Database, opened
+from rotcal_ros.bags.sqlite_file import FAILURES, Database, opened, words
 from rotcal_ros.bags.sqlite_salvage import salvaged
 from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
 from rotcal_ros.errors import BagError
@@ -141,8 +141,8 @@ class SqliteScan(Scan):
                     batch, size = [], 0
                 if room < 0:
                     raise sqlite3.DatabaseError("it holds more than its size allows")
-        except sqlite3.Error as error:
-            self._damages.append(Damage(0, f"the database cannot be read further: {error}"))
+        except FAILURES as error:
+            self._damages.append(Damage(0, f"the database cannot be read further: {words(error)}"))
         if batch:
             yield _block(batch)
 

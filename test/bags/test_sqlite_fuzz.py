@@ -48,10 +48,10 @@ def judged_by_sqlite(path: Path, scratch: Path) -> tuple[bool, Counter[bytes]]:
         database.text_factory = bytes
         try:
             intact = database.execute("PRAGMA integrity_check").fetchall() == [(b"ok",)]
-        except sqlite3.Error:
+        except (sqlite3.Error, UnicodeDecodeError):
             intact = False
         for row_id in (*range(1, N_MESSAGES + 1), 2**63 - 1, -(2**63)):
-            with suppress(sqlite3.Error):
+            with suppress(sqlite3.Error, UnicodeDecodeError):
                 found = database.execute(_ROW, (row_id,))
                 rows.update(data for (data,) in found if isinstance(data, bytes))
     return intact, rows
@@ -63,7 +63,7 @@ def is_no_bag(path: Path) -> bool:
         try:
             database.execute("SELECT id, topic_id, timestamp, data FROM messages LIMIT 1")
             database.execute("SELECT id, name, type FROM topics")
-        except sqlite3.Error:
+        except (sqlite3.Error, UnicodeDecodeError):
             return True
         kinds = database.execute(
             "SELECT count(*) FROM sqlite_master WHERE type = 'table' AND sql NOT LIKE"

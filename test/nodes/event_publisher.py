@@ -4,6 +4,7 @@ Standard output gets one line of JSON: what the recorder answered when it was st
 """
 
 import json
+import sys
 
 import rclpy
 from rclpy.node import Node
@@ -33,8 +34,7 @@ for _ in range(PUBLISHED):
     rclpy.spin_once(node, timeout_sec=0.01)
 publisher.wait_for_all_acked()
 stopped = answer(StopRecording, "stop_recording", StopRecording.Request())
-print(
-    json.dumps({"started": started.success, "stopped": stopped.success, "said": stopped.message}),
-    flush=True,
-)
+said = {"started": started.success, "stopped": stopped.success, "said": stopped.message}
+sys.stdout.write(json.dumps(said) + "\n")
+sys.stdout.flush()
 rclpy.shutdown()
