@@ -109,7 +109,5 @@ def _connected(path: Path, how: str) -> sqlite3.Connection:
 
 def _damage(line: str, page_size: int) -> Damage:
     page = _AT_PAGE.search(line)
-    return Damage(
-        (int(page[1]) - 1) * page_size if page else 0,
-        f"the database: {line.encode('unicode_escape').decode()}",
-    )
+    what = line.encode("unicode_escape").decode()
+    return Damage((int(page[1]) - 1) * page_size if page else 0, f"the database: {what}")

@@ -9,7 +9,6 @@ from bag_samples import STORE, open_writer
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
-from sqlite_mutations import payloads, write_bag
 
 from rotcal_ros.bags.reader import check_files
 from rotcal_ros.bags.repair import repair
@@ -48,17 +47,3 @@ def test_it_is_checked_repaired_and_read_by_others(bag: Path, tmp_path: Path) ->
     (after,) = repair(bag, tmp_path / "good").after
     assert after.topics["/cell/event"].messages == 3
     read_by_others(tmp_path / "good")
-
-
-@pytest.mark.parametrize("version", [1, 2, 3, 4])
-def test_sqlite_of_all_versions_is_read_and_repaired(version: int, tmp_path: Path) -> None:
-    messages = payloads(40)
-    write_bag(tmp_path / "bag.db3", messages, version)
-    (verdict,) = check_files((tmp_path / "bag.db3",))
-    assert (verdict.state, verdict.messages) == ("complete", 40)
-    repair(tmp_path / "bag.db3", tmp_path / "good")
-    with AnyReader([tmp_path / "good"]) as reader:
-        assert [bytes(data) for _, _, data in reader.messages()] == messages
-        assert sum(len(c.ext.offered_qos_profiles) for c in reader.connections) == (
-            2 if version >= 2 else 0
-        )
