@@ -88,8 +88,8 @@ def text(value: object) -> str:
 
 def words(error: Exception) -> str:
     """Return what a failure says, in one line of visible characters."""
-    said = "its texts are damaged" if isinstance(error, UnicodeDecodeError) else str(error)
-    return said.encode("unicode_escape").decode()
+    complaint = "its texts are damaged" if isinstance(error, UnicodeDecodeError) else str(error)
+    return complaint.encode("unicode_escape").decode()
 
 
 def _connected(path: Path, how: str) -> sqlite3.Connection:
