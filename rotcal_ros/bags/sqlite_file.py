@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import sqlite3
+import sys
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -96,7 +97,8 @@ def _connected(path: Path, how: str) -> sqlite3.Connection:
     address = quote_from_bytes(bytes(path.absolute()))
     connection = sqlite3.connect(f"file:{address}?{how}", uri=True, isolation_level=None)
     connection.text_factory = bytes
-    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * MAX_RECORD)
+    if sys.version_info >= (3, 11):
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * MAX_RECORD)
     # What a stranger's schema says must not run, nor take its time.
     for pragma in (
         "trusted_schema = OFF",

@@ -56,8 +56,9 @@ class LeafPages:
             _, _, count, _, _ = _LEAF_HEADER.unpack_from(page, begin)
             first = begin + _LEAF_HEADER.size
             for place in range(first, min(first + 2 * count, len(page) - 1), 2):
+                pointer = int.from_bytes(page[place : place + 2], "big")
                 with suppress(_NoRow):
-                    yield self._row(page, int.from_bytes(page[place : place + 2], "big"))
+                    yield self._row(page, pointer % self.page_size)  # as sqlite3 takes it
 
     def _page(self, offset: int) -> bytes:
         """Return a page, or what is left of it at the end of a cut file."""

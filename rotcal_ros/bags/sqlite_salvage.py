@@ -33,6 +33,10 @@ _ENCODINGS: Final = (b"ros2msg", b"ros2idl", b"unknown", b"")
 _MAX_READ: Final = 4
 """Bytes that are read for each byte of the file: a tree may lead to a page twice, and for ever."""
 _LEAST_ROW: Final = 4
+_INSERT_OTHER: Final = (
+    "INSERT INTO messages SELECT NULL, ?, ?, ? WHERE NOT EXISTS (SELECT 1 FROM messages"
+    " WHERE id = ? AND topic_id IS ? AND timestamp IS ? AND data IS ?)"
+)
 
 
 @contextmanager
@@ -56,19 +60,25 @@ def salvaged(damaged: Database) -> Iterator[Database]:
                     _copy(target, table, _selected(damaged, table, order))
             with damaged.file.open("rb") as file:
                 for row_id, values in _likeliest(file).rows():
-                    if table := _table_of(values):
-                        _copy(target, table, [(row_id, values[1 : len(TABLES[table]) + 1])])
+                    if found := _table_of(values):
+                        _copy(target, found, [(row_id, values[1 : len(TABLES[found]) + 1])])
             target.execute("COMMIT")
             yield Database(target, path)
 
 
 def _copy(target: sqlite3.Connection, table: str, rows: Iterable[Row]) -> None:
-    """Insert rows whose ids are new; columns at the end may be missing."""
+    """Insert rows whose ids are new; columns at the end may be missing.
+
+    Another message with the id of one that is there already got it by damage: it gets a new one.
+    """
     columns = TABLES[table]
     statement = f"INSERT OR IGNORE INTO {table} VALUES (?{',?' * len(columns)})"
     missing = (None,) * len(columns)
     for row_id, values in rows:
-        target.execute(statement, (row_id, *values, *missing[len(values) :]))
+        whole = (*values, *missing[len(values) :])
+        added = target.execute(statement, (row_id, *whole)).rowcount
+        if not added and table == "messages":
+            target.execute(_INSERT_OTHER, (*whole, row_id, *whole))
 
 
 def _selected(source: Database, table: str, order: str) -> Iterator[Row]:
@@ -112,8 +122,8 @@ def _likelihood(pages: LeafPages) -> int:
 
 def _table_of(values: tuple[Value, ...]) -> str | None:
     """Return the table that a row without its name belongs to, by its form."""
-    if len(values) < 3 or values[0] is not None:
-        return None
+    if len(values) < 3 or not isinstance(values[0], int | None):
+        return None  # the first column repeats the row id, mostly as NULL
     _, first, second, *others = values
     if isinstance(first, int) and isinstance(second, int):
         return "messages" if others and isinstance(others[0], bytes) else None
