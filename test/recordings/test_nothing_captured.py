@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
-
-sys.path.append(str(Path(__file__).parents[1] / "bags"))
-
 import bag_samples as samples
+import pytest
 from bag_samples import START_NS, TYPES, Run, encode, serialised
 
 from rotcal_ros.bags import names
@@ -121,8 +117,3 @@ def test_a_bad_topic_does_not_cost_the_others(tmp_path: Path, simulated_run: Run
     recording = read_recording(tmp_path / "bag")
     assert recording.observations == tuple(simulated_run.observations)
     assert any("a/msg/B contains itself" in warning for warning in recording.warnings())
-
-
-@pytest.fixture(scope="module")
-def simulated_run() -> Run:
-    return samples.simulate()
