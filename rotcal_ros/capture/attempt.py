@@ -35,13 +35,21 @@ class Streams:
     """The streams that an attempt is judged by.
 
     ``since_ns`` is the stamp of the first probe sample. What was read of the air before it is not
-    used: how much of it there is depends on when somebody began to listen.
+    used: how much of it there is depends on when somebody began to listen; nor is what was read
+    before a clock was set back. ``counted_from`` is the epoch and the stamp from which the
+    segments of the beam are counted.
     """
 
     tracer: TracerStream
     table: Stream
     air: AirStreams
     since_ns: int | None = None
+    counted_from: tuple[int, int] | None = None
+
+    def begin(self, stamp_ns: int) -> None:
+        """Take the first probe sample, of all or since a clock was set back."""
+        self.since_ns = stamp_ns
+        self.counted_from = self.counted_from or (self.tracer.beam.epoch, stamp_ns)
 
     def by_name(self) -> dict[str, Stream]:
         """Return the streams, fastest first."""

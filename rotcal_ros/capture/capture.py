@@ -45,7 +45,8 @@ class Capture:
     that the decision needs, whichever of them arrives first; attempts come out in the order of
     their probe samples. As long as no stream arrives more than ``clock_tolerance_s`` (machine
     time) behind another, equal streams give equal observations to the last bit. A stream that
-    falls further behind rejects the attempt: it is silent, or stamped by another clock.
+    falls further behind rejects the attempt: it is silent, or stamped by another clock. Where a
+    clock is set back, what was undecided is rejected and what was before it is forgotten.
 
     ``rules`` are those of the method; ``run`` is the number of the run that is captured;
     ``required_air`` names what of the air an observation is useless without. Nor does
@@ -76,6 +77,7 @@ class Capture:
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
         self._probe_stamp: int | None = None
+        self._set_backs = 0
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
         self._waiting: Wait | None = None
@@ -188,7 +190,7 @@ class Capture:
     def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
         step = self._plan.steps[sample.step]
         if self._streams.since_ns is None:
-            self._streams.since_ns = sample.stamp_ns
+            self._streams.begin(sample.stamp_ns)
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
@@ -237,6 +239,7 @@ class Capture:
         for stream in self._streams.by_name().values():
             stream.flush()
             stream.wait(NEVER)
+        self._look_for_set_backs()
         decided: list[Observation] = []
         while self._pending:
             outcome = self._outcome(self._pending[0])
@@ -248,6 +251,23 @@ class Capture:
                 outcome = check(outcome)
             decided.append(outcome)
         return tuple(decided)
+
+    def _look_for_set_backs(self) -> None:
+        """Begin anew where the clock of the readings or the feedback was set back."""
+        fast = (self._streams.tracer, self._streams.table)
+        count = sum(stream.counts.set_back for stream in fast)
+        if count == self._set_backs:
+            return
+        self._set_backs = count
+        stream = max(fast, key=lambda s: s.counts.set_back)
+        reason = (
+            f"the stamps of the {self._name(stream)} went back by "
+            f"{seconds(stream.set_back_ns):.3g} s: their clock was set"
+        )
+        for attempt in self._pending:
+            attempt.refusal = attempt.refusal or reason
+        self._streams.air.begin_anew()
+        self._streams.since_ns = self._probe_stamp = None
 
     def _outcome(self, attempt: Attempt) -> Observation | Wait:
         """Return the observation of an attempt, or what it waits for."""

@@ -18,7 +18,9 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.nodes.clock_news import ClockNews
 from rotcal_ros.nodes.draining import Batch, DrainedSubscription
+from rotcal_ros.nodes.steady import steady_timer
 
 BEAT_PERIOD_S: Final = 0.2
 DIAGNOSTICS_PERIOD_S: Final = 1.0
@@ -97,13 +99,14 @@ class Health:
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
         self.concerns: dict[str, str] = {}
+        self.clock = ClockNews(node.get_logger())
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
             node, DiagnosticStatus, "heartbeat", QoSProfile(depth=100), self.guarded(self._hear)
         )
-        node.create_timer(BEAT_PERIOD_S, self.guarded(self._beat))
-        node.create_timer(DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
+        steady_timer(node, BEAT_PERIOD_S, self.guarded(self._beat))
+        steady_timer(node, DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Keep an exception in ``callback`` from ending the node: count it, log it once."""
@@ -168,6 +171,7 @@ class Health:
                 self.others[status.name] = status
 
     def _beat(self) -> None:
+        self.clock.look()
         self.beat()
         silent = self._roll.silent(time.monotonic())
         for name in silent.keys() - self.lost.keys():
@@ -187,8 +191,9 @@ class Health:
         trouble: dict[str, object] = dict(self.errors)
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
-        rest = DiagnosticStatus.WARN if self.concerns else DiagnosticStatus.OK
-        further = {**self.concerns, **trouble}
+        concerns = self.concerns | self.clock.concerns
+        rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
+        further = {**self.clock.values(), **concerns, **trouble}
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),

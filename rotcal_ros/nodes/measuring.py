@@ -118,7 +118,9 @@ class Measuring:
         captured = False
         for number in range(limit):
             key = (index, first + number)
-            if await self._observed(key, number):
+            jumps = self._watch.clock_jumps()
+            observed = await self._observed(key, number)
+            if self._watch.clock_jumps() == jumps and observed:
                 captured = True
                 if not await self._lost(key):
                     break

@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.steady import wake_after_jumps
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 """Environment variable: process id of a supervisor that the node must not outlive."""
@@ -79,6 +80,7 @@ def _spin(make: Callable[[], CellNode]) -> None:
         node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        wake_after_jumps(executor)
         with suppress(ExternalShutdownException):
             while not end and not node.finished():
                 executor.spin_once(timeout_sec=_TURN_S)
