@@ -2,7 +2,7 @@
 
 It reads the configuration from a file, sends one goal and prints one JSON object per line:
 ``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``paused``, ``resumed``,
-``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
+``warning``, ``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
 
 ``paused`` comes once for every work that a person has to do; a line ``resume`` on standard input,
 or the planner's service of that name, goes on.
@@ -41,6 +41,7 @@ class Client:
         self._spoken_s = time.monotonic()
         self._listening = True
         self._shown: Feedback | None = None
+        self._jumped: set[str] = set()
 
     def run(self) -> None:
         """Wait for the planner, send the goal and follow it."""
@@ -84,6 +85,7 @@ class Client:
             done = self._calibrator.is_done(PERIOD_S)
             self._show(self._calibrator.feedback())
             self._listen()
+            self._warn()
             self._live()
         return self._calibrator.result()
 
@@ -91,6 +93,14 @@ class Client:
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
             _say("alive", planner=self._calibrator.planner_state)
+
+    def _warn(self) -> None:
+        """Tell of a jump of the clock once, though all nodes of one machine do."""
+        for number, text in enumerate(self._calibrator.clock_jumps()):
+            how_far, _, _ = text.partition(" at ")
+            if text not in self._jumped and (number == 0 or how_far not in self._jumped):
+                _say("warning", text=text)
+            self._jumped |= {text, how_far}
 
     def _show(self, feedback: Feedback | None) -> None:
         if feedback is None or feedback is self._shown:

@@ -43,3 +43,10 @@ class ClockNews:
 def jumps_told(beats: Iterable[Mapping[str, str]]) -> int:
     """Return how many jumps the values of beats tell of, all together."""
     return sum(int(values.get(JUMPS, 0)) for values in beats)
+
+
+def jumps_in_words(health: Any) -> tuple[str, ...]:
+    """Return what nodes tell of great jumps of their clocks, the node of ``health`` first."""
+    health.clock.look()
+    told = [health.clock.concerns, *map(health.values, health.others)]
+    return tuple(values[JUMP] for values in told if JUMP in values)

@@ -20,6 +20,7 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.clock_news import ClockNews
 from rotcal_ros.nodes.draining import Batch, DrainedSubscription
+from rotcal_ros.nodes.memory import end_without_memory
 from rotcal_ros.nodes.steady import steady_timer
 
 BEAT_PERIOD_S: Final = 0.2
@@ -79,8 +80,7 @@ class Health:
     ``lost`` is name -> silence (s) of the others that fell silent, as of the last beat,
     ``concerns`` what a person should look at.
     ``report`` returns (state in words, values) at any time for every beat; without it the node
-    only listens, and nobody will miss it.
-    ``on_lost`` is called once for every other node that falls silent, with its name.
+    only listens, and nobody will miss it. ``on_lost`` is called once for every other node that falls silent, with its name.
     """
 
     def __init__(
@@ -122,7 +122,9 @@ class Health:
         return run
 
     def note_error(self, where: str, error: Exception) -> None:
-        """Count an error; log the first of its kind in full."""
+        """Count an error; log the first of its kind in full. Without memory the node ends."""
+        if isinstance(error, MemoryError):
+            end_without_memory(f"{self._node.get_name()}: {where}")
         kind = f"{where}: {type(error).__name__}"
         self.errors[kind] += 1
         if self.errors[kind] == 1:

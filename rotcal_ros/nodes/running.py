@@ -18,6 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.memory import end_without_memory
 from rotcal_ros.nodes.steady import wake_after_jumps
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
@@ -42,6 +43,8 @@ def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE)
     except RotcalError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(error.exit_code)
+    except MemoryError:
+        end_without_memory(sys.argv[0])
     sys.exit(0)
 
 

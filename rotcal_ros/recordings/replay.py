@@ -34,6 +34,7 @@ from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.foreign import StepFinder
+from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 from rotcal_ros.results import Result
@@ -52,7 +53,8 @@ class Recording:
     had published; ``counts`` is what the capture counted per stream (empty when the
     observations were taken from the bag), ``broken`` the messages per topic that could not be
     decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
-    ``announced`` which tables the cell announced to be in force.
+    ``announced`` which tables the cell announced to be in force, ``clock`` how the system clock
+    jumped, in words.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -71,6 +73,7 @@ class Recording:
     attachments: Mapping[str, bytes]
     choices: tuple[RecordedChoice, ...] = ()
     announced: frozenset[str] = frozenset()
+    clock: tuple[str, ...] = ()
 
     @property
     def configuration(self) -> Configuration:
@@ -142,6 +145,7 @@ class Recording:
         """Return what the reader of a result must know about the bag."""
         texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
+        texts += self.clock
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
@@ -199,6 +203,7 @@ def read_recording(
         attachments=attachments,
         choices=tuple(found.choices),
         announced=frozenset(found.announced),
+        clock=clock_in_words(found.scans, found.log_times),
     )
 
 
@@ -211,6 +216,7 @@ class _Found:
     choices: list[RecordedChoice] = field(default_factory=list)
     announced: set[str] = field(default_factory=set)
     scans: list[Scan] = field(default_factory=list)
+    log_times: LogTimes = field(default_factory=LogTimes)
     decoders: Decoders = field(default_factory=dict)
 
 
@@ -229,6 +235,7 @@ def _read(
         before, run = run, scan.metadata.get(names.RUN, {}).get("number", run)
         if feeder is not None and run != before:
             feeder.begin_run(int(run))
+        found.log_times.look(block)
         parts = topics.split(block, scan.channels, found.decoders)
         for part in parts:
             if part.role == names.OBSERVATION:

@@ -24,6 +24,8 @@ SILENCE_TIMEOUT_S: Final = 60.0
 """The client reports every second; after this silence it hangs."""
 CANCEL_TIMEOUT_S: Final = 25.0
 _POLL_S: Final = 0.2
+_LOST: Final = 603
+"""Error code of the action: a node is lost."""
 _USAGE_ERRORS: Final = (601, 602)
 """Error codes of the action that the user cures before the next start: bad configuration,
 topic missing."""
@@ -62,7 +64,14 @@ def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:
     """Run the nodes until the client reports the result."""
     with running(session) as nodes:
         try:
-            return _follow(nodes, Person(session.configuration, at_once), viewers)
+            outcome = _follow(nodes, Person(session.configuration, at_once), viewers)
+            if outcome["error_code"]:
+                outcome["error_msg"] += "".join(f"; {death}" for death in nodes.deaths())
+            return outcome
+        except DataError as error:  # the client itself is lost, and the nodes with it
+            bag = session.folder.bag
+            lost = {"error_code": _LOST, "error_msg": "; ".join([str(error), *nodes.deaths()])}
+            return {**lost, "bag_folder": str(bag) if bag.is_dir() else ""}
         except KeyboardInterrupt:
             viewers.say("canceling: the bag is being closed")
             nodes.cancel()
@@ -121,10 +130,19 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
             if event["event"] in ("result", "refused", "end"):
                 return _ending(nodes, event, begun)
             begun = begun or event["event"] == "started"
+            if event["event"] == "warning":
+                _warn(event["text"], display, viewers)
+                continue
             viewers.publish(event)
             display.line(person.hear(event))
             if event["event"] == "feedback":
                 display.feedback(event)
+
+
+def _warn(text: str, display: Display, viewers: Viewers) -> None:
+    """Show what a person should know, here and to viewers."""
+    display.line(f"warning: {text}")
+    viewers.publish({"event": "line", "text": f"warning: {text}"})
 
 
 def _tell_page(address: str, display: Display, viewers: Viewers) -> None:

@@ -1,0 +1,18 @@
+"""The end of a node whose memory is used up: at once, as if it was killed, but with the reason."""
+
+from __future__ import annotations
+
+import os
+from typing import Final, NoReturn
+
+OUT_OF_MEMORY: Final = 71
+"""Exit code of such a process."""
+
+
+def end_without_memory(where: str) -> NoReturn:
+    """Write the reason and end this process: whatever else it did could be half done.
+
+    The others notice its silence; a bag is sound up to its last chunk, as after any kill.
+    """
+    os.write(2, f"out of memory ({where})\n".encode())
+    os._exit(OUT_OF_MEMORY)
