@@ -34,8 +34,8 @@ class ClockJump:
 
     def in_words(self) -> str:
         """Return what happened and when, in UTC."""
-        at = _EPOCH + timedelta(microseconds=self.at_ns // 1000)
-        return f"the system clock jumped by {self.ahead_ns / 1e9:+.1f} s at {at:%Y-%m-%dT%H:%M:%SZ}"
+        at = f"{_EPOCH + timedelta(microseconds=self.at_ns // 1000):%Y-%m-%dT%H:%M:%SZ}"
+        return f"the system clock jumped by {self.ahead_ns / 1e9:+.1f} s at {at}"
 
 
 class ClockWatch:

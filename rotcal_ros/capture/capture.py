@@ -217,11 +217,12 @@ class Capture:
             return f"probe stamps go backwards: {back:.3g} s before the sample before it"
         fast = (self._streams.tracer.latest, self._streams.table.latest)
         behind_ns = max((at for at in fast if at is not None), default=0) - sample.stamp_ns
-        if behind_ns > self._tolerance_ns:
+        allowed_s = self._settings.clock_tolerance_s + self._settings.step_timeout_s
+        if behind_ns > nanoseconds(allowed_s):
             self._probe.backwards += 1
             return (
-                f"the probe is stamped {seconds(behind_ns):.3g} s behind the other streams, allowed "
-                f"{self._settings.clock_tolerance_s:g} s: another clock, or one of them was set"
+                f"the probe is stamped {seconds(behind_ns):.3g} s behind the other streams, "
+                f"allowed {allowed_s:g} s: another clock, or one of them was set"
             )
         if not all(map(isfinite, sample.position)):
             self._probe.non_finite += 1
@@ -260,7 +261,7 @@ class Capture:
         return tuple(decided)
 
     def _admit(self) -> None:
-        """Admit what is staged; begin anew where the clock of readings or feedback was set back."""
+        """Admit what is staged; begin anew where a clock was set back."""
         for stream in self._streams.by_name().values():
             stream.flush()
             stream.wait(NEVER)

@@ -25,7 +25,6 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import RotcalError
-from rotcal_ros.nodes.clock_news import jumps_in_words
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.outcome import Feedback, Outcome, text_of
 from rotcal_ros.nodes.peer import Peer
@@ -36,9 +35,9 @@ ANSWER_TIMEOUT_S: Final = 10.0
 PLANNER_TIMEOUT_S: Final = 5.0
 """Silence of the planner after which nothing is expected of it; a script is in no hurry."""
 _GRACE_S: Final = 0.5
-"""Time for a result on its way when the planner has left."""
+"""Time for a result that is on its way when the planner has left."""
 _ON_ITS_WAY_S: Final = 0.1
-"""... and for a feedback when a pause has ended."""
+"""Time for a feedback that is on its way when a pause has ended."""
 
 
 class CalibratorError(RotcalError):
@@ -65,7 +64,7 @@ class Calibrator:
         self.node = self._peer.node
         self._action = ActionClient(self.node, Calibrate, "calibrate")
         self._resume = self.node.create_client(Trigger, "resume")
-        self._health = Health(self.node, None, timeout_s=PLANNER_TIMEOUT_S)
+        self.health = Health(self.node, None, timeout_s=PLANNER_TIMEOUT_S)
         self._handle: Any = None
         self._answer: Any = None
         self._feedback: Feedback | None = None
@@ -75,11 +74,7 @@ class Calibrator:
     @property
     def planner_state(self) -> str:
         """What the planner says it is doing; empty when it was never heard."""
-        return self._health.state("planner")
-
-    def clock_jumps(self) -> tuple[str, ...]:
-        """Return what nodes tell of their clocks' jumps, this one first, in words."""
-        return jumps_in_words(self._health)
+        return self.health.state("planner")
 
     def is_ready(self, timeout_s: float = 0.1) -> bool:
         """Wait for the planner; return whether it is there."""
@@ -178,7 +173,7 @@ class Calibrator:
 
     def _found(self) -> Outcome | None:
         """Return how the goal ended, be it that its planner is lost."""
-        silent = bool(self._health.missing(["planner"]))
+        silent = bool(self.health.missing(["planner"]))
         if silent:
             self._peer.work_until(self._answer.done, _GRACE_S)
         if self._answer.done():

@@ -23,6 +23,7 @@ from typing import Any, Final
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
+from rotcal_ros.nodes.clock_news import jumps_in_words
 from rotcal_ros.nodes.outcome import Feedback, Outcome
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
@@ -96,11 +97,11 @@ class Client:
 
     def _warn(self) -> None:
         """Tell of a jump of the clock once, though all nodes of one machine do."""
-        for number, text in enumerate(self._calibrator.clock_jumps()):
+        for text in jumps_in_words(self._calibrator.health):
             how_far, _, _ = text.partition(" at ")
-            if text not in self._jumped and (number == 0 or how_far not in self._jumped):
+            if how_far not in self._jumped:
                 _say("warning", text=text)
-            self._jumped |= {text, how_far}
+            self._jumped.add(how_far)
 
     def _show(self, feedback: Feedback | None) -> None:
         if feedback is None or feedback is self._shown:

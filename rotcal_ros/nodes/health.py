@@ -80,7 +80,8 @@ class Health:
     ``lost`` is name -> silence (s) of the others that fell silent, as of the last beat,
     ``concerns`` what a person should look at.
     ``report`` returns (state in words, values) at any time for every beat; without it the node
-    only listens, and nobody will miss it. ``on_lost`` is called once for every other node that falls silent, with its name.
+    only listens, and nobody will miss it. ``on_lost`` is called once for every other node that
+    falls silent, with its name.
     """
 
     def __init__(
@@ -123,8 +124,7 @@ class Health:
 
     def note_error(self, where: str, error: Exception) -> None:
         """Count an error; log the first of its kind in full. Without memory the node ends."""
-        if isinstance(error, MemoryError):
-            end_without_memory(f"{self._node.get_name()}: {where}")
+        end_without_memory(error, where)
         kind = f"{where}: {type(error).__name__}"
         self.errors[kind] += 1
         if self.errors[kind] == 1:
@@ -193,7 +193,7 @@ class Health:
         trouble: dict[str, object] = dict(self.errors)
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
-        concerns = self.concerns | self.clock.concerns
+        concerns = self.clock.concerns | self.concerns
         rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
         further = {**self.clock.values(), **concerns, **trouble}
         return DiagnosticStatus(

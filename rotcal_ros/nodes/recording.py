@@ -145,9 +145,8 @@ class Recording:
                     self._writer.tick(time.monotonic_ns())
             except BagError as error:
                 self.error = str(error)
-            except MemoryError:
-                end_without_memory("bag writer")
             except Exception as error:
+                end_without_memory(error, "bag writer")
                 self.error = f"unexpected failure of the bag writer: {error!r}"
 
     def _sync(self, receipt: Receipt) -> None:

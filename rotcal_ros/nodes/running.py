@@ -43,8 +43,8 @@ def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE)
     except RotcalError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(error.exit_code)
-    except MemoryError:
-        end_without_memory(sys.argv[0])
+    except MemoryError as error:
+        end_without_memory(error, "executor")
     sys.exit(0)
 
 

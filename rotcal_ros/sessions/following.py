@@ -68,10 +68,8 @@ def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:
             if outcome["error_code"]:
                 outcome["error_msg"] += "".join(f"; {death}" for death in nodes.deaths())
             return outcome
-        except DataError as error:  # the client itself is lost, and the nodes with it
-            bag = session.folder.bag
-            lost = {"error_code": _LOST, "error_msg": "; ".join([str(error), *nodes.deaths()])}
-            return {**lost, "bag_folder": str(bag) if bag.is_dir() else ""}
+        except DataError as error:  # the client itself is lost
+            return {"error_code": _LOST, "error_msg": "; ".join([str(error), *nodes.deaths()])}
         except KeyboardInterrupt:
             viewers.say("canceling: the bag is being closed")
             nodes.cancel()
@@ -189,8 +187,9 @@ def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[s
 def _fail(session: Session, outcome: Event) -> NoReturn:
     """Raise the error that ended the calibration, with what is left to use."""
     text = str(outcome["error_msg"])
-    if outcome.get("bag_folder"):
-        text += f"; everything up to there is in {outcome['bag_folder']}"
+    bag = session.folder.bag  # a lost planner cannot tell of it
+    if outcome.get("bag_folder") or (bag.is_dir() and any(bag.iterdir())):
+        text += f"; everything up to there is in {outcome.get('bag_folder') or bag}"
         text += f"; go on with: {session.resume_command}"
     text += f"; logs: {session.log_folder}"
     raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)
