@@ -81,6 +81,7 @@ class GoalWatch:
     nodes: set[str] = field(default_factory=set)
     recording: bool = False
     _stream_beat: object = None
+    _bag_open: bool = False
 
     def tell(self, activity: str) -> None:
         """Show what is done now."""
@@ -129,6 +130,12 @@ class GoalWatch:
             state = self.links.health.state("recorder")
             if state.startswith(RECORDING_FAILED):
                 raise GoalError(Codes.RECORDER_FAILED, f"{state}, {place}")
+            self._bag_open |= state == "recording"
+            if self._bag_open and state == "idle":
+                raise GoalError(
+                    Codes.RECORDER_FAILED,
+                    f"the recorder has closed the bag {place}: node planner stood still too long",
+                )
             self._check_streams(place)
 
     def _check_streams(self, place: str) -> None:

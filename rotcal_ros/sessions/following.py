@@ -180,7 +180,7 @@ def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[s
         tail = nodes.log_tail(CLIENT)
         if not begun:  # the nodes fail for the same reason, but may take longer to say so
             raise ConfigurationError(f"node client ended at its start:\n{tail}")
-        raise DataError(f"the client ended without a result\n{tail}")
+        raise DataError(f"the client ended without a result\n{tail}".rstrip())
     return event
 
 
