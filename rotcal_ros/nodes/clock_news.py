@@ -48,5 +48,5 @@ def jumps_told(beats: Iterable[Mapping[str, str]]) -> int:
 def jumps_in_words(health: Any) -> tuple[str, ...]:
     """Return what nodes tell of great jumps of their clocks, the node of ``health`` first."""
     health.clock.look()
-    told = [health.clock.concerns, *map(health.values, health.others)]
-    return tuple(values[JUMP] for values in told if JUMP in values)
+    beats = [health.clock.concerns, *map(health.values, health.others)]
+    return tuple(values[JUMP] for values in beats if JUMP in values)
