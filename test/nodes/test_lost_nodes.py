@@ -52,7 +52,7 @@ def starve(pid):
 def test_a_lost_node_ends_the_run_with_the_reason_and_it_goes_on(rotcal, tmp_path, how, node):
     folder, log = tmp_path / "run", tmp_path / "run.log"
     quiet = ("--no-report", "--no-export", "--no-page")
-    changes = ("simulation.time_scale=4.0",)
+    changes = ("simulation.time_scale=8.0",)
     process = rotcal("-o", folder, *quiet, log=log, changes=changes)
     wait_until(lambda: "6 of 60 steps" in log.read_text(), "some steps are measured")
     pid = process_of(process.pid, node)
@@ -71,6 +71,8 @@ def test_a_lost_node_ends_the_run_with_the_reason_and_it_goes_on(rotcal, tmp_pat
     recording = read_recording(folder / "bag")
     before = {o.step for o in recording.recorded if o.accepted}
     assert before
+    if how == "starved" and not LONG:
+        return  # the other case goes on
     (command,) = re.findall(r"go on with: rotcal (run .*?);", text)
     again = subprocess.run(
         [sys.executable, "-m", "rotcal_ros.cli.main", *command.split(), *quiet],
