@@ -59,7 +59,14 @@ class AirStreams:
     """One stream of one column for each quantity, by name."""
 
     def __init__(self, clock_tolerance_ns: int) -> None:
+        self._tolerance_ns = clock_tolerance_ns
         self.by_name = {q.name: Stream(1, clock_tolerance_ns) for q in QUANTITIES.values()}
+
+    def begin_anew(self) -> None:
+        """Forget what was read before a clock was set back; what was counted stays."""
+        for name, stream in self.by_name.items():
+            self.by_name[name] = anew = Stream(1, self._tolerance_ns)
+            anew.counts = stream.counts
 
     def stage(self, sample: AirSample) -> bool:
         """Take a sample; return whether a decision may be due."""

@@ -35,13 +35,31 @@ class Streams:
     """The streams that an attempt is judged by.
 
     ``since_ns`` is the stamp of the first probe sample. What was read of the air before it is not
-    used: how much of it there is depends on when somebody began to listen.
+    used: how much of it there is depends on when somebody began to listen; nor is what was read
+    before a clock was set back. ``counted_from`` is the epoch and the stamp from which the
+    segments of the beam are counted, ``settled_ns`` the stamp from which all streams have followed
+    a clock that was set back.
     """
 
     tracer: TracerStream
     table: Stream
     air: AirStreams
     since_ns: int | None = None
+    counted_from: tuple[int, int] | None = None
+
+    settled_ns: int = 0
+
+    def begin(self, stamp_ns: int) -> None:
+        """Take a probe sample that begins an attempt."""
+        self.since_ns = stamp_ns if self.since_ns is None else self.since_ns
+        self.counted_from = self.counted_from or (self.tracer.beam.epoch, stamp_ns)
+
+    def begin_anew(self, settling_ns: int) -> None:
+        """Forget the air that was read before the clock of a stream was set back."""
+        self.air.begin_anew()
+        set_back = (s for s in (self.tracer, self.table) if s.counts.set_back)
+        newest = max(s.forgotten for s in set_back if s.forgotten is not None)
+        self.since_ns = self.settled_ns = newest + settling_ns
 
     def by_name(self) -> dict[str, Stream]:
         """Return the streams, fastest first."""

@@ -23,12 +23,14 @@ class Beam:
     """Finds, in readings that come in the order of their stamps, where segments begin.
 
     ``silence_s``: readings missing for longer may hide a break; ``fastest``: largest speed of the
-    length, m/s. However the readings are cut into pieces, the segments are the same.
+    length, m/s. However the readings are cut into pieces, the segments are the same. ``epoch`` is
+    how often the clock of the readings was set back; their zero outlives that.
     """
 
     def __init__(self, silence_s: float, fastest: float) -> None:
         self._silence_ns, self._fastest = silence_s / NANOSECOND, fastest
-        self._begins: list[int] = []
+        self.epoch = 0
+        self._begins: list[tuple[int, int]] = []  # epoch and stamp
         self._last: tuple[int, float] | None = None  # the last reading
         self._good: tuple[int, float] | None = None  # stamp and length of the last usable one
         self._lost = False
@@ -41,9 +43,10 @@ class Beam:
             return
         if self._last is None:
             self._last = int(stamps[0]), float(sequence[0]) - 1.0
+        self.epoch += int(stamps[0]) < self._last[0]
         number = np.append(self._last[1], sequence)
         steps = np.diff(number).astype(np.int64) % WRAP
-        pause = np.diff(np.append(self._last[0], stamps))
+        pause = np.abs(np.diff(np.append(self._last[0], stamps)))
         anew = (steps == 0) | (steps >= WRAP // 2)
         silent = (steps > 1) & (pause > self._silence_ns)
         lost = np.cumsum(broken | anew | silent)
@@ -60,18 +63,23 @@ class Beam:
         first = self._good or (int(stamps[0]), float(length[0]))
         before = -1 if self._lost else 0
         moved = np.abs(np.diff(np.append(first[1], length)))
-        time = np.diff(np.append(first[0], stamps)) * NANOSECOND
+        time = np.abs(np.diff(np.append(first[0], stamps))) * NANOSECOND
         new = (np.diff(np.append(before, lost)) > 0) | (moved > self._fastest * time)
         new[0] &= self._good is not None
-        self._begins += stamps[new].tolist()
+        self._begins += ((self.epoch, stamp) for stamp in stamps[new].tolist())
         self._good = int(stamps[-1]), float(length[-1])
 
-    def segment(self, since_ns: int, begin_ns: int, end_ns: int) -> int:
+    def segment(
+        self, since_ns: int, begin_ns: int, end_ns: int, since_epoch: int | None = None
+    ) -> int:
         """Return the number of the segment of a window, counted from ``since_ns``.
+
+        The window is one of the latest epoch; so is ``since_ns`` where nothing else is said.
 
         Windows of one unbroken beam have the same number; one that lost the beam shares its number
         with no other, because its mean has no single zero.
         """
-        before = bisect_right(self._begins, since_ns)
-        ends = (bisect_right(self._begins, stamp) for stamp in (begin_ns, end_ns))
+        epoch = self.epoch if since_epoch is None else since_epoch
+        before = bisect_right(self._begins, (epoch, since_ns))
+        ends = (bisect_right(self._begins, (self.epoch, stamp)) for stamp in (begin_ns, end_ns))
         return sum(ends) - 2 * before

@@ -33,6 +33,8 @@ Record = Command | TracerSample | TableSample | ProbeSample | AirSample
 Observations = tuple[Observation, ...]
 
 _MAX_PENDING = 64
+_SETTLED_NS: Final = 1_000_000_000
+"""What is stamped so soon behind a clock's setting back is not used: streams may follow late."""
 _WORDS: Final = {"tracer": "tracer readings", "table": "table feedbacks"}
 """What the samples of a stream are called; those of the air after their stream."""
 
@@ -45,7 +47,8 @@ class Capture:
     that the decision needs, whichever of them arrives first; attempts come out in the order of
     their probe samples. As long as no stream arrives more than ``clock_tolerance_s`` (machine
     time) behind another, equal streams give equal observations to the last bit. A stream that
-    falls further behind rejects the attempt: it is silent, or stamped by another clock.
+    falls further behind rejects the attempt: it is silent, or stamped by another clock. Where a
+    clock is set back, what was undecided is rejected and what was before it is forgotten.
 
     ``rules`` are those of the method; ``run`` is the number of the run that is captured;
     ``required_air`` names what of the air an observation is useless without. Nor does
@@ -76,6 +79,7 @@ class Capture:
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
         self._probe_stamp: int | None = None
+        self._set_backs = 0
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
         self._waiting: Wait | None = None
@@ -172,6 +176,7 @@ class Capture:
         self._probe.received += 1
         if sample.kind == PointKind.UNKNOWN:  # a position sent unasked: no attempt begins
             return ()
+        self._admit()
         newest = self._pending[-1] if self._pending else None
         if not 0 <= sample.step < len(self._plan.steps):
             self._probe.unknown_step += 1
@@ -187,8 +192,7 @@ class Capture:
 
     def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
         step = self._plan.steps[sample.step]
-        if self._streams.since_ns is None:
-            self._streams.since_ns = sample.stamp_ns
+        self._streams.begin(sample.stamp_ns)
         self._next_attempt[sample.step] = sample.attempt + 1
         if newest is not None and newest.superseded_ns is None:
             newest.superseded_ns = sample.stamp_ns
@@ -211,6 +215,15 @@ class Capture:
             self._probe.backwards += 1
             back = seconds(self._probe_stamp - sample.stamp_ns)
             return f"probe stamps go backwards: {back:.3g} s before the sample before it"
+        fast = (self._streams.tracer.latest, self._streams.table.latest)
+        behind_ns = max((at for at in fast if at is not None), default=0) - sample.stamp_ns
+        allowed_s = self._settings.clock_tolerance_s + self._settings.step_timeout_s
+        if behind_ns > nanoseconds(allowed_s):
+            self._probe.backwards += 1
+            return (
+                f"the probe is stamped {seconds(behind_ns):.3g} s behind the other streams, "
+                f"allowed {allowed_s:g} s: another clock, or one of them was set"
+            )
         if not all(map(isfinite, sample.position)):
             self._probe.non_finite += 1
             return f"probe position is not finite: {sample.position}"
@@ -234,9 +247,7 @@ class Capture:
 
     def _decide(self) -> Observations:
         """Admit what is staged and decide as many attempts as possible, the oldest first."""
-        for stream in self._streams.by_name().values():
-            stream.flush()
-            stream.wait(NEVER)
+        self._admit()
         decided: list[Observation] = []
         while self._pending:
             outcome = self._outcome(self._pending[0])
@@ -249,10 +260,32 @@ class Capture:
             decided.append(outcome)
         return tuple(decided)
 
+    def _admit(self) -> None:
+        """Admit what is staged; begin anew where a clock was set back."""
+        for stream in self._streams.by_name().values():
+            stream.flush()
+            stream.wait(NEVER)
+        fast = (self._streams.tracer, self._streams.table)
+        count = sum(stream.counts.set_back for stream in fast)
+        if count == self._set_backs:
+            return
+        self._set_backs = count
+        stream = max(fast, key=lambda s: s.counts.set_back)
+        reason = (
+            f"the stamps of the {self._name(stream)} went back by "
+            f"{seconds(stream.set_back_ns):.3g} s: their clock was set"
+        )
+        for attempt in self._pending:
+            attempt.refusal = attempt.refusal or reason
+        self._streams.begin_anew(_SETTLED_NS)
+        self._probe_stamp = None
+
     def _outcome(self, attempt: Attempt) -> Observation | Wait:
         """Return the observation of an attempt, or what it waits for."""
         if attempt.refusal:
             return attempt.rejection(attempt.refusal)
+        if attempt.begin_ns < self._streams.settled_ns and self._set_backs:
+            return attempt.rejection("begun while a clock was set back")
         outcome = self._judge(attempt)
         if not isinstance(outcome, Wait):
             return outcome

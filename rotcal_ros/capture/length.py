@@ -12,7 +12,7 @@ from rotcal_ros.capture.attempt import (
 )
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.table import arrival, departure, mean_angle, why_not_at_rest
-from rotcal_ros.capture.window import reduce_window
+from rotcal_ros.capture.window import clock_jump, reduce_window
 from rotcal_ros.observations import Observation
 
 _MEMORY = "samples of that time are no longer in memory: one stream is far behind the others"
@@ -98,12 +98,14 @@ def _observe(
     tracer = streams.tracer
     stamps, readings = tracer.stamps[first : last + 1], tracer.values[first : last + 1]
     begin_ns, end_ns = int(stamps[0]), int(stamps[-1])
-    since_ns = attempt.begin_ns if streams.since_ns is None else streams.since_ns
+    epoch, since_ns = streams.counted_from or (tracer.beam.epoch, attempt.begin_ns)
+    if jump := clock_jump(tracer, attempt.begin_ns, last):
+        return attempt.rejection(jump)
     return attempt.observation(
         reduce_window(stamps, readings, settings),
         n_samples=len(stamps),
         window_ns=(begin_ns, end_ns),
         table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
         air=streams.air_at(attempt, settings),
-        segment=tracer.beam.segment(since_ns, begin_ns, end_ns),
+        segment=tracer.beam.segment(since_ns, begin_ns, end_ns, epoch),
     )

@@ -14,7 +14,10 @@ from rotcal_ros.arrays import Floats, Stamps
 CAPACITY = 1 << 17
 """Samples that a stream remembers at least: two minutes of a 1 kHz stream."""
 
-_NEW_CLOCK_AFTER = 10  # consecutive samples beyond the tolerance: the stream had paused
+_NEW_CLOCK_AFTER = 10
+"""Samples in a row beyond the tolerance: the stream had paused; before the latest: set back,"""
+_SET_BACK_AFTER_NS = 100_000_000
+"""when they span so much time."""
 _STAGE = 4096
 NEVER = 1 << 63
 
@@ -25,7 +28,7 @@ class StreamCounts:
 
     ``lost`` counts the samples missing according to the sequence numbers, ``out_of_order``
     sequence numbers going backwards (two publishers?). Samples that are ``duplicates``, stamped
-    ``backwards`` or by a ``foreign_clock`` are dropped.
+    ``backwards`` or by a ``foreign_clock`` are dropped. ``set_back`` is how often the clock was.
     """
 
     received: int = 0
@@ -40,6 +43,7 @@ class StreamCounts:
     implausible: int = 0
     unknown_step: int = 0
     off_plan: int = 0
+    set_back: int = 0
 
 
 class Stream:
@@ -48,7 +52,8 @@ class Stream:
     Single samples are staged and admitted many at a time by :meth:`flush`; :meth:`admit`
     takes arrays. Both ways end in the same state. A stamp that does not ascend is dropped; so
     is one that jumps ahead by more than the clock tolerance, unless ten in a row do (then the
-    stream had paused).
+    stream had paused). When ten in a row ascend behind the latest one, over 0.1 s, the clock
+    was set back: the stream begins anew with them, and what it remembered is forgotten.
     """
 
     def __init__(self, width: int, clock_tolerance_ns: int) -> None:
@@ -59,7 +64,10 @@ class Stream:
         self.wake_samples = 1  # once so many are staged,
         self.wake_latest_ns = NEVER  # and from this stamp on in any case
         self._tolerance_ns = clock_tolerance_ns
+        self.set_back_ns = 0  # how far the clock was set back when it was last
         self._ahead = 0
+        self._behind: list[tuple[int, Floats]] = []
+        self._staged_to = -NEVER
         self._newest: Floats | None = None
         self._size = 0
         self._stamps = np.empty(1024, dtype=np.int64)
@@ -82,7 +90,8 @@ class Stream:
         """Take one sample for later admission; return whether a decision may be due."""
         self._staged_stamps.append(stamp_ns)
         self._staged_values.append(values)
-        return self._due(stamp_ns)
+        backwards, self._staged_to = stamp_ns < self._staged_to, stamp_ns
+        return backwards or bool(self._behind) or self._due(stamp_ns)
 
     def stage_many(self, stamps: Stamps, columns: Sequence[NDArray[Any]]) -> bool:
         """Take samples (n,) with columns (n,); return whether a decision may be due."""
@@ -91,7 +100,8 @@ class Stream:
         self._admit_staged()
         self.admit(stamps, np.column_stack(columns).astype(np.float64))
         self._admitted += len(stamps)
-        return self._due(int(stamps.max()))
+        backwards, self._staged_to = int(stamps.min()) < self._staged_to, int(stamps[-1])
+        return backwards or self._due(int(stamps.max()))
 
     def _due(self, stamp_ns: int) -> bool:
         staged = self._admitted + len(self._staged_stamps)
@@ -132,26 +142,45 @@ class Stream:
 
     def _admit(self, stamps: Stamps, values: Floats) -> None:
         self.counts.received += len(stamps)
-        good = self._in_order(stamps, values)
-        if good is not None:
-            stamps, values = stamps[good], values[good]
-        if len(stamps):
-            self._append(stamps, self._inspect(stamps, values))
-            self.latest, self._newest = int(stamps[-1]), values[-1]
+        while len(stamps):
+            good, taken = self._in_order(stamps, values)
+            kept = (stamps, values) if good is None else (stamps[good], values[good])
+            if len(kept[0]):
+                self._append(kept[0], self._inspect(*kept))
+                self.latest, self._newest = int(kept[0][-1]), kept[1][-1]
+            if not self._is_set_back():
+                return
+            stamps, values = self._begin_anew(stamps[taken:], values[taken:])
+
+    def _begin_anew(self, stamps: Stamps, values: Floats) -> tuple[Stamps, Floats]:
+        """Forget what was before the clock was set back; return what has come since."""
+        assert self.latest is not None
+        self.counts.backwards -= len(self._behind)
+        self.counts.set_back += 1
+        stamps = np.concatenate([[stamp for stamp, _ in self._behind], stamps])
+        values = np.vstack([*(row for _, row in self._behind), values])
+        self._behind = []
+        self.set_back_ns, self.forgotten = self.latest - int(stamps[0]), int(stamps[0]) - 1
+        self._size, self.latest = 0, None
+        return stamps, values
 
     def _inspect(self, _stamps: Stamps, values: Floats) -> Floats:
         """Count what is wrong with samples in good order; return what to remember of them."""
         self.counts.non_finite += int(np.count_nonzero(~np.isfinite(values).all(axis=1)))
         return values
 
-    def _in_order(self, stamps: Stamps, values: Floats) -> NDArray[np.intp] | None:
-        """Return the indices of the samples to keep; None: all."""
+    def _in_order(self, stamps: Stamps, values: Floats) -> tuple[NDArray[np.intp] | None, int]:
+        """Return the indices of the samples to keep, None: all, and how many were looked at.
+
+        It stops where the clock is found to have been set back.
+        """
         first = int(stamps[0]) - 1 if self.latest is None else self.latest
         steps = np.diff(stamps, prepend=first)
         if steps.min() > 0 and steps.max() <= self._tolerance_ns:
             self._ahead = 0
-            return None
-        keep = []
+            self._behind.clear()
+            return None, len(stamps)
+        keep: list[int] = []
         latest, newest = self.latest, self._newest
         for i, stamp in enumerate(stamps.tolist()):
             step = 1 if latest is None else stamp - latest
@@ -159,12 +188,30 @@ class Stream:
                 again = step == 0 and newest is not None and _same(newest, values[i])
                 self.counts.duplicates += again
                 self.counts.backwards += not again
+                if not again and self._set_back(stamp, values[i]):
+                    return np.array(keep, dtype=np.intp), i + 1
             elif self._jumps_ahead(step):
                 self.counts.foreign_clock += 1
             else:
                 keep.append(i)
+                self._behind.clear()
                 latest, newest = stamp, values[i]
-        return np.array(keep, dtype=np.intp)
+        return np.array(keep, dtype=np.intp), len(stamps)
+
+    def _set_back(self, stamp: int, row: Floats) -> bool:
+        """Note a sample behind the latest; return whether enough of them ascend."""
+        latest = self._behind[-1][0] if self._behind else stamp - 1
+        if stamp < latest:
+            self._behind.clear()
+        if stamp != latest:
+            self._behind.append((stamp, row))
+        return self._is_set_back()
+
+    def _is_set_back(self) -> bool:
+        """Return whether the samples behind the latest are no belated ones, but a clock's."""
+        if len(self._behind) < _NEW_CLOCK_AFTER:
+            return False
+        return self._behind[-1][0] - self._behind[0][0] >= _SET_BACK_AFTER_NS
 
     def _jumps_ahead(self, step_ns: int) -> bool:
         """Return whether a sample is stamped by a foreign clock, not merely after a pause."""

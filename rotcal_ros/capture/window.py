@@ -14,10 +14,15 @@ from rotcal_ros.capture.beam import WRAP, Beam
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
 from rotcal_ros.observations import LengthStatus
-from rotcal_ros.units import MICROMETRE
+from rotcal_ros.units import MICROMETRE, NANOSECOND
 
 SEQUENCE, LENGTH, STATUS = range(3)
 """Columns of the tracer stream; the last one holds the :class:`Fault` once admitted."""
+
+CLOCK_JUMP_S = 0.5
+"""A pause this long between readings in a row is a jump of their clock, where it is also"""
+LONG_PAUSE = 10.0
+"""so many times as long as they usually are apart."""
 
 _MAD_TO_STD = 1.4826  # of a normal distribution
 
@@ -134,6 +139,25 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
         scatter=(scatter,),
         n_used=n_used,
         reason=gap or _unrest(scatter, drift, settings),
+    )
+
+
+def clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> str:
+    """Say where the clock was set ahead between ``begin_ns`` and the reading ``last``; empty: not.
+
+    Of readings in a row, by their numbers, none may be stamped long behind the one before.
+    """
+    first = max(0, tracer.index(begin_ns) - 1)
+    pauses = np.diff(tracer.stamps[first : last + 1])
+    number = tracer.values[first : last + 1, SEQUENCE]
+    steps = sequence_steps(number[1:], number[0])
+    limit = max(CLOCK_JUMP_S / NANOSECOND, LONG_PAUSE * float(np.median(pauses)))
+    at = np.flatnonzero((steps == 1) & (pauses > limit))
+    if not len(at):
+        return ""
+    return (
+        f"the stamps of the tracer readings jump ahead by {pauses[at[0]] * NANOSECOND:.3g} s from "
+        f"{int(number[at[0]])} to {int(number[at[0] + 1])}: their clock was set"
     )
 
 

@@ -73,12 +73,34 @@ class Silences:
                 self.counts[f"{names.SILENT} {topic}"] += 1
 
 
+_SETTLED_NS: Final = 1_000_000_000
+"""This long after a clock was set back no observation of before is on its way any more."""
+
+
 class PendingReceipts:
-    """Receipts of observations whose readings may still be on their way here."""
+    """Receipts of observations whose readings may still be on their way here.
+
+    Where the clock of the readings is set back, those of the windows before it have come.
+    """
 
     def __init__(self) -> None:
         self._waiting: list[tuple[int, Receipt]] = []
         self._lost = 0
+        self._reached_ns = 0
+        self._set_back: tuple[int, int] | None = None  # from one stamp to another
+
+    def reach(self, reached_ns: int) -> None:
+        """Note the stamp that the readings have come to."""
+        if reached_ns < self._reached_ns:
+            self._set_back = self._reached_ns, reached_ns
+        elif self._set_back is not None and reached_ns > self._set_back[1] + _SETTLED_NS:
+            self._set_back = None
+        self._reached_ns = reached_ns
+
+    def _has_come(self, window_end_ns: int, reached_ns: int | None) -> bool:
+        if reached_ns is None or reached_ns >= window_end_ns:
+            return True
+        return self._set_back is not None and window_end_ns > sum(self._set_back) // 2
 
     def expect(self, step: int, attempt: int, window_end_ns: int) -> None:
         """Take an observation that wants a receipt."""
@@ -90,9 +112,11 @@ class PendingReceipts:
         None: there is no such stream. ``lost`` counts the losses since the bag was opened; each
         receipt tells those since the one before.
         """
+        if reached_ns is not None:
+            self.reach(reached_ns)
         waiting, self._waiting = self._waiting, []
         for window_end_ns, receipt in waiting:
-            if reached_ns is None or reached_ns >= window_end_ns:
+            if self._has_come(window_end_ns, reached_ns):
                 yield replace(receipt, lost=lost - self._lost)
                 self._lost = lost
             else:

@@ -64,7 +64,7 @@ class Calibrator:
         self.node = self._peer.node
         self._action = ActionClient(self.node, Calibrate, "calibrate")
         self._resume = self.node.create_client(Trigger, "resume")
-        self._health = Health(self.node, None, timeout_s=PLANNER_TIMEOUT_S)
+        self.health = Health(self.node, None, timeout_s=PLANNER_TIMEOUT_S)
         self._handle: Any = None
         self._answer: Any = None
         self._feedback: Feedback | None = None
@@ -74,7 +74,7 @@ class Calibrator:
     @property
     def planner_state(self) -> str:
         """What the planner says it is doing; empty when it was never heard."""
-        return self._health.state("planner")
+        return self.health.state("planner")
 
     def is_ready(self, timeout_s: float = 0.1) -> bool:
         """Wait for the planner; return whether it is there."""
@@ -173,7 +173,7 @@ class Calibrator:
 
     def _found(self) -> Outcome | None:
         """Return how the goal ended, be it that its planner is lost."""
-        silent = bool(self._health.missing(["planner"]))
+        silent = bool(self.health.missing(["planner"]))
         if silent:
             self._peer.work_until(self._answer.done, _GRACE_S)
         if self._answer.done():

@@ -18,10 +18,10 @@ from rotcal_ros.capture import Capture, Record
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, listen_to_instrument
-from rotcal_ros.nodes.health import LOADING
 from rotcal_ros.nodes.latest import NOW, reading
 from rotcal_ros.nodes.plans import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
+from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import (
     HumiditySample,

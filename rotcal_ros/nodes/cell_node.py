@@ -18,6 +18,7 @@ from rotcal_ros.capture.orders import Orders
 from rotcal_ros.nodes.health import Health, Values
 from rotcal_ros.nodes.parameters import declare_settings, given_parameters
 from rotcal_ros.nodes.qos import EVENT
+from rotcal_ros.nodes.steady import steady_timer
 from rotcal_ros.observations import Command
 
 T = TypeVar("T")
@@ -66,7 +67,7 @@ class CellNode(Node, ABC):
 
     def every(self, period_s: float, work: Callable[[], None]) -> None:
         """Do ``work`` regularly; an exception in it is counted and logged."""
-        self.create_timer(period_s, self.health.guarded(work))
+        steady_timer(self, period_s, self.health.guarded(work))
 
     def take_orders(self, obey: Callable[[Command], None]) -> Orders:
         """Call ``obey`` with every complete order; return what waits for its other half."""

@@ -2,7 +2,7 @@
 
 It reads the configuration from a file, sends one goal and prints one JSON object per line:
 ``waiting``, ``alive``, ``refused``, ``started``, ``feedback``, ``paused``, ``resumed``,
-``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
+``warning``, ``result``. SIGINT or SIGTERM cancels the goal; the result is waited for.
 
 ``paused`` comes once for every work that a person has to do; a line ``resume`` on standard input,
 or the planner's service of that name, goes on.
@@ -23,6 +23,7 @@ from typing import Any, Final
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
+from rotcal_ros.nodes.clock_news import jumps_in_words
 from rotcal_ros.nodes.outcome import Feedback, Outcome
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
@@ -41,6 +42,7 @@ class Client:
         self._spoken_s = time.monotonic()
         self._listening = True
         self._shown: Feedback | None = None
+        self._jumped: set[str] = set()
 
     def run(self) -> None:
         """Wait for the planner, send the goal and follow it."""
@@ -84,6 +86,7 @@ class Client:
             done = self._calibrator.is_done(PERIOD_S)
             self._show(self._calibrator.feedback())
             self._listen()
+            self._warn()
             self._live()
         return self._calibrator.result()
 
@@ -91,6 +94,14 @@ class Client:
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
             _say("alive", planner=self._calibrator.planner_state)
+
+    def _warn(self) -> None:
+        """Tell of a jump of the clock once, though all nodes of one machine do."""
+        for text in jumps_in_words(self._calibrator.health):
+            how_far, _, _ = text.partition(" at ")
+            if how_far not in self._jumped:
+                _say("warning", text=text)
+            self._jumped.add(how_far)
 
     def _show(self, feedback: Feedback | None) -> None:
         if feedback is None or feedback is self._shown:

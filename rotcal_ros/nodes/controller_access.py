@@ -18,6 +18,7 @@ from rotcal_ros.errors import ControllerError, DataError, RotcalError
 from rotcal_ros.nodes.announcing import Announcer
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.health import CALIBRATING
+from rotcal_ros.nodes.steady import steady_timer
 from rotcal_ros.units import ARCSEC
 
 ANSWERS_PER_ACTION: Final = 20
@@ -45,7 +46,7 @@ class ControllerAccess:
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="feed")
         self._opened: Future[str] | None = None
         self._discovered_s = time.monotonic() + DISCOVERY_S
-        self._opening = node.create_timer(OPENING_PERIOD_S, node.health.guarded(self._open))
+        self._opening = steady_timer(node, OPENING_PERIOD_S, node.health.guarded(self._open))
         self._open()
         if feed.settings.controller_folder:
             Announcer(node, feed, self._worker)

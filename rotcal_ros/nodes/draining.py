@@ -13,6 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.qos import adapted_qos
+from rotcal_ros.nodes.steady import steady_timer
 
 LIMIT: Final = 1000
 """Messages taken in one callback at most, so that no topic starves the others."""
@@ -83,4 +84,4 @@ def listen_to_instrument(
             DrainedSubscription(node, message_type, topic, qos, handle)
             node.destroy_timer(timer)
 
-    timer = node.create_timer(GRAPH_PERIOD_S, look)
+    timer = steady_timer(node, GRAPH_PERIOD_S, look)

@@ -91,7 +91,7 @@ class GoalRun:
 
     async def _close_bag(self) -> None:
         self.watch.tell("closing the bag")
-        self._bag_is_open = False
+        self._bag_is_open = self.watch.recording = False
         await self._recorder_did(self.watch.links.stop_recording, StopRecording.Request())
 
     async def _recorder_did(self, client: Any, request: Any) -> Any:

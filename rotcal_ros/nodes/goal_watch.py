@@ -12,6 +12,7 @@ from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import until
+from rotcal_ros.nodes.clock_news import jumps_told
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
@@ -80,6 +81,7 @@ class GoalWatch:
     nodes: set[str] = field(default_factory=set)
     recording: bool = False
     _stream_beat: object = None
+    _bag_open: bool = False
 
     def tell(self, activity: str) -> None:
         """Show what is done now."""
@@ -89,6 +91,12 @@ class GoalWatch:
     async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until ``condition``; False after the time-out, GoalError when all is in vain."""
         return await until(condition, timeout_s, self._check)
+
+    def clock_jumps(self) -> int:
+        """Return how often a clock of the cell has jumped, as far as this node knows by now."""
+        health = self.links.health
+        health.clock.look()
+        return health.clock.watch.count + jumps_told(map(health.values, health.others))
 
     async def have(self, missing: Callable[[], list[str]], code: int) -> None:
         """Wait until nothing is missing; after the preflight time raise what still is."""
@@ -122,6 +130,12 @@ class GoalWatch:
             state = self.links.health.state("recorder")
             if state.startswith(RECORDING_FAILED):
                 raise GoalError(Codes.RECORDER_FAILED, f"{state}, {place}")
+            self._bag_open |= state == "recording"
+            if self._bag_open and state == "idle":
+                raise GoalError(
+                    Codes.RECORDER_FAILED,
+                    f"the recorder has closed the bag {place}: node planner stood still too long",
+                )
             self._check_streams(place)
 
     def _check_streams(self, place: str) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, Final
 
@@ -18,7 +17,11 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.nodes.clock_news import ClockNews
 from rotcal_ros.nodes.draining import Batch, DrainedSubscription
+from rotcal_ros.nodes.memory import end_without_memory
+from rotcal_ros.nodes.roll_call import RollCall
+from rotcal_ros.nodes.steady import steady_timer
 
 BEAT_PERIOD_S: Final = 0.2
 DIAGNOSTICS_PERIOD_S: Final = 1.0
@@ -30,45 +33,8 @@ RECORDING_FAILED: Final = "recording failed"
 LEAVE_TIMEOUT_S: Final = 0.5
 CALIBRATING: Final = "calibrating"
 """How the state of a planner begins while a goal runs."""
-SOLVING: Final = "solving"
-"""State of a node whose numerics may hold up its beat: it is given SOLVING_TIMEOUT_S."""
-SOLVING_TIMEOUT_S: Final = 10.0
-LOADING: Final = "loading what the plan needs"
-"""State of a node that loads a method's code, which may take as long on a busy machine."""
 
 Values = Mapping[str, object]
-
-
-@dataclass
-class RollCall:
-    """Who is there: ``seen`` is name -> monotonic time (s) of the last beat.
-
-    ``timeout_s`` is the silence after which a node counts as lost, SOLVING_TIMEOUT_S for those
-    that are ``solving`` or loading. A pause of the caller itself (a stalled machine) is not blamed
-    on the others: it is granted to all.
-    """
-
-    timeout_s: float
-    seen: dict[str, float] = field(default_factory=dict)
-    solving: set[str] = field(default_factory=set)
-    _checked: float | None = None
-
-    def hear(self, name: str, state: str, now: float) -> None:
-        """Take a beat of node ``name``."""
-        self.seen[name] = now
-        (self.solving.add if state in (SOLVING, LOADING) else self.solving.discard)(name)
-
-    def silent(self, now: float) -> dict[str, float]:
-        """Return the lost names with their silence in seconds; call it regularly."""
-        pause = 0.0 if self._checked is None else now - self._checked
-        self._checked = now
-        if pause > self.timeout_s / 2:
-            self.seen = {name: seen + pause for name, seen in self.seen.items()}
-        silence = {name: now - seen for name, seen in self.seen.items()}
-        return {name: s for name, s in silence.items() if s > self._granted(name)}
-
-    def _granted(self, name: str) -> float:
-        return SOLVING_TIMEOUT_S if name in self.solving else self.timeout_s
 
 
 class Health:
@@ -77,8 +43,8 @@ class Health:
     ``lost`` is name -> silence (s) of the others that fell silent, as of the last beat,
     ``concerns`` what a person should look at.
     ``report`` returns (state in words, values) at any time for every beat; without it the node
-    only listens, and nobody will miss it.
-    ``on_lost`` is called once for every other node that falls silent, with its name.
+    only listens, and nobody will miss it. ``on_lost`` is called once for every other node that
+    falls silent, with its name.
     """
 
     def __init__(
@@ -97,13 +63,14 @@ class Health:
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
         self.concerns: dict[str, str] = {}
+        self.clock = ClockNews(node.get_logger())
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
             node, DiagnosticStatus, "heartbeat", QoSProfile(depth=100), self.guarded(self._hear)
         )
-        node.create_timer(BEAT_PERIOD_S, self.guarded(self._beat))
-        node.create_timer(DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
+        steady_timer(node, BEAT_PERIOD_S, self.guarded(self._beat))
+        steady_timer(node, DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Keep an exception in ``callback`` from ending the node: count it, log it once."""
@@ -119,7 +86,8 @@ class Health:
         return run
 
     def note_error(self, where: str, error: Exception) -> None:
-        """Count an error; log the first of its kind in full."""
+        """Count an error; log the first of its kind in full. Without memory the node ends."""
+        end_without_memory(error, where)
         kind = f"{where}: {type(error).__name__}"
         self.errors[kind] += 1
         if self.errors[kind] == 1:
@@ -168,6 +136,7 @@ class Health:
                 self.others[status.name] = status
 
     def _beat(self) -> None:
+        self.clock.look()
         self.beat()
         silent = self._roll.silent(time.monotonic())
         for name in silent.keys() - self.lost.keys():
@@ -187,8 +156,9 @@ class Health:
         trouble: dict[str, object] = dict(self.errors)
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
-        rest = DiagnosticStatus.WARN if self.concerns else DiagnosticStatus.OK
-        further = {**self.concerns, **trouble}
+        concerns = self.clock.concerns | self.concerns
+        rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
+        further = {**self.clock.values(), **concerns, **trouble}
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),

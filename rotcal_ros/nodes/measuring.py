@@ -19,6 +19,9 @@ from rotcal_ros.planning.policy.names import AS_LISTED
 REPEAT_PERIOD_S: Final = 2.0
 """An instruction is repeated after this time, for clients that come late."""
 
+SETTLING_S: Final = 1.2
+"""So long after a clock was set the capture takes nothing (1 s), once it has noticed."""
+
 
 class Measuring:
     """Measures the steps of one goal; no attempt at a step has a number twice.
@@ -118,7 +121,11 @@ class Measuring:
         captured = False
         for number in range(limit):
             key = (index, first + number)
-            if await self._observed(key, number):
+            jumps = self._watch.clock_jumps()
+            observed = await self._observed(key, number)
+            if self._watch.clock_jumps() != jumps:
+                await self._watch.wait(lambda: False, SETTLING_S)
+            elif observed:
                 captured = True
                 if not await self._lost(key):
                     break

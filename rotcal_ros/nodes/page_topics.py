@@ -18,9 +18,9 @@ from rotcal_ros.errors import RotcalError
 from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes import page_sections
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.health import LOADING
 from rotcal_ros.nodes.plans import calibration_of
 from rotcal_ros.nodes.qos import LATCHED, VIEW
+from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.observations import Command
 from rotcal_ros.page.board import Board
 from rotcal_ros.page.state import Cell, LogLine, Pointing, Rejection

@@ -12,6 +12,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from rotcal_ros.nodes.steady import wake_after_jumps
+
 _TURN_S: Final = 0.1
 
 
@@ -29,6 +31,7 @@ class Peer:
         self.node = Node(name, namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        wake_after_jumps(self._executor)
 
     def work_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Handle what comes in until ``condition``; False after the time-out."""

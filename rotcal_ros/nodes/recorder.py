@@ -13,6 +13,7 @@ from rotcal_msgs.srv import StartRecording, StopRecording
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
+from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError
 from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.bookkeeping import PendingReceipts, Silences
@@ -38,6 +39,7 @@ class RecorderNode(CellNode):
         self._recording: Recording | None = None
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._pending = PendingReceipts()
+        self._jumps_before = 0
         self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
         self.create_service(StartRecording, "start_recording", self._start)
         self.create_service(StopRecording, "stop_recording", self._stop)
@@ -70,6 +72,8 @@ class RecorderNode(CellNode):
         self._silences.look(heard, time.monotonic())
         if counters := self._all_losses() + self._silences.counts:
             recording.note(names.LOSSES, counters)
+        if jumps := self.health.clock.since(self._jumps_before):
+            recording.note(names.CLOCK_JUMPS, noted(jumps))
 
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
         if self._recording is not None:
@@ -87,11 +91,14 @@ class RecorderNode(CellNode):
 
     def _settle_receipts(self) -> None:
         """Queue a receipt once the readings of its window have arrived here too."""
-        if not self._pending or self._recording is None:
+        if self._recording is None:
             return
         topics = self._listener.topics
         stream = next((topics[name] for name in self._windowed if name in topics), None)
         reached_ns = None if stream is None else stream.latest_stamp_ns()
+        if not self._pending:
+            self._pending.reach(reached_ns or 0)
+            return
         losses = self._all_losses().items()  # of the messages that a replay needs
         lost = sum(count for where, count in losses if where.rpartition("/")[2] in names.ROLES)
         for receipt in self._pending.due(reached_ns, lost):
@@ -125,6 +132,7 @@ class RecorderNode(CellNode):
             raise BagError(f"the recorder is writing {open_one.file}; stop it first")
         folder, writer = self._bags.open(request.plan_id)
         self._pending = PendingReceipts()
+        self._jumps_before = self.health.clock.watch.count
         self._listener.forget_losses()
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         recording = Recording(writer, self._settings.queue_bytes, self._confirm)

@@ -23,6 +23,7 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
+from rotcal_ros.nodes.memory import end_without_memory
 from rotcal_ros.session_folder import SessionFolder
 
 _TURN_S: Final = 0.1
@@ -145,6 +146,7 @@ class Recording:
             except BagError as error:
                 self.error = str(error)
             except Exception as error:
+                end_without_memory(error, "bag writer")
                 self.error = f"unexpected failure of the bag writer: {error!r}"
 
     def _sync(self, receipt: Receipt) -> None:

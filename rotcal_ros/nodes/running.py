@@ -18,6 +18,8 @@ from rclpy.signals import SignalHandlerOptions
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.memory import end_without_memory
+from rotcal_ros.nodes.steady import wake_after_jumps
 
 SUPERVISOR_VARIABLE: Final = "ROTCAL_SUPERVISOR"
 """Environment variable: process id of a supervisor that the node must not outlive."""
@@ -41,6 +43,8 @@ def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE)
     except RotcalError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(error.exit_code)
+    except MemoryError as error:
+        end_without_memory(error, "executor")
     sys.exit(0)
 
 
@@ -79,6 +83,7 @@ def _spin(make: Callable[[], CellNode]) -> None:
         node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        wake_after_jumps(executor)
         with suppress(ExternalShutdownException):
             while not end and not node.finished():
                 executor.spin_once(timeout_sec=_TURN_S)

@@ -21,10 +21,10 @@ from visualization_msgs.msg import MarkerArray
 from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.health import LOADING
 from rotcal_ros.nodes.markers import markers, transform
 from rotcal_ros.nodes.plans import calibration_of
 from rotcal_ros.nodes.qos import EVENT, LATCHED
+from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.scene.drawing import (
     Errors,

@@ -77,11 +77,13 @@ class SimulatedCellNode(CellNode):
 
     def _follow(self, message: JointState) -> None:
         """Take the actual angle of a table that another program moves; its clock is ours."""
-        stamp_ns = messages.stamp_ns(message.header.stamp)
+        self.health.clock.look()
+        stamp_ns = messages.stamp_ns(message.header.stamp) - self._jumped_ns
         self._publish(self._cell.follow_table(stamp_ns, message.position[0]))
 
     def _turn(self) -> None:
         """Let as much machine time pass as wall time has."""
+        self.health.clock.look()
         now = time.monotonic()
         elapsed = min(now - self._turned_s, LONGEST_TURN_S)
         self._turned_s = now
@@ -89,7 +91,12 @@ class SimulatedCellNode(CellNode):
         self._publish(self._cell.advance(elapsed * scale))
 
     def _publish(self, output: CellOutput) -> None:
-        """Publish the streams, the probe first: its point begins the wait for the readings."""
+        """Publish the streams, the probe first: its point begins the wait for the readings.
+
+        The stamps are those of the system clock, with all its jumps.
+        """
+        if self._jumped_ns:
+            output = output.later(self._jumped_ns)
         for probe in output.probe:
             self._probe.publish(conversions.probe_message(probe, self._probe_frame))
         for table in output.table:
@@ -111,9 +118,12 @@ class SimulatedCellNode(CellNode):
     def _tell_position(self) -> None:
         """Tell the probe's position unasked, so that a preflight hears the machine."""
         if not self._cell.busy:
-            self._probe.publish(
-                conversions.probe_message(self._cell.unasked_point(), self._probe_frame)
-            )
+            self._publish(CellOutput(probe=(self._cell.unasked_point(),)))
+
+    @property
+    def _jumped_ns(self) -> int:
+        """How far the system clock was set ahead since the machine's began to run."""
+        return self.health.clock.watch.ahead_ns
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         state = "busy" if self._cell.busy else "idle"

@@ -18,9 +18,9 @@ from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
-from rotcal_ros.nodes.health import LOADING, SOLVING
 from rotcal_ros.nodes.plans import calibration_of, read_continuation, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
+from rotcal_ros.nodes.roll_call import LOADING, SOLVING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result

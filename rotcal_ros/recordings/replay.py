@@ -34,6 +34,7 @@ from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.foreign import StepFinder
+from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
 from rotcal_ros.recordings.nothing_captured import why_nothing
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
@@ -54,7 +55,7 @@ class Recording:
     observations were taken from the bag), ``broken`` the messages per topic that could not be
     decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
     ``announced`` which tables the cell announced to be in force, ``unreadable`` why topics could
-    not be read.
+    not be read, ``clock`` how the system clock jumped, in words.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -74,6 +75,7 @@ class Recording:
     choices: tuple[RecordedChoice, ...] = ()
     announced: frozenset[str] = frozenset()
     unreadable: Mapping[str, str] = field(default_factory=dict)
+    clock: tuple[str, ...] = ()
 
     @property
     def configuration(self) -> Configuration:
@@ -156,6 +158,7 @@ class Recording:
         texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
         texts += self.unreadable.values()
+        texts += self.clock
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
@@ -214,6 +217,7 @@ def read_recording(
         choices=tuple(found.choices),
         announced=frozenset(found.announced),
         unreadable=dict(topics.unreadable),
+        clock=clock_in_words(found.scans, found.log_times),
     )
 
 
@@ -226,6 +230,7 @@ class _Found:
     choices: list[RecordedChoice] = field(default_factory=list)
     announced: set[str] = field(default_factory=set)
     scans: list[Scan] = field(default_factory=list)
+    log_times: LogTimes = field(default_factory=LogTimes)
     decoders: Decoders = field(default_factory=dict)
 
 
@@ -244,6 +249,7 @@ def _read(
         before, run = run, scan.metadata.get(names.RUN, {}).get("number", run)
         if feeder is not None and run != before:
             feeder.begin_run(int(run))
+        found.log_times.look(block)
         parts = topics.split(block, scan.channels, found.decoders)
         for part in parts:
             with part.taken_as_expected():

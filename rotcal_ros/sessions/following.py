@@ -24,6 +24,8 @@ SILENCE_TIMEOUT_S: Final = 60.0
 """The client reports every second; after this silence it hangs."""
 CANCEL_TIMEOUT_S: Final = 25.0
 _POLL_S: Final = 0.2
+_LOST: Final = 603
+"""Error code of the action: a node is lost."""
 _USAGE_ERRORS: Final = (601, 602)
 """Error codes of the action that the user cures before the next start: bad configuration,
 topic missing."""
@@ -62,7 +64,12 @@ def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:
     """Run the nodes until the client reports the result."""
     with running(session) as nodes:
         try:
-            return _follow(nodes, Person(session.configuration, at_once), viewers)
+            outcome = _follow(nodes, Person(session.configuration, at_once), viewers)
+            if outcome["error_code"]:
+                outcome["error_msg"] += "".join(f"; {death}" for death in nodes.deaths())
+            return outcome
+        except DataError as error:  # the client itself is lost
+            return {"error_code": _LOST, "error_msg": "; ".join([str(error), *nodes.deaths()])}
         except KeyboardInterrupt:
             viewers.say("canceling: the bag is being closed")
             nodes.cancel()
@@ -121,10 +128,19 @@ def _follow(nodes: RunningSession, person: Person, viewers: Viewers) -> dict[str
             if event["event"] in ("result", "refused", "end"):
                 return _ending(nodes, event, begun)
             begun = begun or event["event"] == "started"
+            if event["event"] == "warning":
+                _warn(event["text"], display, viewers)
+                continue
             viewers.publish(event)
             display.line(person.hear(event))
             if event["event"] == "feedback":
                 display.feedback(event)
+
+
+def _warn(text: str, display: Display, viewers: Viewers) -> None:
+    """Show what a person should know, here and to viewers."""
+    display.line(f"warning: {text}")
+    viewers.publish({"event": "line", "text": f"warning: {text}"})
 
 
 def _tell_page(address: str, display: Display, viewers: Viewers) -> None:
@@ -164,15 +180,16 @@ def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[s
         tail = nodes.log_tail(CLIENT)
         if not begun:  # the nodes fail for the same reason, but may take longer to say so
             raise ConfigurationError(f"node client ended at its start:\n{tail}")
-        raise DataError(f"the client ended without a result\n{tail}")
+        raise DataError(f"the client ended without a result\n{tail}".rstrip())
     return event
 
 
 def _fail(session: Session, outcome: Event) -> NoReturn:
     """Raise the error that ended the calibration, with what is left to use."""
     text = str(outcome["error_msg"])
-    if outcome.get("bag_folder"):
-        text += f"; everything up to there is in {outcome['bag_folder']}"
+    bag = session.folder.bag  # a lost planner cannot tell of it
+    if outcome.get("bag_folder") or (bag.is_dir() and any(bag.iterdir())):
+        text += f"; everything up to there is in {outcome.get('bag_folder') or bag}"
         text += f"; go on with: {session.resume_command}"
     text += f"; logs: {session.log_folder}"
     raise (ConfigurationError if outcome["error_code"] in _USAGE_ERRORS else DataError)(text)

@@ -37,6 +37,14 @@ class RunningSession:
         ended = self._processes.ended()
         return {n: code for n, code in ended.items() if n not in (CLIENT, *VIEWERS.values())}
 
+    def deaths(self) -> list[str]:
+        """Return how the processes died that were killed or failed, in words."""
+        return [
+            _death(name, code, self.log_tail(name))
+            for name, code in self._processes.ended().items()
+            if code
+        ]
+
     def cancel(self) -> None:
         """Ask the client to cancel its goal."""
         self._processes.signal(CLIENT, signal.SIGINT)
@@ -65,6 +73,16 @@ class RunningSession:
         for line in stream:
             self.events.put(json.loads(line))
         self.events.put({"event": "end"})
+
+
+def _death(name: str, code: int, log: str) -> str:
+    """Return how a process died; the last thing it wrote may say why."""
+    if code == -signal.SIGKILL:
+        return f"{name} was killed (SIGKILL: out of memory?)"
+    how = f"exit code {code}"
+    if code < 0:
+        how = signal.Signals(-code).name if -code in {*signal.Signals} else f"signal {-code}"
+    return f"{name} ended ({how}): " + (log.splitlines() or ["it wrote nothing"])[-1]
 
 
 @contextmanager

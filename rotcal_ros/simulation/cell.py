@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -32,11 +32,21 @@ from rotcal_ros.units import NANOSECOND
 class CellOutput:
     """What the instruments sent, each stream in the order of its stamps."""
 
-    tracer: tuple[TracerSample, ...]
-    table: tuple[TableSample, ...]
-    probe: tuple[ProbeSample, ...]
-    temperature: tuple[TemperatureSample, ...]
+    tracer: tuple[TracerSample, ...] = ()
+    table: tuple[TableSample, ...] = ()
+    probe: tuple[ProbeSample, ...] = ()
+    temperature: tuple[TemperatureSample, ...] = ()
     air: tuple[PressureSample | HumiditySample, ...] = ()
+
+    def later(self, by_ns: int) -> CellOutput:
+        """Return the same with all stamps later by ``by_ns``."""
+        streams = {f.name: getattr(self, f.name) for f in fields(self)}
+        return CellOutput(
+            **{
+                name: tuple(replace(s, stamp_ns=s.stamp_ns + by_ns) for s in samples)
+                for name, samples in streams.items()
+            }
+        )
 
 
 class SimulatedCell:

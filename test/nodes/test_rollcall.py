@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rotcal_ros.nodes.health import LOADING, SOLVING, RollCall
+from rotcal_ros.nodes.roll_call import LOADING, SOLVING, RollCall
 
 
 def watched(until, silent_from):

@@ -12,7 +12,7 @@ from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.nodes.health import SOLVING
+from rotcal_ros.nodes.roll_call import SOLVING
 from rotcal_ros.nodes.solver import SolverNode
 
 pytestmark = pytest.mark.ros

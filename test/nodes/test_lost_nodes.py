@@ -1,0 +1,83 @@
+"""A node stands still for five seconds, or has no memory left: the run ends with the reason."""
+
+import json
+import os
+import re
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from live_cell import wait_until
+
+from rotcal_ros.recordings.replay import read_recording
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+NODES = ("planner", "capture", "solver", "recorder", "simulated_cell", "client")
+LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))
+STOPPED = NODES if LONG else ("planner",)
+STARVED = NODES if LONG else ("recorder",)
+STANDSTILL_S = 5.0
+ROOM = 1 << 20
+CASES = [("stopped", node) for node in STOPPED] + [("starved", node) for node in STARVED]
+
+
+def process_of(parent, node):
+    """Return the id of the process of a node that ``rotcal run`` has started."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state = (folder / "stat").read_text().rsplit(")", 1)[1].split()
+            command = (folder / "cmdline").read_text()
+        except OSError:
+            continue
+        if int(state[1]) == parent and f"rotcal_ros.nodes.{node}" in command:
+            return int(folder.name)
+    pytest.fail(f"no process of {node}")
+
+
+def starve(pid):
+    """Leave a process next to no memory: what the kernel does in a full control group."""
+    (used,) = re.findall(r"VmData:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())
+    limit = 1024 * int(used) + ROOM
+    resource.prlimit(pid, resource.RLIMIT_DATA, (limit, limit))
+
+
+@pytest.mark.parametrize(("how", "node"), CASES)
+def test_a_lost_node_ends_the_run_with_the_reason_and_it_goes_on(rotcal, tmp_path, how, node):
+    folder, log = tmp_path / "run", tmp_path / "run.log"
+    quiet = ("--no-report", "--no-export", "--no-page")
+    changes = ("simulation.time_scale=8.0",)
+    process = rotcal("-o", folder, *quiet, log=log, changes=changes)
+    wait_until(lambda: "6 of 60 steps" in log.read_text(), "some steps are measured")
+    pid = process_of(process.pid, node)
+    if how == "stopped":
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(STANDSTILL_S)  # the standstill is the test's subject
+        os.kill(pid, signal.SIGCONT)
+    else:
+        starve(pid)
+    code, text = process.wait(90), log.read_text()
+    assert "Traceback" not in text
+    if code == 0:  # it could wait
+        return
+    assert code == 3
+    assert node in text
+    recording = read_recording(folder / "bag")
+    before = {o.step for o in recording.recorded if o.accepted}
+    assert before
+    if how == "starved" and not LONG:
+        return  # the other case goes on
+    (command,) = re.findall(r"go on with: rotcal (run .*?);", text)
+    again = subprocess.run(
+        [sys.executable, "-m", "rotcal_ros.cli.main", *command.split(), *quiet],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert again.returncode == 0, again.stderr
+    assert json.loads((folder / "result.json").read_text())["n_observations"] == 59
+    assert before <= {o.step for o in read_recording(folder / "bag").observations if o.accepted}

@@ -1,0 +1,38 @@
+"""Receipts wait for the readings of their window, whatever becomes of the clock of these."""
+
+from rotcal_ros.nodes.bookkeeping import PendingReceipts
+
+SECOND = 1_000_000_000
+T = 1_700_000_000 * SECOND
+
+
+def confirmed(receipts, reached_ns):
+    return [receipt.step for receipt in receipts.due(reached_ns, 0)]
+
+
+def test_a_receipt_waits_for_the_readings_of_its_window():
+    receipts = PendingReceipts()
+    receipts.expect(1, 0, T)
+    assert confirmed(receipts, T - 1) == []
+    assert confirmed(receipts, T) == [1]
+
+
+def test_readings_of_before_a_clock_was_set_back_have_come():
+    receipts = PendingReceipts()
+    receipts.expect(1, 0, T)
+    assert confirmed(receipts, T - SECOND // 100) == []
+    assert confirmed(receipts, T - 45 * SECOND) == [1]
+    receipts.expect(2, 0, T - SECOND // 50)  # on its way when the clock was set
+    assert confirmed(receipts, T - 45 * SECOND + SECOND // 10) == [2]
+
+
+def test_behind_it_a_receipt_waits_as_before():
+    receipts = PendingReceipts()
+    for at in (T, T - 45 * SECOND, T - 44 * SECOND):
+        receipts.reach(at)
+    receipts.expect(3, 0, T - 43 * SECOND)
+    assert confirmed(receipts, T - 43 * SECOND - 1) == []
+    assert confirmed(receipts, T - 43 * SECOND) == [3]
+    receipts.reach(T - 42 * SECOND)
+    receipts.expect(4, 0, T - SECOND)  # half an hour on it would be long ago that it was set
+    assert confirmed(receipts, T - 2 * SECOND) == []

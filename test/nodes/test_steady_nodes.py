@@ -1,0 +1,24 @@
+"""Nothing in the nodes waits by the system clock; a node without memory ends."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+NODES = Path(__file__).parents[2] / "rotcal_ros" / "nodes"
+WAITING = re.compile(r"\.create_timer\(|create_rate|time\.time\(\) *[<>-]|sleep_until|wall_timer")
+
+
+def test_timers_are_those_of_the_steady_clock():
+    found = {path.name for path in NODES.glob("*.py") if WAITING.search(path.read_text())}
+    assert found == {"steady.py"}
+
+
+@pytest.mark.parametrize(("error", "code"), [("MemoryError()", 71), ("ValueError()", 0)])
+def test_a_process_without_memory_ends_with_the_reason(error, code):
+    program = f"from rotcal_ros.nodes.memory import *; end_without_memory({error}, 'capture')"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == code
+    assert done.stderr == ("out of memory (capture)\n" if code else "")
