@@ -28,9 +28,8 @@ def sync(descriptor: int) -> None:
 
 
 def truncate(descriptor: int, size: int) -> None:
-    """Cut a file to ``size`` bytes and go on writing there."""
+    """Cut a file to ``size`` bytes."""
     os.ftruncate(descriptor, size)
-    os.lseek(descriptor, size, os.SEEK_SET)
 
 
 def close(descriptor: int) -> None:

@@ -18,12 +18,14 @@ class DurableFile:
 
     ``write`` puts all bytes into the file or none: after a failure (full disk) the file ends
     where the failed record would have begun. Nothing is buffered here, so what was written
-    survives the death of this process, and what was synced that of the machine.
+    survives the death of this process, and what was synced that of the machine. Where somebody
+    else cuts the file or writes into it, its size never again is :meth:`tell`.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._descriptor = disk.open_file(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
+        self._descriptor = disk.open_file(path, flags)
         self._size = 0
         self._closed = False
         self._sync_error: OSError | None = None

@@ -159,15 +159,19 @@ class BagWriter:
 
     def sync(self) -> None:
         """Return when all messages so far are on disk, in closed chunks, under their names."""
-        self._guarded(self._sync_and_split)
+        if self._unsynced:
+            self._guarded(self._sync)
         self._require_presence()
+        if self._must_split():
+            self._guarded(self._split)
         self._require_space()
 
     def close(self) -> None:
         """Finish the file with its index, write ``metadata.yaml``, sync the folder."""
         if not self.closed:
-            self._guarded(self._finish_file)
+            self._guarded(self._sync)
             self._require_presence()
+            self._guarded(self._finish_file)
             self._release()
 
     def __enter__(self) -> BagWriter:
@@ -216,21 +220,18 @@ class BagWriter:
         self._presence.grown(self._file.path, self._file.size)
         self._unsynced = 0
 
-    def _sync_and_split(self) -> None:
-        if self._unsynced:
-            self._sync()
-            if self._must_split():
-                self._finish_file()
-                self._begin_file()
-
     def _must_split(self) -> bool:
         limits, file = self.settings, self.files[-1]
         seconds = (file.end_ns - file.start_ns) / 1e9 if file.messages else 0.0
         too_big = 0 < limits.split_bytes <= self._file.size
         return file.messages > 0 and (too_big or 0 < limits.split_duration_s <= seconds)
 
+    def _split(self) -> None:
+        self._finish_file()
+        self._begin_file()
+
     def _finish_file(self) -> None:
-        self._sync()
+        """Finish a file that is synced."""
         self._write_metadata()
         self._file.finish()
         self._presence.grown(self._file.path, self._file.size)
