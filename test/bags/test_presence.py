@@ -53,7 +53,7 @@ def put_the_session_back_copied(path):
 DEEDS = {
     "delete": (os.unlink, "no longer there"),
     "swap": (swap, "not the file that was recorded"),
-    "empty": (lambda path: os.truncate(path, 0), "has 0 bytes, "),
+    "empty": (lambda path: os.truncate(path, 0), "somebody changed it"),
     "cut": (lambda path: os.truncate(path, path.stat().st_size - 1), "somebody changed it"),
     "append": (append, "somebody changed it"),
     "move": (move_the_session, "somebody deleted or moved it or its folder"),

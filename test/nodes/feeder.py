@@ -4,8 +4,9 @@ usage: feeder.py WINDOW
 
 A tracer at 1 kHz and an observation after every WINDOW readings, all numbered. A line NAME on
 standard input: open a bag at the recorder whose service is ``start_NAME``. Standard output gets
-a line of JSON per receipt of ``receipts_NAME``: {"recorder": NAME, "step": ...}. An empty line is
-answered by {"recorder": "", "step": 0}, behind all receipts that have arrived.
+a line of JSON per receipt of ``receipts_NAME``: {"recorder": NAME, "step": ...}, and one when
+NAME gives up: {"recorder": NAME, "failure": ...}. An empty line is answered by
+{"recorder": "", "step": 0}, behind all receipts that have arrived.
 """
 
 import json
@@ -16,11 +17,14 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rotcal_msgs.msg import Observation, RecordedObservation, TracerLength
 from rotcal_msgs.srv import StartRecording
 
 from rotcal_ros.nodes.conversions import time_message
+from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.qos import EVENT, STREAM
 
 PERIOD_S = 0.005
@@ -37,6 +41,8 @@ class Feeder(Node):
         self._clients_to_be = {}
         self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
         self._observation = self.create_publisher(Observation, "observation", EVENT)
+        self._failed = set()
+        self.create_subscription(DiagnosticStatus, "heartbeat", self._hear, QoSProfile(depth=100))
         self.create_timer(PERIOD_S, self._feed)
         self.create_timer(0.1, self._open)
 
@@ -57,7 +63,7 @@ class Feeder(Node):
             while True:
                 name = self._names.get_nowait()
                 if not name:
-                    self._say(name, 0)
+                    self._say(name, step=0)
                     continue
                 client = self.create_client(StartRecording, f"start_{name}")
                 self._clients_to_be[name] = client
@@ -71,10 +77,15 @@ class Feeder(Node):
                 del self._clients_to_be[name]
 
     def _tell(self, name, receipt):
-        self._say(name, receipt.step)
+        self._say(name, step=receipt.step)
 
-    def _say(self, name, step):
-        sys.stdout.write(json.dumps({"recorder": name, "step": step}) + "\n")
+    def _hear(self, beat):
+        if beat.message.startswith(RECORDING_FAILED) and beat.name not in self._failed:
+            self._failed.add(beat.name)
+            self._say(beat.name, failure=beat.message)
+
+    def _say(self, name, **what):
+        sys.stdout.write(json.dumps({"recorder": name, **what}) + "\n")
         sys.stdout.flush()
 
 
