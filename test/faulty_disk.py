@@ -200,9 +200,7 @@ class FaultyDisk:
         code, calls = FAULTS[self.fault.name]
         if name not in calls or not (self.fault.lasting or number == self.fault.at):
             return False
-        partly = self.fault.name.startswith("short") and (
-            code == 0 or number == self.fault.at
-        )
+        partly = self.fault.name.startswith("short") and (code == 0 or number == self.fault.at)
         self.hit = self.hit or name
         if partly:
             return True

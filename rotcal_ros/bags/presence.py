@@ -48,9 +48,7 @@ class Presence:
             if found[:2] != known[:2]:
                 return f"{path} is not the file that was recorded: somebody put another there"
             if found[2] != known[2]:
-                return (
-                    f"{path} has {found[2]} bytes, {known[2]} were written: somebody changed it"
-                )
+                return f"{path} has {found[2]} bytes, {known[2]} were written: somebody changed it"
         if not disk.may_write(self._folder):
             return f"{self._folder} was made read-only"
         return ""

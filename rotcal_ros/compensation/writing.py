@@ -49,7 +49,9 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
                 f"{error.filename2 or error.filename} exists already and nothing is ever "
                 "overwritten: choose another folder or name; nothing was written"
             ) from error
-        left = f"{', '.join(map(str, done))} must be removed by hand" if done else "nothing is left"
+        left = (
+            f"{', '.join(map(str, done))} must be removed by hand" if done else "nothing is left"
+        )
         raise BagError(f"cannot write into {folder}: {error.strerror}; {left}") from error
     return tuple(done)
 

@@ -20,13 +20,15 @@ class Recorders:
     ``receipts`` holds the steps that each has confirmed, ``failures`` why it gave up.
     """
 
-    def __init__(self, folder):
+    def __init__(self, folder, *depth):
         self.folder = folder
         self.receipts = defaultdict(list)
         self.failures = {}
         self.processes = Processes(folder, node_environment())
         feeder = str(Path(__file__).with_name("feeder.py"))
-        self.processes.start("feeder", [sys.executable, feeder, str(WINDOW)], piped=True)
+        self.processes.start(
+            "feeder", [sys.executable, feeder, str(WINDOW), *map(str, depth)], piped=True
+        )
         Thread(target=self._listen, daemon=True).start()
 
     def start(self, name, folder=None):
@@ -55,11 +57,11 @@ class Recorders:
                 self.receipts[event["recorder"]].append(event["step"])
 
 
-def fed(folder):
+def fed(folder, *depth):
     """Yield recorders that find this package; all of it ends with the caller."""
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-    made = Recorders(folder)
+    made = Recorders(folder, *depth)
     yield made
     made.processes.end()
     os.environ.pop("PYTHONPATH")

@@ -1,8 +1,8 @@
 """A node that feeds recorders like a cell does and tells the receipts they give.
 
-usage: feeder.py WINDOW
+usage: feeder.py WINDOW [DEPTH]
 
-A tracer at 1 kHz and an observation after every WINDOW readings, all numbered. A line NAME on
+DEPTH: readings kept for a reader that does not answer. A tracer at 1 kHz and an observation after every WINDOW readings, all numbered. A line NAME on
 standard input: open a bag at the recorder whose service is ``start_NAME``. Standard output gets
 a line of JSON per receipt of ``receipts_NAME``: {"recorder": NAME, "step": ...}, and one when
 NAME gives up: {"recorder": NAME, "failure": ...}. An empty line is answered by
@@ -33,13 +33,13 @@ READINGS = 5
 
 
 class Feeder(Node):
-    def __init__(self, window, names):
+    def __init__(self, window, names, depth):
         super().__init__("feeder", namespace="/cell")
         self._window = window
         self._names = names
         self._number = 0
         self._clients_to_be = {}
-        self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+        self._tracer = self.create_publisher(TracerLength, "tracer_length", depth or STREAM)
         self._observation = self.create_publisher(Observation, "observation", EVENT)
         self._failed = set()
         self.create_subscription(DiagnosticStatus, "heartbeat", self._hear, QoSProfile(depth=100))
@@ -98,4 +98,4 @@ if __name__ == "__main__":
     rclpy.init()
     named = SimpleQueue()
     Thread(target=read, args=(named,), daemon=True).start()
-    rclpy.spin(Feeder(int(sys.argv[1]), named))
+    rclpy.spin(Feeder(int(sys.argv[1]), named, int(sys.argv[2]) if sys.argv[2:] else 0))
