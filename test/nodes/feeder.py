@@ -2,11 +2,12 @@
 
 usage: feeder.py WINDOW [DEPTH]
 
-DEPTH: readings kept for a reader that does not answer. A tracer at 1 kHz and an observation after every WINDOW readings, all numbered. A line NAME on
-standard input: open a bag at the recorder whose service is ``start_NAME``. Standard output gets
-a line of JSON per receipt of ``receipts_NAME``: {"recorder": NAME, "step": ...}, and one when
-NAME gives up: {"recorder": NAME, "failure": ...}. An empty line is answered by
-{"recorder": "", "step": 0}, behind all receipts that have arrived.
+A tracer at 1 kHz and an observation after every WINDOW readings, all numbered; DEPTH readings
+are kept for a reader that does not answer. A line NAME on standard input: open a bag at the
+recorder whose service is ``start_NAME``. Standard output gets a line of JSON per receipt of
+``receipts_NAME``: {"recorder": NAME, "step": ...}, and one when NAME gives up:
+{"recorder": NAME, "failure": ...}. An empty line is answered by {"recorder": "", "step": 0},
+behind all receipts that have arrived.
 """
 
 import json
