@@ -56,9 +56,11 @@ class DropoutNotes:
 
     def write(self, older_than_s: float = 0.0) -> None:
         """Write those that have waited so long."""
+        if self._recording is None or self._recording.error:
+            return
         now_s = time.monotonic()
         for key, (since_s, dropout) in list(self._waiting.items()):
-            if now_s - since_s >= older_than_s and self._recording is not None:
+            if now_s - since_s >= older_than_s:
                 del self._waiting[key]
                 channel = own_channel(self._topic, MESSAGE_TYPE)
                 item = (serialize_message(_message(dropout)), dropout.to_ns, dropout.to_ns)

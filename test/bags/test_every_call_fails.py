@@ -1,7 +1,7 @@
 """Every call that a recording makes to the disk fails in its turn, as SQLite tests itself.
 
 Whatever fails, and however often: no receipt for what a power cut takes away, no traceback,
-and the reason in the recorder's words. ROTCAL_ALL_FAULTS=1 tries all faults (make faults).
+and the reason in the recorder's words. ROTCAL_ALL_FAULTS=1 tries all faults.
 """
 
 import inspect
