@@ -16,7 +16,7 @@ from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.observations import Observation
 
-_TOLD: Final = 20
+_SENTENCES: Final = 20
 """Sentences in all; more say no more."""
 _NAMED: Final = 5
 _TYPE: Final = "rotcal_msgs/msg/Observation"
@@ -64,9 +64,9 @@ def placed_in(verdicts: Sequence[FileVerdict]) -> tuple[PlacedDropout, ...]:
 
 def sentences(dropouts: Sequence[PlacedDropout]) -> tuple[str, ...]:
     """Return dropouts in words; where there are many, the first ones."""
-    told = tuple(dropout.sentence() for dropout in dropouts[:_TOLD])
-    left = len(dropouts) - len(told)
-    return (*told, f"and {left} dropouts more") if left else told
+    shown = tuple(dropout.sentence() for dropout in dropouts[:_SENTENCES])
+    left = len(dropouts) - len(shown)
+    return (*shown, f"and {left} dropouts more") if left else shown
 
 
 def _touched(dropout: Dropout, accepted: Iterable[Observation]) -> Iterator[int]:
