@@ -14,12 +14,28 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.dropouts import Dropout
 from rotcal_ros.bags.reader import read_blocks
 from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.observations import Observation
 
 _SENTENCES: Final = 20
 """Sentences in all; more say no more."""
 _NAMED: Final = 5
 _TYPE: Final = "rotcal_msgs/msg/Observation"
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """The window of an accepted observation in log time (ns), as dropouts are.
+
+    Stamps are those of the publisher's clock, which may be another or run at another pace: the
+    window ends when the observation arrived.
+    """
+
+    step: int
+    from_ns: int
+    to_ns: int
+
+    def touches(self, dropout: Dropout) -> bool:
+        """Return whether the two have a moment in common."""
+        return dropout.from_ns <= self.to_ns and self.from_ns <= dropout.to_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +60,13 @@ class PlacedDropout:
 
 
 def placed(
-    verdicts: Iterable[FileVerdict], observations: Iterable[Observation]
+    verdicts: Iterable[FileVerdict], windows: Iterable[Window]
 ) -> tuple[PlacedDropout, ...]:
     """Return all dropouts in the order of time, with the steps that they touch."""
     dropouts = [dropout for verdict in verdicts for dropout in verdict.dropouts]
-    accepted = [o for o in observations if o.accepted] if dropouts else []
+    known = list(windows)
     return tuple(
-        PlacedDropout(dropout, tuple(sorted(set(_touched(dropout, accepted)))))
+        PlacedDropout(dropout, tuple(sorted({w.step for w in known if w.touches(dropout)})))
         for dropout in sorted(dropouts, key=lambda dropout: dropout.from_ns)
     )
 
@@ -59,7 +75,7 @@ def placed_in(verdicts: Sequence[FileVerdict]) -> tuple[PlacedDropout, ...]:
     """Return :func:`placed` with the observations in the files; reads them where it must."""
     if not any(verdict.dropouts for verdict in verdicts):
         return ()
-    return placed(verdicts, _observations(tuple(verdict.path for verdict in verdicts)))
+    return placed(verdicts, _windows(tuple(verdict.path for verdict in verdicts)))
 
 
 def sentences(dropouts: Sequence[PlacedDropout]) -> tuple[str, ...]:
@@ -69,17 +85,8 @@ def sentences(dropouts: Sequence[PlacedDropout]) -> tuple[str, ...]:
     return (*shown, f"and {left} dropouts more") if left else shown
 
 
-def _touched(dropout: Dropout, accepted: Iterable[Observation]) -> Iterator[int]:
-    for observation in accepted:
-        if (
-            dropout.from_ns <= observation.window_end_ns
-            and observation.window_start_ns <= dropout.to_ns
-        ):
-            yield observation.step
-
-
-def _observations(files: tuple[Path, ...]) -> Iterator[Observation]:
-    """Yield what the live capture had published."""
+def _windows(files: tuple[Path, ...]) -> Iterator[Window]:
+    """Yield the windows of the accepted observations that the live capture had published."""
     decoders: dict[ChannelDefinition, Decoder] = {}
     for scan, block in read_blocks(files):
         for number in () if block is None else block.counts():
@@ -89,5 +96,8 @@ def _observations(files: tuple[Path, ...]) -> Iterator[Observation]:
             decoder = decoders.setdefault(channel, Decoder(channel))
             assert block is not None
             chosen = block.select(block.headers["channel"] == number)
-            found = (decoder.message(chosen.payload(row)) for row in range(len(chosen)))
-            yield from (records.observation(message) for message in found if message is not None)
+            for row, log_time_ns in enumerate(chosen.headers["log_time"].tolist()):
+                message = decoder.message(chosen.payload(row))
+                if message is not None and (found := records.observation(message)).accepted:
+                    lasted_ns = found.window_end_ns - found.window_start_ns
+                    yield Window(found.step, log_time_ns - lasted_ns, log_time_ns)

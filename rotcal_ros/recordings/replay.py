@@ -33,7 +33,7 @@ from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
-from rotcal_ros.recordings.dropouts import placed, sentences
+from rotcal_ros.recordings.dropouts import placed_in, sentences
 from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
@@ -143,7 +143,7 @@ class Recording:
         """Return what the reader of a result must know about the bag."""
         texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
-        texts += sentences(placed(self.verdicts, self.observations))
+        texts += sentences(placed_in(self.verdicts))
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")

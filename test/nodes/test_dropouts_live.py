@@ -18,7 +18,8 @@ pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
 
 TRACER = "/cell/tracer_length"
-HELD_S = 2.0
+HELD_S = 8.0
+"""More than a socket takes: its buffer may have room for 4 MB, some 5000 readings."""
 DEPTH = 50
 """Readings that the publisher keeps for a reader who does not answer: 0.05 s."""
 

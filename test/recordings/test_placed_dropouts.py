@@ -5,20 +5,18 @@ from types import SimpleNamespace
 import pytest
 
 from rotcal_ros.bags.dropouts import GAP, Dropout
-from rotcal_ros.recordings.dropouts import placed, sentences
+from rotcal_ros.recordings.dropouts import Window, placed, sentences
 
 SECOND = 10**9
 
 
-def observations(*accepted):
+def windows(*accepted):
     """Return windows of half a second, one beginning at each second."""
     return [
-        SimpleNamespace(
-            step=step, accepted=good, window_start_ns=step * SECOND,
-            window_end_ns=step * SECOND + SECOND // 2,
-        )
+        Window(step, step * SECOND, step * SECOND + SECOND // 2)
         for step, good in enumerate(accepted)
-    ]  # fmt: skip
+        if good
+    ]
 
 
 def file(*spans):
@@ -36,7 +34,7 @@ def file(*spans):
      ((2.1, 2.2), ())],
 )  # fmt: skip
 def test_the_steps_are_those_of_accepted_windows(span, steps):
-    (found,) = placed([file(span)], observations(True, True, False, True))
+    (found,) = placed([file(span)], windows(True, True, False, True))
     assert found.steps == steps
     assert found.to_dict()["steps"] == list(steps)
 
@@ -47,9 +45,9 @@ def test_dropouts_of_all_files_come_in_the_order_of_time():
 
 
 def test_words_name_few_steps_and_say_how_many_dropouts_there_are():
-    everything = placed([file((0, 99))], observations(*[True] * 7))
+    everything = placed([file((0, 99))], windows(*[True] * 7))
     assert sentences(everything)[0].endswith(f"{GAP}; steps 0 to 6, 7 in all")
-    (one,) = sentences(placed([file((2.0, 2.1))], observations(*[True] * 7)))
+    (one,) = sentences(placed([file((2.0, 2.1))], windows(*[True] * 7)))
     assert one.endswith("; step 2")
     many = placed([file(*((n, n) for n in range(25)))], ())
     assert sentences(many)[-1] == "and 5 dropouts more"
