@@ -73,10 +73,12 @@ def of_status(values: Mapping[str, str]) -> Dropout | None:
     """Return the dropout that a status with these values tells of; None for any other."""
     try:
         return Dropout(
-            values["topic"],
-            *(int(values[name]) for name in ("from_ns", "to_ns", "count")),
-            values["reason"],
-            int(values["gaps"]),
+            topic=values["topic"],
+            from_ns=int(values["from_ns"]),
+            to_ns=int(values["to_ns"]),
+            count=int(values["count"]),
+            reason=values["reason"],
+            gaps=int(values["gaps"]),
         )
     except (KeyError, ValueError):
         return None
