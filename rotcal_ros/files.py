@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import os
-import tempfile
-from collections.abc import Callable
+import secrets
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
+from rotcal_ros import disk
 from rotcal_ros.errors import BagError
 
 
@@ -16,25 +18,22 @@ class DurableFile:
 
     ``write`` puts all bytes into the file or none: after a failure (full disk) the file ends
     where the failed record would have begun. Nothing is buffered here, so what was written
-    survives the death of this process, and what was synced that of the machine.
+    survives the death of this process, and what was synced that of the machine. Where somebody
+    else cuts the file or writes into it, its size never again is :meth:`tell`.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
+        self._descriptor = disk.open_file(path, flags)
         self._size = 0
         self._closed = False
+        self._sync_error: OSError | None = None
 
     def write(self, data: bytes) -> int:
         """Append ``data``; on OSError the file is as it was before."""
-        remaining = memoryview(data)
-        try:
-            while remaining:
-                remaining = remaining[os.write(self._descriptor, remaining) :]
-        except OSError:
-            os.ftruncate(self._descriptor, self._size)
-            os.lseek(self._descriptor, self._size, os.SEEK_SET)
-            raise
+        with _undone(self._descriptor, self._size):
+            _write_whole(self._descriptor, data)
         self._size += len(data)
         return len(data)
 
@@ -46,14 +45,26 @@ class DurableFile:
         """Do nothing: nothing is buffered."""
 
     def sync(self) -> None:
-        """Return when everything written is on the medium."""
-        os.fsync(self._descriptor)
+        """Return when everything written is on the medium.
+
+        After one failure every further call fails: the system may have dropped what it could not
+        write, and would then call the rest safe.
+        """
+        if self._closed:
+            raise OSError(errno.EBADF, f"{self.path} is closed")
+        if self._sync_error is not None:
+            raise self._sync_error
+        try:
+            disk.sync(self._descriptor)
+        except OSError as error:
+            self._sync_error = error
+            raise
 
     def close(self) -> None:
         """Close the file; a second call does nothing."""
         if not self._closed:
             self._closed = True
-            os.close(self._descriptor)
+            disk.close(self._descriptor)
 
 
 class FolderLock:
@@ -64,17 +75,21 @@ class FolderLock:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.descriptor = os.open(folder, os.O_RDONLY)
+        self.descriptor = disk.open_file(folder, os.O_RDONLY)
         try:
-            fcntl.flock(self.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            disk.lock(self.descriptor)
         except BlockingIOError:
-            os.close(self.descriptor)
+            self.release()
             raise BagError(f"another process still writes in {folder}; end it first") from None
+        except OSError:
+            self.release()
+            raise
 
     def release(self) -> None:
         """Give the right back; a second call does nothing."""
         if self.descriptor >= 0:
-            os.close(self.descriptor)
+            with suppress(OSError):  # whatever it says, the descriptor and its lock are gone
+                disk.close(self.descriptor)
             self.descriptor = -1
 
 
@@ -87,30 +102,99 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` make a file at the path it gets, sync it, and put it in the place of ``path``.
 
     ``path`` holds either the old or the new content, never half. What ``write`` raises is passed
-    on; the unfinished file is removed. It is made in a folder of its own that nobody else may
-    enter: under a name that can be guessed, a planted link would lead the writing elsewhere.
+    on; the unfinished file is removed.
     """
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as scratch:
-        temporary = Path(scratch) / path.name
+    with scratch_folder(path.parent) as scratch:
+        temporary = scratch / path.name
         write(temporary)
-        with temporary.open("rb") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        _sync(temporary)
+        disk.replace(temporary, path)
     sync_folder(path.parent)
 
 
+@contextmanager
+def scratch_folder(parent: Path) -> Iterator[Path]:
+    """Make a folder in ``parent`` for unfinished files; it is gone afterwards.
+
+    Nobody else may enter it: under a name that can be guessed, a planted link would lead the
+    writing elsewhere. Where a failing disk does not let it go, it stays behind.
+    """
+    folder = parent / f".rotcal-{secrets.token_hex(8)}"
+    disk.make_folder(folder, 0o700)
+    try:
+        yield folder
+    finally:
+        with suppress(OSError):
+            for left in folder.iterdir():
+                disk.remove(left)
+            disk.remove_folder(folder)
+
+
 def write_durably(path: Path, text: str, encoding: str = "utf-8") -> None:
-    """Write ``text``, line ends as they are; it is on the medium when this returns."""
-    with path.open("wb") as file:
+    """Write ``text`` into a new file, line ends as they are; it is on the medium afterwards."""
+    with closing(DurableFile(path)) as file:
         file.write(text.encode(encoding))
-        file.flush()
-        os.fsync(file.fileno())
+        file.sync()
+
+
+def append_line(path: Path, line: bytes) -> None:
+    """Append ``line``, which ends in a line break, to a file that may not exist yet.
+
+    It is on the medium afterwards; on OSError it was never there. What a crash cut off before
+    it is taken away. ``path`` must be no link.
+    """
+    descriptor = disk.open_file(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW)
+    try:
+        sync_folder(path.parent)
+        with open(descriptor, "rb", closefd=False) as file:
+            end = file.read().rfind(b"\n") + 1
+        disk.truncate(descriptor, end)
+        with _undone(descriptor, end):
+            _write_whole(descriptor, line)
+            disk.sync(descriptor)
+    finally:
+        with suppress(OSError):  # the line is safe or was never there
+            disk.close(descriptor)
+
+
+def make_folder(path: Path) -> None:
+    """Make a new folder and what is missing above it, with names that survive a crash.
+
+    Raises FileExistsError when there is anything at ``path``.
+    """
+    for folder in reversed([above for above in path.parents if not above.exists()]):
+        with suppress(FileExistsError):  # somebody else was as quick
+            disk.make_folder(folder)
+        sync_folder(folder.parent)
+    disk.make_folder(path)
+    sync_folder(path.parent)
 
 
 def sync_folder(folder: Path) -> None:
     """Make the names of new files in ``folder`` durable."""
-    descriptor = os.open(folder, os.O_RDONLY)
+    _sync(folder)
+
+
+def _write_whole(descriptor: int, data: bytes) -> None:
+    remaining = memoryview(data)
+    while remaining:
+        remaining = remaining[disk.write(descriptor, remaining) :]
+
+
+@contextmanager
+def _undone(descriptor: int, size: int) -> Iterator[None]:
+    """Cut the file back to ``size`` when what is done inside fails."""
     try:
-        os.fsync(descriptor)
+        yield
+    except OSError:
+        with suppress(OSError):
+            disk.truncate(descriptor, size)
+        raise
+
+
+def _sync(path: Path) -> None:
+    descriptor = disk.open_file(path, os.O_RDONLY)
+    try:
+        disk.sync(descriptor)
     finally:
-        os.close(descriptor)
+        disk.close(descriptor)

@@ -11,6 +11,7 @@ from mcap.records import Attachment
 
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.dropout_reader import DropoutReader
 from rotcal_ros.bags.verdict import FileVerdict, TopicCount
 
 
@@ -30,6 +31,7 @@ class Scan(ABC):
         self.metadata: dict[str, dict[str, str]] = {}
         self._counts: Counter[int] = Counter()
         self._span: tuple[int, int] | None = None
+        self._dropouts = DropoutReader()
 
     @abstractmethod
     def blocks(self) -> Iterator[Block]:
@@ -40,8 +42,9 @@ class Scan(ABC):
         """Return the verdict on the file, after the iteration."""
 
     def _count(self, block: Block) -> None:
-        """Count the messages of ``block`` and widen the span of log times."""
+        """Count the messages of ``block``, widen the span of log times, look for dropouts."""
         self._counts.update(block.counts())
+        self._dropouts.take(block, self.channels)
         times = block.headers["log_time"]
         start, end = int(times.min()), int(times.max())
         known = self._span or (start, end)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.dropouts import Dropout
 
 State = Literal["complete", "truncated", "damaged"]
 
@@ -37,7 +38,7 @@ class FileVerdict:
     ``lost_exactly`` is False when messages may be missing beyond those counted in ``topics``:
     what stood behind the end of a truncated file is unknown, and so is the content of a
     damaged chunk whose index is damaged too. ``losses_recorded`` counts from the beginning of
-    the ``run`` of an interrupted plan, over all files of it.
+    the ``run`` of an interrupted plan, over all files of it; ``dropouts`` are those of this file.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class FileVerdict:
     lost_exactly: bool = True
     losses_recorded: Mapping[str, int] = field(default_factory=dict)
     run: int = 0
+    dropouts: tuple[Dropout, ...] = ()
 
     @property
     def messages(self) -> int:
@@ -89,6 +91,7 @@ class FileVerdict:
                 for name, t in self.topics.items()
             },
             "losses_recorded": dict(self.losses_recorded),
+            "dropouts": [dropout.to_dict() for dropout in self.dropouts],
         }
 
 

@@ -3,28 +3,34 @@
 from __future__ import annotations
 
 import errno
-import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Final, TypeVar
 
-from mcap.writer import CompressionType, Writer
-
-from rotcal_ros import __version__
+from rotcal_ros import disk
 from rotcal_ros.bags import names
-from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.mcap_file import LIBRARY, Attached, McapFile
+from rotcal_ros.bags.presence import Presence
 from rotcal_ros.bags.rosbag2_metadata import FileInfo, bag_information, yaml_text
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
-from rotcal_ros.files import DurableFile, FolderLock, sync_folder, write_atomically
+from rotcal_ros.files import FolderLock, make_folder, sync_folder, write_atomically
 
 T = TypeVar("T")
 
 METADATA_FILE: Final = "metadata.yaml"
-LIBRARY: Final = f"rotcal_ros {__version__}"
+
+_REASONS: Final = {
+    errno.ENOSPC: "the disk is full",
+    errno.EFBIG: "the file has reached the size that this system allows",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EROFS: "the file system is read-only",
+    errno.EACCES: "writing is not permitted",
+    errno.EPERM: "writing is not permitted",
+    errno.EIO: "the disk reports an error (input/output)",
+}
 
 
 class BagWriter:
@@ -34,8 +40,8 @@ class BagWriter:
     reader.session_files, or none) the session in an existing folder is continued in a new
     file. One writer at a time holds the lock on its folder.
     Data are on disk after :meth:`sync`; :meth:`tick` calls it when the interval has passed.
-    When the disk fails, the file is closed at its last whole record and BagError is raised.
-    The caller serialises the calls.
+    When the disk fails, or somebody else takes, swaps or cuts a file of the bag, the file is
+    closed at its last whole record and BagError is raised. The caller serialises the calls.
     """
 
     def __init__(
@@ -52,16 +58,15 @@ class BagWriter:
         self.closed = False
         self._ros_distro = ros_distro
         self._channels: dict[int, ChannelDefinition] = {}
-        self._attachments: list[tuple[int, int, str, str, bytes]] = []
+        self._attachments: list[Attached] = []
         self._notes: dict[str, dict[str, str]] = {}
         self._sequences: dict[int, int] = {}
         self._unsynced = 0
-        self._undescribed: dict[int, ChannelDefinition] = {}
         self._last_sync_ns: int | None = None
-        self._file: DurableFile | None = None
-        self._guarded(lambda: self._prepare_folder(resume=earlier is not None))
-        self._lock = self._guarded(lambda: FolderLock(self.folder))
-        self._guarded(self._open_file)
+        self._presence = Presence(self.folder)
+        self._lock: FolderLock | None = None
+        self._open_file: McapFile | None = None
+        self._guarded(lambda: self._begin(resume=earlier is not None))
 
     @property
     def path(self) -> Path:
@@ -76,10 +81,9 @@ class BagWriter:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put ``data`` beside the messages, in this file and in every later one."""
-        now_ns = time.time_ns()
-        attachment = (now_ns, now_ns, name, media_type, data)
-        self._attachments.append(attachment)
-        self._guarded(lambda: self._writer.add_attachment(*attachment))
+        attached = Attached(name, media_type, data, time.time_ns())
+        self._attachments.append(attached)
+        self._guarded(lambda: self._file.attach(attached))
         self._unsynced += 1
 
     def note(self, name: str, values: Mapping[str, object]) -> None:
@@ -87,7 +91,7 @@ class BagWriter:
         texts = {key: str(value) for key, value in values.items()}
         if self._notes.get(name) != texts:
             self._notes[name] = texts
-            self._guarded(lambda: self._writer.add_metadata(name, texts))
+            self._guarded(lambda: self._file.note(name, texts))
             self._unsynced += 1
 
     def channel(
@@ -106,13 +110,14 @@ class BagWriter:
         the RIHS01 hash (empty when the middleware offers none), ``offered_qos`` the text of
         :func:`rosbag2_metadata.qos_text`.
         """
-        channel = ChannelDefinition(
+        wanted = ChannelDefinition(
             0, topic, type_name, encoding, definition, type_hash, offered_qos
         )
-        number = self._guarded(lambda: self._register(channel))
-        self._channels[number] = self._undescribed[number] = replace(channel, channel_id=number)
-        self._sequences[number] = 0
-        return number
+        channel = self._guarded(lambda: self._file.register(wanted))
+        self._channels[channel.channel_id] = channel
+        self._sequences[channel.channel_id] = 0
+        self._unsynced += 1
+        return channel.channel_id
 
     def write(
         self,
@@ -130,10 +135,8 @@ class BagWriter:
             raise BagError(f"the bag {self.folder} is closed: a message came too late")
         if sequence is None:
             sequence = self._sequences[channel]
-        if self._undescribed:
-            self._guarded(self._describe)
         try:
-            self._writer.add_message(channel, log_time_ns, data, publish_time_ns, sequence)
+            self._file.write(channel, data, log_time_ns, publish_time_ns, sequence)
         except OSError as error:
             raise self._failed(error) from error
         self._sequences[channel] = (sequence + 1) & 0xFFFFFFFF
@@ -155,20 +158,21 @@ class BagWriter:
         return True
 
     def sync(self) -> None:
-        """Return when all messages so far are on disk, in closed chunks."""
+        """Return when all messages so far are on disk, in closed chunks, under their names."""
         if self._unsynced:
             self._guarded(self._sync)
-            self._unsynced = 0
-            if self._must_split():
-                self._guarded(self._split)
-        self._check_space()
+        self._require_presence()
+        if self._must_split():
+            self._guarded(self._split)
+        self._require_space()
 
     def close(self) -> None:
         """Finish the file with its index, write ``metadata.yaml``, sync the folder."""
         if not self.closed:
-            self._guarded(self._finish)
-            self.closed = True
-            self._lock.release()
+            self._guarded(self._sync)
+            self._require_presence()
+            self._guarded(self._finish_file)
+            self._release()
 
     def __enter__(self) -> BagWriter:
         return self
@@ -176,86 +180,61 @@ class BagWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _prepare_folder(self, *, resume: bool) -> None:
-        if resume:
-            if not self.folder.is_dir():
-                raise BagError(f"cannot continue {self.folder}: there is no such folder")
-            return
+    def _begin(self, *, resume: bool) -> None:
+        if not resume:
+            self._make_folder()
+        elif not self.folder.is_dir():
+            raise BagError(f"cannot continue {self.folder}: there is no such folder")
+        self._lock = FolderLock(self.folder)
+        for file in self.files:
+            self._presence.expect(self.folder / file.name)
+        self._begin_file()
+
+    def _make_folder(self) -> None:
         try:
-            self.folder.mkdir(parents=True)
+            make_folder(self.folder)
         except FileExistsError:
             raise BagError(
                 f"{self.folder} exists already and a bag never overwrites; choose another folder, "
                 "or continue the interrupted session explicitly"
             ) from None
-        sync_folder(self.folder.parent)
 
-    def _open_file(self) -> None:
+    def _begin_file(self) -> None:
         name = f"{self.folder.name}_{len(self.files)}.mcap"
-        self._file = DurableFile(self.folder / name)
+        self._open_file = file = McapFile(self.folder / name, self.settings.chunk_bytes)
         self.files.append(FileInfo(name))
-        self._writer = Writer(
-            self._file,  # type: ignore[arg-type]
-            chunk_size=self.settings.chunk_bytes,
-            compression=CompressionType.ZSTD,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
-        self._schemas: dict[tuple[str, str], int] = {}
-        self._writer.start(profile="ros2", library=LIBRARY)
+        self._presence.expect(file.path)
+        file.begin()
         self._write_metadata()
-        for attachment in self._attachments:
-            self._writer.add_attachment(*attachment)
+        for attached in self._attachments:
+            file.attach(attached)
         for name, values in self._notes.items():
-            self._writer.add_metadata(name, values)
+            file.note(name, values)
         for channel in self._channels.values():
-            self._register(channel)
-        self._undescribed.update(self._channels)
+            file.register(channel)
         self._sync()
-
-    def _register(self, channel: ChannelDefinition) -> int:
-        key = (channel.type_name, channel.definition)
-        if key not in self._schemas:
-            self._schemas[key] = self._writer.register_schema(
-                channel.type_name, channel.encoding, channel.definition.encode()
-            )
-        self._unsynced += 1
-        return self._writer.register_channel(
-            channel.topic,
-            "cdr",
-            self._schemas[key],
-            {"offered_qos_profiles": channel.offered_qos, "topic_type_hash": channel.type_hash},
-        )
-
-    def _describe(self) -> None:
-        """Put new definitions beside the chunks, before the first message that needs them."""
-        data = dump_definitions(self._undescribed.values())
-        now_ns = time.time_ns()
-        self._writer.add_attachment(now_ns, now_ns, names.DEFINITIONS, "application/json", data)
-        self._undescribed.clear()
+        sync_folder(self.folder)
 
     def _sync(self) -> None:
-        if self._undescribed:
-            self._describe()
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self._open.sync()
+        self._file.sync()
+        self._presence.grown(self._file.path, self._file.size)
+        self._unsynced = 0
 
     def _must_split(self) -> bool:
         limits, file = self.settings, self.files[-1]
         seconds = (file.end_ns - file.start_ns) / 1e9 if file.messages else 0.0
-        too_big = 0 < limits.split_bytes <= self._open.tell()
+        too_big = 0 < limits.split_bytes <= self._file.size
         return file.messages > 0 and (too_big or 0 < limits.split_duration_s <= seconds)
 
     def _split(self) -> None:
-        self._finish()
-        self._open_file()
+        self._finish_file()
+        self._begin_file()
 
-    def _finish(self) -> None:
-        self._sync()
+    def _finish_file(self) -> None:
+        """Finish a file that is synced."""
         self._write_metadata()
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._open.sync()
-        self._open.close()
+        self._file.finish()
+        self._presence.grown(self._file.path, self._file.size)
         sync_folder(self.folder)
 
     def _write_metadata(self) -> None:
@@ -265,14 +244,21 @@ class BagWriter:
             ros_distro=self._ros_distro,
             custom_data={"library": LIBRARY},
         )
-        values = {"serialized_metadata": yaml_text(information)}
-        self._writer.add_metadata(names.ROSBAG2, values)
+        self._file.note(names.ROSBAG2, {"serialized_metadata": yaml_text(information)})
         text = yaml_text({"rosbag2_bagfile_information": information})
         write_atomically(self.folder / METADATA_FILE, text)
 
-    def _check_space(self) -> None:
-        free = shutil.disk_usage(self.folder).free
-        if free < self.settings.min_free_bytes and not self.closed:
+    def _require_presence(self) -> None:
+        if fault := self._guarded(self._presence.fault):
+            self._give_up()
+            raise BagError(
+                f"cannot go on with the bag {self.folder}: {fault}; recording stopped, since "
+                "nothing would be safe there; see who else uses this folder, or choose another"
+            )
+
+    def _require_space(self) -> None:
+        free = self._guarded(lambda: disk.free_bytes(self.folder))
+        if free < self.settings.min_free_bytes:
             self.close()
             raise BagError(
                 f"only {free / 1e6:.1f} MB are free below {self.folder}, less than the "
@@ -281,9 +267,9 @@ class BagWriter:
             )
 
     @property
-    def _open(self) -> DurableFile:
-        assert self._file is not None
-        return self._file
+    def _file(self) -> McapFile:
+        assert self._open_file is not None
+        return self._open_file
 
     def _guarded(self, action: Callable[[], T]) -> T:
         if self.closed:
@@ -294,22 +280,21 @@ class BagWriter:
             raise self._failed(error) from error
 
     def _failed(self, error: OSError) -> BagError:
-        """Close at the last whole record and return the error to raise."""
-        self.closed = True
-        if self._file is not None:
-            with suppress(OSError):
-                self._file.sync()
-            with suppress(OSError):
-                self._file.close()
-            self._lock.release()
-        reason = {
-            errno.ENOSPC: "the disk is full",
-            errno.EFBIG: "the file has reached the size that this system allows",
-            errno.EDQUOT: "the disk quota is used up",
-            errno.EROFS: "the file system is read-only",
-            errno.EACCES: "writing is not permitted",
-        }.get(error.errno or 0, error.strerror or str(error))
+        """Give up and return the error to raise."""
+        self._give_up()
+        reason = _REASONS.get(error.errno or 0, error.strerror or str(error))
         return BagError(
             f"cannot write the bag {self.folder}: {reason}; what was synced before is safe, "
             "the last records may be missing; make room or choose another folder"
         )
+
+    def _give_up(self) -> None:
+        """Close at the last whole record."""
+        if self._open_file is not None:
+            self._open_file.abandon()
+        self._release()
+
+    def _release(self) -> None:
+        self.closed = True
+        if self._lock is not None:
+            self._lock.release()

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress, say
+
+if TYPE_CHECKING:
+    from rotcal_ros.recordings.dropouts import PlacedDropout
 
 
 @click.group()
@@ -31,6 +35,7 @@ def info(bag: Path, as_json: bool) -> int:
         print_json(summary.to_dict())
     else:
         _print(summary.to_dict())
+        _tell(summary.dropouts)
     return 0
 
 
@@ -43,17 +48,23 @@ def check(bag: Path, as_json: bool) -> int:
     The exit code is 0 when all files are complete, 1 otherwise.
     """
     from rotcal_ros.bags.reader import bag_files, check_files
+    from rotcal_ros.recordings.dropouts import placed_in
 
     with progress("checking") as shown:
         verdicts = check_files(bag_files(bag), shown)
+    dropouts = placed_in(verdicts)
     if as_json:
-        print_json({"files": [verdict.to_dict() for verdict in verdicts]})
+        print_json({
+            "files": [verdict.to_dict() for verdict in verdicts],
+            "dropouts": [dropout.to_dict() for dropout in dropouts],
+        })  # fmt: skip
     else:
         for verdict in verdicts:
             click.echo(f"{verdict.path}: {verdict.messages} messages, {verdict.sentence()}")
             for name, topic in verdict.topics.items():
                 if topic.lost:
                     click.echo(f"  {name}: {topic.lost} lost, {topic.messages} read")
+        _tell(dropouts)
     return 0 if all(verdict.state == "complete" for verdict in verdicts) else 1
 
 
@@ -125,6 +136,14 @@ def repair(bag: Path, output: Path | None, as_json: bool) -> int:
         saved = sum(verdict.messages for verdict in outcome.after)
         click.echo(f"{saved} messages saved in {folder.absolute()}")
     return 0
+
+
+def _tell(dropouts: Sequence[PlacedDropout]) -> None:
+    """Say what the recorder missed, and when."""
+    from rotcal_ros.recordings.dropouts import sentences
+
+    for sentence in sentences(dropouts):
+        say(sentence)
 
 
 def _print(summary: dict[str, Any]) -> None:

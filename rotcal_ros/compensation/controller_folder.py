@@ -11,6 +11,7 @@ import os
 import socket
 import stat
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -18,7 +19,7 @@ from rotcal_ros.compensation import journal
 from rotcal_ros.compensation.controller_store import ENCODING, answered
 from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.errors import ControllerError
-from rotcal_ros.files import sync_folder, write_atomically
+from rotcal_ros.files import make_folder, sync_folder, write_atomically
 
 T = TypeVar("T")
 
@@ -88,7 +89,8 @@ class ControllerFolder:
 
     def _take_lock(self) -> int:
         state = self.folder / STATE_FOLDER
-        state.mkdir(exist_ok=True, parents=bool(self._owner))
+        if not state.exists():
+            self._make(state)
         if state.is_symlink():
             raise ControllerError(f"{state} is a link: expected a folder of its own")
         descriptor = os.open(state / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)
@@ -109,6 +111,12 @@ class ControllerFolder:
         os.ftruncate(descriptor, 0)
         os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
         return descriptor
+
+    def _make(self, state: Path) -> None:
+        if not self._owner:
+            self.folder.stat()  # a folder that is gone is not made anew
+        with suppress(FileExistsError):
+            make_folder(state)
 
     def _own(self, state: Path) -> None:
         """Refuse a journal of another controller: its old tables would go to the wrong machine."""

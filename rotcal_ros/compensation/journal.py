@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Final, Literal
 
 from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.errors import ControllerError
+from rotcal_ros.files import append_line
 
 Action = Literal["applying", "applied", "restoring", "restored", "rolled_back"]
 BEGUN: Final = ("applying", "restoring")
@@ -73,20 +73,11 @@ class Journal:
     def note(self, entry: Entry) -> None:
         """Append an event; ControllerError when that is not possible."""
         try:
-            self._append(json.dumps(asdict(entry)).encode() + b"\n")
+            append_line(self.folder / FILE, json.dumps(asdict(entry)).encode() + b"\n")
         except OSError as error:
             raise ControllerError(
                 f"cannot note '{entry.action}' in {self.folder / FILE}: {error.strerror}"
             ) from error
-
-    def _append(self, line: bytes) -> None:
-        flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW
-        with os.fdopen(os.open(self.folder / FILE, flags, 0o644), "ab+") as stream:
-            stream.seek(0)
-            stream.truncate(stream.read().rfind(b"\n") + 1)  # a line that a crash cut off
-            stream.write(line)
-            stream.flush()
-            os.fsync(stream.fileno())
 
     def keep(self, files: Contents, time_ns: int) -> str:
         """Keep what the controller holds (None: no such file); return the folder's name."""

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
-import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from rotcal_ros import disk
 from rotcal_ros.errors import BagError, ConfigurationError
-from rotcal_ros.files import sync_folder, write_durably
+from rotcal_ros.files import make_folder, scratch_folder, sync_folder, write_durably
 
 PROVENANCE: Final = ".provenance.json"
 """How the name of the file ends that is for people and not for the controller."""
@@ -25,29 +25,34 @@ def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
     for name in files:
         check_file_name(name)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if not folder.is_dir():
+            make_folder(folder)
     except OSError as error:
         raise BagError(f"cannot make the folder {folder}: {error.strerror}") from error
     done: list[Path] = []
     try:
-        with tempfile.TemporaryDirectory(prefix=".rotcal-", dir=folder) as scratch:
+        with scratch_folder(folder) as scratch:
             for name, text in files.items():
-                temporary = Path(scratch) / name
-                write_durably(temporary, text, "latin-1")
-                temporary.chmod(0o644)
+                write_durably(scratch / name, text, "latin-1")
+                (scratch / name).chmod(0o644)
             for name in files:
-                os.link(Path(scratch) / name, folder / name)
+                disk.link(scratch / name, folder / name)
                 done.append(folder / name)
         sync_folder(folder)
     except OSError as error:
-        for path in done:
-            path.unlink(missing_ok=True)
+        for path in list(done):
+            with suppress(OSError):
+                disk.remove(path)
+                done.remove(path)
         if isinstance(error, FileExistsError):
             raise BagError(
                 f"{error.filename2 or error.filename} exists already and nothing is ever "
                 "overwritten: choose another folder or name; nothing was written"
             ) from error
-        raise BagError(f"cannot write into {folder}: {error.strerror}; nothing is left") from error
+        left = (
+            f"{', '.join(map(str, done))} must be removed by hand" if done else "nothing is left"
+        )
+        raise BagError(f"cannot write into {folder}: {error.strerror}; {left}") from error
     return tuple(done)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 from rotcal_ros.bags import names
@@ -39,17 +39,33 @@ class TopicLosses:
         """Count from zero; the numbers of the publishers go on."""
         self._gaps = self._reported = 0
 
-    def number(self, number: int | None, publisher: bytes) -> None:
-        """Take the number that ``publisher`` gave a message; None or 0 where there are none."""
-        if not number:
-            return
-        last = self._sequences.get(publisher, number - 1)
-        self._gaps += max(0, number - last - 1)
-        self._sequences[publisher] = number
+    def number(self, number: int | None, publisher: bytes) -> int:
+        """Take the number that ``publisher`` gave a message; None or 0 where there are none.
 
-    def report(self, lost: int) -> None:
-        """Take a report of ``lost`` further messages."""
-        self._reported += lost
+        Return how many messages are known to be lost by that which were not known before.
+        """
+        if not number:
+            return 0
+        gap = number - self._sequences.get(publisher, number - 1) - 1
+        self._sequences[publisher] = number
+        if gap <= 0:
+            return 0
+        known, self._gaps = self.count, self._gaps + gap
+        return self.count - known
+
+    def report(self, lost: int) -> int:
+        """Take a report of ``lost`` further messages; return how many were not known before."""
+        known, self._reported = self.count, self._reported + lost
+        return self.count - known
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """A silence of ``topic`` between two messages, in monotonic time (s)."""
+
+    topic: str
+    from_s: float
+    to_s: float
 
 
 class Silences:
@@ -58,19 +74,30 @@ class Silences:
     def __init__(self, limit_s: float, now_s: float) -> None:
         self._limit_s = limit_s
         self._begun_s = now_s
-        self._silent: set[str] = set()
+        self._silent: dict[str, float] = {}
         self.counts: Counter[str] = Counter()
 
-    def look(self, heard_s: Mapping[str, float], now_s: float) -> None:
-        """Take the times at which topics were last heard, by their absolute names."""
+    def look(self, heard_s: Mapping[str, float], now_s: float) -> list[Silence]:
+        """Take the times at which topics were last heard, by their absolute names.
+
+        Return the silences that have ended.
+        """
+        ended = []
         for topic, last_s in heard_s.items():
             if topic.rpartition("/")[2] not in NEVER_PAUSE:
                 continue
-            if now_s - max(last_s, self._begun_s) <= self._limit_s:
-                self._silent.discard(topic)
-            elif topic not in self._silent:
-                self._silent.add(topic)
+            since_s = max(last_s, self._begun_s)
+            if topic in self._silent and since_s > self._silent[topic]:
+                ended.append(Silence(topic, self._silent.pop(topic), since_s))
+            if topic not in self._silent and now_s - since_s > self._limit_s:
+                self._silent[topic] = since_s
                 self.counts[f"{names.SILENT} {topic}"] += 1
+        return ended
+
+    def end(self, now_s: float) -> list[Silence]:
+        """Return the silences that the end of the bag cuts off."""
+        silent, self._silent = self._silent, {}
+        return [Silence(topic, since_s, now_s) for topic, since_s in silent.items()]
 
 
 _SETTLED_NS: Final = 1_000_000_000

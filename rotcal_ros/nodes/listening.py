@@ -5,23 +5,21 @@ from __future__ import annotations
 import struct
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
-from pathlib import Path
 from typing import Any, Final
 
-from ament_index_python.packages import get_package_share_directory
-from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from rotcal_ros.bags.definitions import collect_definition
-from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, OfferedQos, qos_text
+from rotcal_ros.bags import names
+from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.bookkeeping import TopicLosses
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.channels import described_channel
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
 from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.nodes.recording import Channel
@@ -36,11 +34,13 @@ _STAMP: Final = struct.Struct("<4xiI")
 class HeardTopic:
     """A topic that is listened to: its channel and how far it has come.
 
-    ``heard_s`` is the monotonic time of the latest batch, or of the subscription.
+    ``heard_s`` is the monotonic time of the latest batch, or of the subscription, ``heard_ns`` the
+    log time of the latest message.
     """
 
     channel: Channel
     heard_s: float = field(default_factory=time.monotonic)
+    heard_ns: int = field(default_factory=time.time_ns)
     latest: bytes = b""
     losses: TopicLosses = field(default_factory=TopicLosses)
 
@@ -55,13 +55,20 @@ class HeardTopic:
 class Listener:
     """Subscribes to topics as they appear and hands their messages to ``take``.
 
+    What is missing goes to ``missed``, before the messages behind it go to ``take``.
     ``topics`` maps absolute names to what was heard, ``refused`` names topics whose type is not
     installed.
     """
 
-    def __init__(self, node: CellNode, take: Callable[[HeardTopic, Batch], None]) -> None:
+    def __init__(
+        self,
+        node: CellNode,
+        take: Callable[[HeardTopic, Batch], None],
+        missed: Callable[[Dropout], None],
+    ) -> None:
         self._node = node
         self._hand_over = take
+        self._missed = missed
         self._drained: list[DrainedSubscription] = []
         self.topics: dict[str, HeardTopic] = {}
         self.refused: dict[str, str] = {}
@@ -71,7 +78,7 @@ class Listener:
     @property
     def losses(self) -> Counter[str]:
         """What the middleware lost, and how many publishers nobody can hear, by name."""
-        lost = {f"lost {name}": topic.losses.count for name, topic in self.topics.items()}
+        lost = {f"{names.LOST} {name}": topic.losses.count for name, topic in self.topics.items()}
         return Counter({name: count for name, count in lost.items() if count}) + self._incompatible
 
     def forget_losses(self) -> None:
@@ -95,7 +102,7 @@ class Listener:
                 continue
             try:
                 message_type = _message_type(type_name)
-                self.topics[name] = HeardTopic(_channel(name, type_name, infos))
+                self.topics[name] = HeardTopic(described_channel(name, type_name, infos))
             except BagError as error:
                 self.refused[name] = str(error)
                 self._node.get_logger().error(f"{name} cannot be recorded: {error}")
@@ -106,21 +113,31 @@ class Listener:
     def _subscribe(self, topic: HeardTopic, message_type: type, qos: QoSProfile) -> None:
         name = topic.channel.topic
 
+        def missed(count: int, to_ns: int, reason: str) -> None:
+            self._missed(Dropout(name, min(topic.heard_ns, to_ns), to_ns, count, reason))
+
         def handle(batch: Batch) -> None:
             topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
             for _, info in batch:
                 publisher = info.get("publisher_gid")
-                if publisher is not None:
-                    topic.losses.number(
+                received_ns = info["received_timestamp"] or time.time_ns()
+                if publisher is not None and (
+                    lost := topic.losses.number(
                         info.get("publication_sequence_number"), bytes(publisher["data"])
                     )
+                ):
+                    missed(lost, received_ns, GAP)
+                topic.heard_ns = received_ns
             self._hand_over(topic, batch)
 
         def message_lost(event: Any) -> None:
-            topic.losses.report(event.total_count_change)
+            if lost := topic.losses.report(event.total_count_change):
+                missed(lost, time.time_ns(), REPORTED)
 
         def incompatible(event: Any) -> None:
-            self._incompatible[f"incompatible publisher {name}"] += event.total_count_change
+            self._incompatible[f"{names.UNHEARD} {name}"] += event.total_count_change
+            for _ in range(event.total_count_change):
+                missed(0, time.time_ns(), UNHEARD)
 
         self._drained.append(
             DrainedSubscription(
@@ -147,19 +164,6 @@ def _wanted_topics(node: Node) -> dict[str, str]:
     }
 
 
-def _channel(name: str, type_name: str, infos: Sequence[Any]) -> Channel:
-    """Return what a bag says of a topic; BagError when its type is not installed here."""
-    hashes = {str(info.topic_type_hash) for info in infos}
-    type_hash = hashes.pop() if len(hashes) == 1 else ""
-    return Channel(
-        topic=name,
-        type_name=type_name,
-        definition=collect_definition(type_name, lambda p: Path(get_package_share_directory(p))),
-        type_hash=type_hash if type_hash.startswith("RIHS") else "",
-        offered_qos=qos_text(_offered(info.qos_profile) for info in infos),
-    )
-
-
 def _message_type(type_name: str) -> type:
     package, kind, name = type_name.split("/")
     try:
@@ -167,22 +171,3 @@ def _message_type(type_name: str) -> type:
     except (ImportError, AttributeError) as error:
         raise BagError(f"message type {type_name} is not installed here: {error}") from error
     return message_type
-
-
-def _offered(profile: QoSProfile) -> OfferedQos:
-    return OfferedQos(
-        history=profile.history.short_key,
-        depth=profile.depth,
-        reliability=profile.reliability.short_key,
-        durability=profile.durability.short_key,
-        deadline_ns=_nanoseconds(profile.deadline),
-        lifespan_ns=_nanoseconds(profile.lifespan),
-        liveliness=profile.liveliness.short_key,
-        lease_ns=_nanoseconds(profile.liveliness_lease_duration),
-    )
-
-
-def _nanoseconds(duration: Duration) -> int:
-    """Return a duration; "unspecified" (0) and "infinite" are both infinite for rosbag2."""
-    nanoseconds: int = duration.nanoseconds
-    return nanoseconds if nanoseconds > 0 else INFINITE_NS

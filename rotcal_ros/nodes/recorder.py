@@ -19,6 +19,7 @@ from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.bookkeeping import PendingReceipts, Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
+from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.listening import HeardTopic, Listener
 from rotcal_ros.nodes.qos import EVENT
@@ -47,7 +48,8 @@ class RecorderNode(CellNode):
         self._windowed = [
             self.resolve_topic_name(name) for name in (names.TRACER_LENGTH, names.PROBE_POINT)
         ]
-        self._listener = Listener(self, self._take)
+        self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
+        self._listener = Listener(self, self._take, self._dropouts.note)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def begin_stop(self) -> None:
@@ -64,12 +66,13 @@ class RecorderNode(CellNode):
         return None if recording is None or recording.finished else recording
 
     def _note_losses(self) -> None:
-        """Keep the loss counters in the bag, so that they outlive this node."""
+        """Keep losses and their counters in the bag, so that they outlive this node."""
         recording = self._writing()
         if recording is None:
             return
         heard = {name: topic.heard_s for name, topic in self._listener.topics.items()}
-        self._silences.look(heard, time.monotonic())
+        self._dropouts.silences(self._silences.look(heard, time.monotonic()))
+        self._dropouts.write(TOGETHER_S)
         if counters := self._all_losses() + self._silences.counts:
             recording.note(names.LOSSES, counters)
         if jumps := self.health.clock.since(self._jumps_before):
@@ -82,7 +85,9 @@ class RecorderNode(CellNode):
                 (d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch
             )
             items = [(data, received, sent or received) for data, received, sent in times]
-            self._recording.put(Messages(topic.channel, items))
+            messages = Messages(topic.channel, items)
+            if not self._recording.put(messages):
+                self._dropouts.refused(messages)
         if topic.channel.topic == self._observation_topic:
             for data, _ in batch:
                 message = deserialize_message(data, Observation)
@@ -102,6 +107,7 @@ class RecorderNode(CellNode):
         losses = self._all_losses().items()  # of the messages that a replay needs
         lost = sum(count for where, count in losses if where.rpartition("/")[2] in names.ROLES)
         for receipt in self._pending.due(reached_ns, lost):
+            self._dropouts.write()
             self._recording.confirm(receipt)
 
     def _all_losses(self) -> Counter[str]:
@@ -136,6 +142,7 @@ class RecorderNode(CellNode):
         self._listener.forget_losses()
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         recording = Recording(writer, self._settings.queue_bytes, self._confirm)
+        self._dropouts.begin(recording)
         configuration = request.configuration.encode()
         recording.attach(names.CONFIGURATION, "application/yaml", configuration)
         recording.note(names.SUBJECT, subject(request.configuration))
@@ -169,6 +176,8 @@ class RecorderNode(CellNode):
         """Take what has arrived and close the bag behind it."""
         if (recording := self._writing()) is not None:
             self._listener.drain()
+            self._dropouts.silences(self._silences.end(time.monotonic()))
+            self._dropouts.write()
             recording.close(self._listener.losses + self._silences.counts)
 
     def _node_lost(self, name: str) -> None:

@@ -95,15 +95,17 @@ class Recording:
         """Whether the bag is closed."""
         return not self._thread.is_alive()
 
-    def put(self, messages: Messages) -> None:
-        """Queue messages; those that find the queue full are lost and counted."""
+    def put(self, messages: Messages, *, in_any_case: bool = False) -> bool:
+        """Queue messages; those that find the queue full are lost and counted: False."""
         size = messages.size()
         with self._lock:
-            if self.error or self._waiting + size > self._limit:
-                self.losses[f"queue {messages.channel.topic}"] += len(messages.items)
-                return
+            full = self._waiting + size > self._limit and not in_any_case
+            if self.error or full:
+                self.losses[f"{names.QUEUE} {messages.channel.topic}"] += len(messages.items)
+                return False
             self._waiting += size
         self._queue.put(partial(self._write, messages))
+        return True
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Queue a file that goes beside the messages."""

@@ -33,6 +33,7 @@ from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
+from rotcal_ros.recordings.dropouts import placed_in, sentences
 from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
 from rotcal_ros.recordings.nothing_captured import why_nothing
@@ -159,6 +160,7 @@ class Recording:
         texts += losses_in_words(session_losses(self.verdicts))
         texts += self.unreadable.values()
         texts += self.clock
+        texts += sentences(placed_in(self.verdicts))
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")

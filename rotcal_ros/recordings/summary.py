@@ -11,15 +11,17 @@ from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The files of a bag, the names of what is attached, and its configuration if there is."""
+    """The files of a bag, what is attached, its configuration if there is, what is missing."""
 
     files: tuple[FileVerdict, ...]
     attachments: tuple[str, ...]
     configuration: Configuration | None
+    dropouts: tuple[PlacedDropout, ...] = ()
 
     @property
     def start_ns(self) -> int | None:
@@ -54,6 +56,7 @@ class Summary:
             "item": self.configuration.identity.title if self.configuration else None,
             "plan_id": self.configuration.plan_id if self.configuration else None,
             "losses_recorded": session_losses(self.files),
+            "dropouts": [dropout.to_dict() for dropout in self.dropouts],
         }
 
 
@@ -65,7 +68,9 @@ def describe(path: Path, progress: Progress | None = None) -> Summary:
         if block is None:
             verdicts.append(scan.verdict())
             attachments |= {name: a.data for name, a in scan.attachments.items()}
-    return Summary(tuple(verdicts), tuple(attachments), _configuration(attachments))
+    return Summary(
+        tuple(verdicts), tuple(attachments), _configuration(attachments), placed_in(verdicts)
+    )
 
 
 def _configuration(attachments: dict[str, bytes]) -> Configuration | None:

@@ -16,7 +16,7 @@ from rotcal_ros.catalogue import (
 )
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.files import FolderLock, write_atomically
+from rotcal_ros.files import FolderLock, make_folder, write_atomically
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions.disk_space import require_space
 
@@ -95,7 +95,7 @@ def prepare_session(
             )
         folder.rename(free_name(folder))
     session = Session(calibration, SessionFolder(folder))
-    session.log_folder.mkdir(parents=True, exist_ok=True)
+    make_folder(session.log_folder)
     write_atomically(session.folder.configuration, calibration.configuration.text)
     return session
 

@@ -198,8 +198,7 @@ def test_little_free_space_stops_in_good_order(
 ) -> None:
     writer, channels = open_writer(tmp_path / "bag", WriterSettings(min_free_bytes=1000))
     fill(writer, channels, 5)
-    usage = type("Usage", (), {"free": 999})
-    monkeypatch.setattr("rotcal_ros.bags.writer.shutil.disk_usage", lambda _: usage)
+    monkeypatch.setattr("rotcal_ros.disk.free_bytes", lambda _: 999)
     with pytest.raises(BagError, match="keeps free"):
         writer.sync()
     (verdict,) = check_files((writer.path,))

@@ -1,11 +1,13 @@
 """A node that feeds recorders like a cell does and tells the receipts they give.
 
-usage: feeder.py WINDOW
+usage: feeder.py WINDOW [DEPTH]
 
-A tracer at 1 kHz and an observation after every WINDOW readings, all numbered. A line NAME on
-standard input: open a bag at the recorder whose service is ``start_NAME``. Standard output gets
-a line of JSON per receipt of ``receipts_NAME``: {"recorder": NAME, "step": ...}. An empty line is
-answered by {"recorder": "", "step": 0}, behind all receipts that have arrived.
+A tracer at 1 kHz and an observation after every WINDOW readings, all numbered; DEPTH readings
+are kept for a reader that does not answer. A line NAME on standard input: open a bag at the
+recorder whose service is ``start_NAME``. Standard output gets a line of JSON per receipt of
+``receipts_NAME``: {"recorder": NAME, "step": ...}, and one when NAME gives up:
+{"recorder": NAME, "failure": ...}. An empty line is answered by {"recorder": "", "step": 0},
+behind all receipts that have arrived.
 """
 
 import json
@@ -16,11 +18,14 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from rotcal_msgs.msg import Observation, RecordedObservation, TracerLength
 from rotcal_msgs.srv import StartRecording
 
 from rotcal_ros.nodes.conversions import time_message
+from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.qos import EVENT, STREAM
 
 PERIOD_S = 0.005
@@ -29,14 +34,16 @@ READINGS = 5
 
 
 class Feeder(Node):
-    def __init__(self, window, names):
+    def __init__(self, window, names, depth):
         super().__init__("feeder", namespace="/cell")
         self._window = window
         self._names = names
         self._number = 0
         self._clients_to_be = {}
-        self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+        self._tracer = self.create_publisher(TracerLength, "tracer_length", depth or STREAM)
         self._observation = self.create_publisher(Observation, "observation", EVENT)
+        self._failed = set()
+        self.create_subscription(DiagnosticStatus, "heartbeat", self._hear, QoSProfile(depth=100))
         self.create_timer(PERIOD_S, self._feed)
         self.create_timer(0.1, self._open)
 
@@ -57,7 +64,7 @@ class Feeder(Node):
             while True:
                 name = self._names.get_nowait()
                 if not name:
-                    self._say(name, 0)
+                    self._say(name, step=0)
                     continue
                 client = self.create_client(StartRecording, f"start_{name}")
                 self._clients_to_be[name] = client
@@ -71,10 +78,15 @@ class Feeder(Node):
                 del self._clients_to_be[name]
 
     def _tell(self, name, receipt):
-        self._say(name, receipt.step)
+        self._say(name, step=receipt.step)
 
-    def _say(self, name, step):
-        sys.stdout.write(json.dumps({"recorder": name, "step": step}) + "\n")
+    def _hear(self, beat):
+        if beat.message.startswith(RECORDING_FAILED) and beat.name not in self._failed:
+            self._failed.add(beat.name)
+            self._say(beat.name, failure=beat.message)
+
+    def _say(self, name, **what):
+        sys.stdout.write(json.dumps({"recorder": name, **what}) + "\n")
         sys.stdout.flush()
 
 
@@ -87,4 +99,4 @@ if __name__ == "__main__":
     rclpy.init()
     named = SimpleQueue()
     Thread(target=read, args=(named,), daemon=True).start()
-    rclpy.spin(Feeder(int(sys.argv[1]), named))
+    rclpy.spin(Feeder(int(sys.argv[1]), named, int(sys.argv[2]) if sys.argv[2:] else 0))

@@ -40,3 +40,13 @@ def test_a_new_bag_begins_at_zero_without_losing_the_thread():
     assert losses.count == 0
     losses.number(7, ONE)
     assert losses.count == 1
+
+
+def test_each_witness_tells_only_what_is_new():
+    losses = taken((ONE, 1))
+    assert losses.report(2) == 2
+    assert losses.number(4, ONE) == 0
+    assert losses.number(8, ONE) == 3
+    assert losses.report(2) == 0
+    assert losses.report(2) == 1
+    assert losses.count == 6

@@ -1,0 +1,103 @@
+"""Dropouts: what is missing of a topic, from when to when, as a message in the stream itself.
+
+The recorder writes them as ``diagnostic_msgs/DiagnosticArray``, which every tool shows: stamped
+with the last good moment, one status per message, whose name is the topic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime, timezone
+from typing import Any, Final
+
+from rotcal_ros.bags import names
+
+MESSAGE_TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
+
+GAP: Final = "a gap in the numbers of its publisher"
+REPORTED: Final = "reported by the middleware"
+QUEUE: Final = "the recorder's queue was full"
+SILENCE: Final = "it was silent"
+UNHEARD: Final = "a publisher whose quality of service nobody can receive"
+
+
+@dataclass(frozen=True, slots=True)
+class Dropout:
+    """``count`` messages of ``topic`` (0: unknown how many) missing within two log times (ns).
+
+    ``from_ns`` is the last moment when all was well, ``to_ns`` the first one again; ``gaps`` tells
+    how many gaps that were close together it stands for. Outside of it nothing is missing.
+    """
+
+    topic: str
+    from_ns: int
+    to_ns: int
+    count: int
+    reason: str
+    gaps: int = 1
+
+    def joined(self, later: Dropout) -> Dropout:
+        """Return one for this and a ``later`` one of the same topic and reason."""
+        return replace(
+            self,
+            from_ns=min(self.from_ns, later.from_ns),
+            to_ns=max(self.to_ns, later.to_ns),
+            count=self.count + later.count,
+            gaps=self.gaps + later.gaps,
+        )
+
+    def sentence(self) -> str:
+        """Return it in words."""
+        begin, end = (
+            datetime.fromtimestamp(ns // 1_000_000 / 1e3, timezone.utc)
+            for ns in (self.from_ns, self.to_ns)
+        )
+        many = "messages" if self.count == 0 else f"{self.count} message{'s'[: self.count > 1]}"
+        return (
+            f"{self.topic}: {many} missing between {begin:%Y-%m-%d %H:%M:%S.%f}"[:-3]
+            + f" and {end:%H:%M:%S.%f}"[:-3]
+            + f" UTC ({(self.to_ns - self.from_ns) / 1e9:.3f} s): {self.reason}"
+        )
+
+    def values(self) -> dict[str, str]:
+        """Return what the status of its message holds, as texts; see :func:`of_status`."""
+        return {name: str(value) for name, value in asdict(self).items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the machine-readable form."""
+        return asdict(self)
+
+
+def of_status(values: Mapping[str, str]) -> Dropout | None:
+    """Return the dropout that a status with these values tells of; None for any other."""
+    try:
+        return Dropout(
+            topic=values["topic"],
+            from_ns=int(values["from_ns"]),
+            to_ns=int(values["to_ns"]),
+            count=int(values["count"]),
+            reason=values["reason"],
+            gaps=int(values["gaps"]),
+        )
+    except (KeyError, ValueError):
+        return None
+
+
+def counters(dropouts: Iterable[Dropout]) -> dict[str, int]:
+    """Return the loss counters that follow from dropouts, by the names of ``rotcal_losses``."""
+    totals: dict[str, int] = {}
+    for dropout in dropouts:
+        name = f"{_COUNTER[dropout.reason]} {dropout.topic}"
+        once = dropout.reason in (SILENCE, UNHEARD)
+        totals[name] = totals.get(name, 0) + (dropout.gaps if once else dropout.count)
+    return totals
+
+
+_COUNTER: Final = {
+    GAP: names.LOST,
+    REPORTED: names.LOST,
+    QUEUE: names.QUEUE,
+    SILENCE: names.SILENT,
+    UNHEARD: names.UNHEARD,
+}

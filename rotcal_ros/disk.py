@@ -1,0 +1,82 @@
+"""The calls to the system that durable writing is made of, each in one place.
+
+What must survive a crash is written by these functions alone, so that a test can let any one
+call of them fail, or cut the power between two.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from pathlib import Path
+
+
+def open_file(path: Path, flags: int, mode: int = 0o644) -> int:
+    """Return a descriptor; ``flags`` and ``mode`` are those of os.open."""
+    return os.open(path, flags, mode)
+
+
+def write(descriptor: int, data: bytes | memoryview) -> int:
+    """Write as much as the system takes at once; return how many bytes that were."""
+    return os.write(descriptor, data)
+
+
+def sync(descriptor: int) -> None:
+    """Return when the file or folder is on the medium."""
+    os.fsync(descriptor)
+
+
+def truncate(descriptor: int, size: int) -> None:
+    """Cut a file to ``size`` bytes."""
+    os.ftruncate(descriptor, size)
+
+
+def close(descriptor: int) -> None:
+    """Give a descriptor back; it is gone even when the system complains."""
+    os.close(descriptor)
+
+
+def lock(descriptor: int) -> None:
+    """Take the only lock there is; BlockingIOError when somebody else has it."""
+    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def replace(source: Path, target: Path) -> None:
+    """Give ``source`` the name ``target``, whoever had that."""
+    source.replace(target)
+
+
+def link(source: Path, target: Path) -> None:
+    """Give ``source`` a second name, which must be free."""
+    os.link(source, target)
+
+
+def make_folder(path: Path, mode: int = 0o777) -> None:
+    """Make one folder, whose parent must exist."""
+    path.mkdir(mode)
+
+
+def remove(path: Path) -> None:
+    """Take a file's name away."""
+    path.unlink()
+
+
+def remove_folder(path: Path) -> None:
+    """Remove an empty folder."""
+    path.rmdir()
+
+
+def status(path: Path) -> os.stat_result:
+    """Return what the system knows of ``path``."""
+    return path.stat()
+
+
+def may_write(path: Path) -> bool:
+    """Return whether this process may change ``path`` now."""
+    return os.access(path, os.W_OK)
+
+
+def free_bytes(path: Path) -> int:
+    """Return the free space of the file system of ``path``."""
+    return shutil.disk_usage(path).free

@@ -1,0 +1,67 @@
+"""A recorder that is held up misses messages, and the bag says when and how many."""
+
+import signal
+import time
+
+import numpy as np
+import pytest
+from fed_recorders import fed
+from live_cell import wait_until
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.dropouts import GAP, REPORTED, counters
+from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+TRACER = "/cell/tracer_length"
+HELD_S = 8.0
+"""More than a socket takes: its buffer may have room for 4 MB, some 5000 readings."""
+DEPTH = 50
+"""Readings that the publisher keeps for a reader who does not answer: 0.05 s."""
+
+
+@pytest.fixture(scope="module")
+def recorders(tmp_path_factory):
+    yield from fed(tmp_path_factory.mktemp("dropouts"), DEPTH)
+
+
+def readings(bag):
+    """Return the numbers that the tracer gave its readings, and their log times."""
+    numbers, times, decoders = [], [], {}
+    for scan, block in read_blocks(bag_files(bag)):
+        for channel in () if block is None else block.counts():
+            if scan.channels[channel].topic == TRACER:
+                chosen = block.select(block.headers["channel"] == channel)
+                decoder = decoders.setdefault(channel, Decoder(scan.channels[channel]))
+                for part in decoder.columns(chosen, ("sequence",)):
+                    numbers += part.values["sequence"].astype(int).tolist()
+                    times += chosen.headers["log_time"][part.rows].astype(int).tolist()
+    return np.array(numbers), np.array(times)
+
+
+def test_what_a_held_up_recorder_missed_stands_in_its_bag(recorders):
+    recorders.start("held")
+    wait_until(lambda: recorders.receipts["held"], "the recorder confirms")
+    confirmed = len(recorders.receipts["held"])
+    recorders.processes.signal("held", signal.SIGSTOP)
+    time.sleep(HELD_S)  # the pause itself is the test's subject
+    recorders.processes.signal("held", signal.SIGCONT)
+    wait_until(lambda: len(recorders.receipts["held"]) > confirmed + 20, "it goes on")
+    recorders.processes.signal("held", signal.SIGTERM)
+    wait_until(lambda: "held" in recorders.processes.ended(), "it has ended")
+    bag = recorders.file("held").parent
+    (verdict,) = check_files(bag_files(bag))
+    numbers, times = readings(bag)
+    missing = np.diff(numbers) - 1
+    assert missing.sum() > 0
+    told = [dropout for dropout in verdict.dropouts if dropout.topic == TRACER]
+    assert {dropout.reason for dropout in told} <= {GAP, REPORTED}
+    assert sum(dropout.count for dropout in told) == missing.sum()
+    for place in np.flatnonzero(missing):
+        assert any(d.from_ns <= times[place] and times[place + 1] <= d.to_ns for d in told)
+    lost = {n: c for n, c in verdict.losses_recorded.items() if n.startswith(names.LOST)}
+    assert lost == {n: c for n, c in counters(verdict.dropouts).items() if n in lost}
