@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rotcal_ros.arrays import Bools, Bytes, Ints
 from rotcal_ros.bags.mcap_records import HEADER_SIZE, MESSAGE, DamagedRecord
+from rotcal_ros.bags.reading_limits import refusal
 
 HEADER_TYPE: Final = np.dtype(
     [("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")]
@@ -20,6 +21,9 @@ HEADER_TYPE: Final = np.dtype(
 
 _WALKED: Final = 1 << 16
 """Bytes up to which going from record to record is quicker than looking at all at once."""
+_PIECE: Final = 1 << 20
+"""Bytes of a chunk whose records are looked at together."""
+_UNFILLED: Final = "the records of a chunk do not fill it"
 _length = struct.Struct("<Q")
 
 
@@ -93,65 +97,92 @@ def block_of_records(data: bytes, contents: Ints, sizes: Ints) -> Block:
     return Block(data, contents + header_size, sizes - header_size, headers)
 
 
-def split_chunk(data: bytes) -> tuple[Block, list[tuple[int, bytes]]]:
-    """Return the messages of an unpacked chunk and its other records as (opcode, content).
+Others = list[tuple[int, bytes]]
+"""Records that are no messages: opcode and content."""
 
-    Raises DamagedRecord when the records do not fill the chunk exactly.
+
+def split_chunk(data: bytes, most_others: int) -> Iterator[tuple[Block, Others]]:
+    """Yield the messages of an unpacked chunk and its other records, piece by piece.
+
+    All blocks share ``data``: what is needed beside it does not grow with the chunk. Raises
+    DamagedRecord, after the records that are sound, when the records do not fill the chunk
+    exactly, when a message is too short, or when more than ``most_others`` are no messages.
     """
     raw = np.frombuffer(data, np.uint8)
-    begins = _only_messages(raw) if len(data) > _WALKED else None
-    if begins is None:
-        begins = _walk(data)
-    sizes = np.diff(begins, append=len(data)) - HEADER_SIZE
-    is_message = raw[begins] == MESSAGE
-    if (sizes[is_message] < HEADER_TYPE.itemsize).any():
-        raise DamagedRecord("a message of a chunk is too short")
-    contents = begins + HEADER_SIZE
-    others = [
-        (data[content - HEADER_SIZE], data[content : content + size])
-        for content, size in zip(
-            contents[~is_message].tolist(), sizes[~is_message].tolist(), strict=True
-        )
-    ]
-    return block_of_records(data, contents[is_message], sizes[is_message]), others
+    position, fault = 0, ""
+    while position < len(data) and not fault:
+        begins, position, fault = _piece(data, raw, position)
+        sizes = np.diff(begins, append=position) - HEADER_SIZE
+        is_message = raw[begins] == MESSAGE
+        most_others -= len(begins) - int(np.count_nonzero(is_message))
+        if most_others < 0:
+            what = "a chunk has too many records that are no messages"
+            fault = refusal(what, "other_records", len(data) // HEADER_SIZE)
+            begins, is_message = begins[:0], is_message[:0]
+        whole = is_message & (sizes[: len(begins)] >= HEADER_TYPE.itemsize)
+        if (whole != is_message).any():
+            fault = "a message of a chunk is too short"
+        contents, sizes = begins + HEADER_SIZE, sizes[: len(begins)]
+        others = [
+            (data[content - HEADER_SIZE], data[content : content + size])
+            for content, size in zip(
+                contents[~is_message].tolist(), sizes[~is_message].tolist(), strict=True
+            )
+        ]
+        yield block_of_records(data, contents[whole], sizes[whole]), others
+    if fault:
+        raise DamagedRecord(fault)
 
 
-def _walk(data: bytes) -> Ints:
-    """Return where the records of a chunk begin, going from one to the next."""
+def _piece(data: bytes, raw: Bytes, first: int) -> tuple[Ints, int, str]:
+    """Return where the records of the next piece begin, where the last ends, and any fault."""
+    stop = min(len(data), first + _PIECE)
+    if stop - first > _WALKED:
+        begins, end = _only_messages(raw, first, stop)
+        if len(begins):
+            return begins, end, ""
+    return _walk(data, first, stop)
+
+
+def _walk(data: bytes, first: int, stop: int) -> tuple[Ints, int, str]:
+    """Do as :func:`_piece`, going from one record to the next."""
     positions: list[int] = []
     append, length_at = positions.append, _length.unpack_from
-    position, end = 0, len(data)
-    last_header = end - HEADER_SIZE
-    while position <= last_header:
+    position, last = first, min(stop - 1, len(data) - HEADER_SIZE)
+    while position <= last:
         append(position)
         position += HEADER_SIZE + length_at(data, position + 1)[0]
-    if position != end:
-        raise DamagedRecord("the records of a chunk do not fill it")
-    return np.array(positions, np.int64)
+    fault = ""
+    if position > len(data):
+        position, fault = positions.pop(), _UNFILLED
+    elif position < stop:
+        fault = _UNFILLED
+    return np.array(positions, np.int64), position, fault
 
 
-def _only_messages(raw: Bytes) -> Ints | None:
-    """Return where the records of a chunk begin if all are messages, without a loop; else None.
+def _only_messages(raw: Bytes, first: int, stop: int) -> tuple[Ints, int]:
+    """Return where records begin if all are messages, and the last end, without a loop.
 
     Every byte that might be the opcode of a message is a candidate; those whose length leads
     to another candidate stay, and they must form one chain from the first byte to the last.
+    Nothing is returned where they do not.
     """
-    end = len(raw)
-    begins = np.flatnonzero(raw[: max(0, end - HEADER_SIZE)] == MESSAGE)
-    if not len(begins) or begins[0] != 0:
-        return None
+    none = np.zeros(0, np.int64), first
+    begins = first + np.flatnonzero(raw[first : min(stop, len(raw) - HEADER_SIZE)] == MESSAGE)
+    if not len(begins) or begins[0] != first:
+        return none
     lengths = gather(raw, begins + 1, 8).view("<u8")[:, 0]
-    plausible = (lengths >= HEADER_TYPE.itemsize) & (lengths < end)
+    plausible = (lengths >= HEADER_TYPE.itemsize) & (lengths < len(raw))
     begins, lengths = begins[plausible], lengths[plausible].astype(np.int64)
     ends = begins + HEADER_SIZE + lengths
-    is_begin = np.zeros(end + 1, np.bool_)
-    is_begin[begins] = is_begin[end] = True
-    linked = is_begin[np.minimum(ends, end)] & (ends <= end)
+    is_begin = np.zeros(stop - first + 1, np.bool_)
+    is_begin[begins - first] = is_begin[-1] = True
+    linked = is_begin[np.minimum(ends, stop) - first] & (ends <= len(raw))
     begins, ends = begins[linked], ends[linked]
     chained = (
         len(begins) > 0
-        and begins[0] == 0
-        and ends[-1] == end
+        and begins[0] == first
+        and ends[-1] >= stop
         and np.array_equal(begins[1:], ends[:-1])
     )
-    return begins if chained else None
+    return (begins, int(ends[-1])) if chained else none

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.errors import BagError
 
@@ -23,7 +23,11 @@ _FIELD: Final = re.compile(r"^(?P<type>[A-Za-z][\w/]*)(<=\d+)?(\[[^\]]*\])?\s+\w
 
 @dataclass(frozen=True, slots=True)
 class ChannelDefinition:
-    """Everything that is needed to read the messages of one channel of an MCAP file."""
+    """Everything that is needed to read the messages of one channel of an MCAP file.
+
+    ``definition`` is the schema, which may be any bytes: :func:`schema_text`. ``metadata`` are
+    the channel's further entries, name and value.
+    """
 
     channel_id: int
     topic: str
@@ -32,6 +36,18 @@ class ChannelDefinition:
     definition: str
     type_hash: str = ""
     offered_qos: str = ""
+    message_encoding: str = "cdr"
+    metadata: tuple[tuple[str, str], ...] = ()
+
+
+def schema_text(data: bytes) -> str:
+    """Return a schema as text; bytes that are no UTF-8 become lone surrogates (PEP 383)."""
+    return data.decode(errors="surrogateescape")
+
+
+def schema_bytes(text: str) -> bytes:
+    """Return the bytes of which ``text`` was made by :func:`schema_text`, all of them."""
+    return text.encode(errors="surrogateescape")
 
 
 def collect_definition(type_name: str, share: ShareLookup) -> str:
@@ -64,9 +80,20 @@ def dump_definitions(channels: Iterable[ChannelDefinition]) -> bytes:
 def parse_definitions(data: bytes) -> tuple[ChannelDefinition, ...]:
     """Return the channels of an attachment ``definitions.json``; raises BagError."""
     try:
-        return tuple(ChannelDefinition(**entry) for entry in json.loads(data)["channels"])
-    except (ValueError, KeyError, TypeError) as error:
+        return tuple(_channel(entry) for entry in json.loads(data)["channels"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BagError(f"damaged attachment definitions.json: {error!r}") from error
+
+
+def _channel(entry: dict[str, Any]) -> ChannelDefinition:
+    """Return a channel from JSON; raises TypeError or ValueError when a field is wrong."""
+    metadata = tuple((str(name), str(value)) for name, value in entry.pop("metadata", ()))
+    channel = ChannelDefinition(**entry, metadata=metadata)
+    texts = (value for name, value in entry.items() if name != "channel_id")
+    if type(channel.channel_id) is not int or not all(isinstance(text, str) for text in texts):
+        raise TypeError(f"a channel with the fields {sorted(entry)}")
+    schema_bytes(channel.definition)
+    return channel
 
 
 def _own_text(name: str, share: ShareLookup, wanted_by: str) -> str:

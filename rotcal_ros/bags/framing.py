@@ -12,46 +12,65 @@ from rotcal_ros.bags.resync import find_record, is_sound
 from rotcal_ros.bags.verdict import Damage
 
 MAX_DAMAGES: Final = 100
-_PRIVATE: Final = 0x80
 _EXACT: Final = {mcap.FOOTER: mcap.FOOTER_CONTENT, mcap.DATA_END: 4}
+_PATIENCE: Final = 4
+"""Times the size of the file that may be read in vain: what keeps the time in proportion."""
+_STEP: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A top-level record: where it begins, its kind and its content."""
+    """A top-level record: where it begins and ends, its kind and its content.
+
+    Of one that is larger than the limit the content is not read and is empty.
+    """
 
     offset: int
     opcode: int
     content: bytes
+    end: int
+
+    @property
+    def size(self) -> int:
+        """Bytes of content that stand in the file."""
+        return self.end - self.offset - mcap.HEADER_SIZE
 
 
 class Framing:
     """Walks forward over the records of ``file`` and notes every fault.
 
-    After the iteration ``damages`` holds the faults, ``truncated`` the offset where a file
-    without a footer ends (else None), ``skipped`` tells whether bytes were left out, and
-    ``summary_sound`` whether the index agrees with its checksum. Memory is bounded by the
-    largest record, and every step moves forward.
+    Records of more than ``largest`` bytes are not read. After the iteration ``damages`` holds
+    the faults, ``truncated`` the offset where a file without a footer ends (else None),
+    ``skipped`` tells whether bytes were left out, ``data_proven`` whether a checksum over all
+    data holds, and ``summary_sound`` whether the index agrees with its own. Memory is bounded by the largest record, time by the size of the file.
     """
 
-    def __init__(self, file: BinaryIO, size: int) -> None:
+    def __init__(self, file: BinaryIO, size: int, largest: int) -> None:
         self.damages: list[Damage] = []
         self.truncated: int | None = None
         self.chunked = False
         self.skipped = False
+        self.in_summary = False
+        self.data_proven = False
         self.summary_sound = True
         self._file = file
         self._size = size
+        self._largest = largest
         self._crc: int | None = 0
         self._summary_crc = 0
-        self._in_summary = False
         self._finished = False
         self._rejected = False
+        self._fields_end: int | None = None
+        self._patience = _PATIENCE * size + _STEP
 
     def reject(self, record: Record, what: str) -> None:
         """Note that the content of the record yielded last is broken."""
         self.damage(record.offset, what)
         self._rejected = True
+
+    def settle(self, record: Record, fields_end: int) -> None:
+        """Note where the fields end in the content of the record yielded last."""
+        self._fields_end = record.offset + mcap.HEADER_SIZE + fields_end
 
     def damage(self, offset: int, what: str) -> None:
         """Note a fault."""
@@ -70,7 +89,7 @@ class Framing:
             opcode, length = mcap.record_header.unpack(head)
             record = self._read(position, opcode, length)
             if record is None:
-                position = self._after_fault(position)
+                position = self._after_fault(position, length)
                 continue
             if record.opcode == mcap.CHUNK:
                 self.chunked = True
@@ -79,14 +98,35 @@ class Framing:
             position = self._behind(record)
 
     def _behind(self, record: Record) -> int | None:
-        """Return where the next record is; a broken one may have lied about its length."""
-        end = record.offset + mcap.HEADER_SIZE + len(record.content)
+        """Return where the next record is; one that is broken or too long may lie about it."""
         rejected, self._rejected = self._rejected, False
-        if not rejected or self._sound(end):
-            return end
-        self.skipped = True
-        found = self._search(record.offset + 1)
-        return end if found is None else found
+        fields_end, self._fields_end = self._fields_end, None
+        if rejected:
+            if self._sound(record.end):
+                return record.end
+            self.skipped = True
+            found = self._search(record.offset + 1, record.size)
+            return record.end if found is None else found
+        if fields_end is None or fields_end == record.end:
+            return record.end
+        return self._behind_extended(record, fields_end)
+
+    def _behind_extended(self, record: Record, fields_end: int) -> int:
+        """Return where the next record is; behind the known fields may be those of the future.
+
+        A record may be extended at its end, so what follows its fields is passed over, unless
+        records can be read there: then its length is wrong.
+        """
+        if not self._sound(fields_end):
+            if self._sound(record.end):
+                return record.end
+            found = self._search(fields_end, record.size)
+            if found is None:
+                return record.end
+            fields_end, self.skipped = found, True
+        self._crc = None
+        self.damage(record.offset, "the length of a record is wrong; its fields could be read")
+        return fields_end
 
     def _begin(self) -> int | None:
         self._file.seek(0)
@@ -99,51 +139,56 @@ class Framing:
             return None
         self._crc = None
         self.damage(0, "the file does not begin as an MCAP file")
-        return len(mcap.MAGIC) if self._sound(len(mcap.MAGIC)) else self._search(0)
+        return len(mcap.MAGIC) if self._sound(len(mcap.MAGIC)) else self._search(0, 0)
 
     def _read(self, offset: int, opcode: int, length: int) -> Record | None:
         """Return the record at ``offset``, repaired where its own fields allow, or None."""
-        fits = length <= min(mcap.MAX_RECORD, self._size - offset - mcap.HEADER_SIZE)
-        if fits:
+        end = offset + mcap.HEADER_SIZE + length
+        if end <= self._size and length > self._largest and self._sound(end):
+            return Record(offset, opcode, b"", end)
+        if end <= self._size and length <= self._largest:
             content = self._file.read(length)
-            if self._consistent(opcode, content):
-                return Record(offset, opcode, content)
+            if self._consistent(opcode, content, end):
+                return Record(offset, opcode, content, end)
         return self._repaired_chunk(offset, length)
 
-    def _consistent(self, opcode: int, content: bytes) -> bool:
+    def _consistent(self, opcode: int, content: bytes, end: int) -> bool:
         if opcode == mcap.CHUNK:
-            return mcap.is_chunk(content, len(content))
+            return 0 < mcap.chunk_size(content) <= len(content)
         if opcode == mcap.MESSAGE:
-            return len(content) >= 22 and not self.chunked
+            return len(content) >= mcap.MESSAGE_FIXED and not (self.chunked and self.skipped)
         if opcode == mcap.MESSAGE_INDEX:
-            return len(content) == 6 + int.from_bytes(content[2:6], "little")
+            return len(content) >= 6 + int.from_bytes(content[2:6], "little")
         if opcode in _EXACT:
             return len(content) == _EXACT[opcode]
         if mcap.HEADER <= opcode <= mcap.DATA_END:
             return True
-        return opcode >= _PRIVATE and not mcap.is_chunk(content, len(content))
+        # A kind that is not known here; one that is private or of the future may well be.
+        if opcode == 0 or mcap.chunk_size(content) == len(content) > 0:
+            return False
+        return is_sound(self._file, end, self._size, links=0, unknown=0)
 
     def _repaired_chunk(self, offset: int, length: int) -> Record | None:
         """Return a chunk whose opcode or one of whose two lengths is wrong."""
-        self._file.seek(offset + mcap.HEADER_SIZE)
-        begin = self._file.read(64)
-        inner = mcap.chunk_size(begin)
-        if not inner or inner > min(mcap.MAX_RECORD, self._size - offset - mcap.HEADER_SIZE):
+        begin_at = offset + mcap.HEADER_SIZE
+        self._file.seek(begin_at)
+        inner = mcap.chunk_size(self._file.read(64))
+        if not inner or inner > min(self._largest, self._size - begin_at):
             return None
-        if not self._sound(offset + mcap.HEADER_SIZE + inner):
+        if not self._sound(begin_at + inner):
             return None
-        self._file.seek(offset + mcap.HEADER_SIZE)
+        self._file.seek(begin_at)
         self._crc = None
         what = "the opcode of a chunk" if inner == length else "the length of a chunk"
         self.damage(offset, f"{what} is wrong; its content was read all the same")
-        return Record(offset, mcap.CHUNK, self._file.read(inner))
+        return Record(offset, mcap.CHUNK, self._file.read(inner), begin_at + inner)
 
     def _sound(self, offset: int) -> bool:
         return is_sound(self._file, offset, self._size, links=1)
 
-    def _after_fault(self, offset: int) -> int | None:
+    def _after_fault(self, offset: int, length: int) -> int | None:
         """Note the fault at ``offset`` and return where reading can go on, or None."""
-        found = self._search(offset + 1)
+        found = self._search(offset + 1, min(length, self._largest))
         self.skipped = True
         if found is None:
             self.truncated = offset
@@ -151,18 +196,24 @@ class Framing:
             self.damage(offset, f"{found - offset} bytes cannot be read")
         return found
 
-    def _search(self, start: int) -> int | None:
+    def _search(self, start: int, wasted: int) -> int | None:
+        """Look for a record; ``wasted`` bytes were read in vain and may be read once more."""
         self._crc = None
+        self._patience -= wasted
+        if self._patience < 0:
+            self.damage(start, "too much is damaged to go on")
+            return None
         return find_record(self._file, start, self._size, chunked=self.chunked)
 
     def _checksum(self, record: Record, head: bytes) -> None:
         """Follow the checksums of data section and summary, and judge them at their ends."""
         content = record.content
-        if record.opcode == mcap.DATA_END and not self._in_summary:
-            self._in_summary = True
+        if record.opcode == mcap.DATA_END and not self.in_summary:
+            self.in_summary = True
             stated = int.from_bytes(content, "little")
             if stated and self._crc is not None and stated != self._crc:
                 self.damage(record.offset, "the checksum over all data is wrong")
+            self.data_proven = bool(stated) and not self.damages
         elif record.opcode == mcap.FOOTER:
             self._finished = True
             crc = zlib.crc32(content[:-4], zlib.crc32(head, self._summary_crc))
@@ -170,11 +221,22 @@ class Framing:
             if stated and stated != crc:
                 self.summary_sound = False
                 self.damage(record.offset, "the checksum of the index is wrong")
-            self._finish(record.offset + mcap.HEADER_SIZE + len(content))
-        elif self._in_summary:
-            self._summary_crc = zlib.crc32(content, zlib.crc32(head, self._summary_crc))
+            self._finish(record.end)
+        elif self.in_summary:
+            self._summary_crc = self._crc_of(record, zlib.crc32(head, self._summary_crc))
         elif self._crc is not None:
-            self._crc = zlib.crc32(content, zlib.crc32(head, self._crc))
+            self._crc = self._crc_of(record, zlib.crc32(head, self._crc))
+
+    def _crc_of(self, record: Record, crc: int) -> int:
+        """Return ``crc`` continued over the content of a record, read or not."""
+        crc = zlib.crc32(record.content, crc)
+        position = record.offset + mcap.HEADER_SIZE + len(record.content)
+        while position < record.end:
+            self._file.seek(position)
+            part = self._file.read(min(_STEP, record.end - position))
+            crc = zlib.crc32(part, crc)
+            position += max(1, len(part))
+        return crc
 
     def _finish(self, end: int) -> None:
         self._file.seek(end)

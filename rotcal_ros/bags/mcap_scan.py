@@ -8,31 +8,61 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 import numpy as np
-from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema, Statistics
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 
 from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
-from rotcal_ros.bags.blocks import Block, block_of_records, joined, split_chunk
-from rotcal_ros.bags.definitions import ChannelDefinition, parse_definitions
+from rotcal_ros.bags.blocks import Block, block_of_records, split_chunk
+from rotcal_ros.bags.definitions import parse_definitions
 from rotcal_ros.bags.framing import Framing, Record
-from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.held import Held
+from rotcal_ros.bags.index_check import IndexCheck
+from rotcal_ros.bags.keeping import Keeping, cost_of_texts
+from rotcal_ros.bags.mcap_definitions import Definitions, Trust
+from rotcal_ros.bags.message_compression import unpacked
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits, refusal
+from rotcal_ros.bags.scan import Item, Scan
+from rotcal_ros.bags.summary_section import summary_definitions
+from rotcal_ros.bags.unpacking import ZSTD_MAGIC, Unpacker
 from rotcal_ros.bags.verdict import Damage, FileVerdict, State
+from rotcal_ros.bags.whole_file import opened
 from rotcal_ros.errors import BagError
 
 _RUN_BYTES: Final = 1 << 20
-_JOINED_BYTES: Final = 1 << 20
-"""Chunks are yielded together up to this size: a small one costs as much as a large one."""
+_CDR: Final = "cdr"
 
 
 class McapScan(Scan):
-    """One pass over an MCAP file."""
+    """One pass over an MCAP file.
 
-    def __init__(self, path: Path) -> None:
+    Data are read without the index; with ``check_index`` it is compared with them.
+    """
+
+    def __init__(
+        self, path: Path, limits: ReadingLimits = DEFAULT_LIMITS, *, check_index: bool = False
+    ) -> None:
         super().__init__(path)
-        self._schemas: dict[int, tuple[str, str, str]] = {}  # name, encoding, text
+        self._limits = limits
+        self._check_index = check_index
+        self._definitions = Definitions()
+        self.channels = self._definitions.channels
+        self._keeping = Keeping(limits.kept_bytes)
         self._lost: Counter[int] = Counter()
-        self._statistics: dict[int, int] | None = None
-        self._chunk_lost = False
+        self._unreadable: Counter[int] = Counter()
+        self._statistics: tuple[int, Statistics] | None = None
+        self._promised: dict[int, int] | None = None
+        self._read_of_chunk: Counter[int] | None = None
         self._index_awaited = False
         self._loss_unknown = False
         self._size = 0
@@ -41,11 +71,19 @@ class McapScan(Scan):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the readable messages in file order; raises BagError when unreadable at all."""
+        return (item for item in self.items() if isinstance(item, Block))
+
+    def items(self) -> Iterator[Item]:
+        """Yield messages, attachments and metadata in file order; raises as :meth:`blocks`."""
         try:
-            with self.path.open("rb") as file:
-                self._size = file.seek(0, 2)
-                self._read_summary_definitions(file)
-                yield from self._blocks(Framing(file, self._size))
+            with opened(self.path, self._limits) as file:
+                self._size = self.path.stat().st_size
+                size = file.seek(0, 2)
+                self._unpacker = Unpacker(self._limits, self._size)
+                self._framing = Framing(file, size, self._limits.record_bytes)
+                self._index = IndexCheck(self._framing.damage) if self._check_index else None
+                self._read_summary(file, size)
+                yield from self._items(self._framing)
         except OSError as error:
             raise BagError(f"cannot read {self.path}: {error.strerror or error}") from error
 
@@ -56,112 +94,207 @@ class McapScan(Scan):
         if self._truncated is not None:
             state = state if damages else "truncated"
             damages.append(Damage(self._truncated, "the file ends without its closing records"))
-        lost = self._lost if self._statistics is None else self._missing(self._statistics)
+        lost = self._lost if self._promised is None else self._missing(self._promised)
         start_ns, end_ns = self._span or (None, None)
         return FileVerdict(
             path=self.path,
             size=self._size,
             state=state,
             damages=tuple(damages),
-            topics=self._topics(lost),
+            topics=self._topics(lost + self._unreadable),
             start_ns=start_ns,
             end_ns=end_ns,
-            lost_exactly=self._statistics is not None or not self._loss_unknown,
+            lost_exactly=self._promised is not None or not self._loss_unknown,
             losses_recorded=_integers(self.metadata.get(names.LOSSES, {})),
             run=_integers(self.metadata.get(names.RUN, {})).get("number", 0),
             dropouts=tuple(self._dropouts.found),
         )
 
-    def _blocks(self, framing: Framing) -> Iterator[Block]:
+    def _items(self, framing: Framing) -> Iterator[Item]:
         run: list[bytes] = []
         run_size = 0
-        held = _Held()
+        held = Held()
         for record in framing.records():
-            self.position = record.offset
+            self.position = min(record.offset, self._size)
             if record.opcode not in (mcap.CHUNK, mcap.MESSAGE_INDEX):
-                yield from self._counted(held.released())  # it may speak of what comes after it
-            if record.opcode == mcap.MESSAGE:
+                yield from self._readable(held.released())  # it may speak of what comes after it
+            if record.opcode == mcap.MESSAGE and record.content:
                 run.append(record.content)
                 run_size += len(record.content)
             if run and (record.opcode != mcap.MESSAGE or run_size > _RUN_BYTES):
-                yield from self._counted(_block_of_run(run))
+                yield from self._readable((_block_of_run(run),))
                 run, run_size = [], 0
             try:
-                block = self._take(record)
+                for item in self._take(record):
+                    if isinstance(item, Block):
+                        yield from self._readable(held.grown(item))
+                    else:
+                        yield item
             except (mcap.DamagedRecord, BagError) as fault:
                 framing.reject(record, str(fault))
-            else:
-                if block is not None:
-                    yield from self._counted(held.grown(block))
-        yield from self._counted(held.released())
+        yield from self._readable(held.released())
         if run:
-            yield from self._counted(_block_of_run(run))
+            yield from self._readable((_block_of_run(run),))
         self._conclude(framing)
 
-    def _take(self, part: Record) -> Block | None:
-        """Take in one top-level record; returns the messages of a chunk."""
-        opcode, content = part.opcode, part.content
+    def _take(self, record: Record) -> Iterator[Item]:
+        """Take in one top-level record; yields what it holds."""
+        opcode, content = record.opcode, record.content
         if opcode == mcap.CHUNK:
-            return self._take_chunk(content)
-        if opcode == mcap.MESSAGE_INDEX:
-            channel, messages = mcap.parse_message_index(content)
-            if self._chunk_lost:
-                self._lost[channel] += messages
-                self._index_awaited = False
+            self._loss_unknown |= self._index_awaited
+            self._read_of_chunk, self._index_awaited = Counter(), True
+        if self._index is not None and opcode != mcap.MESSAGE_INDEX:
+            self._index.passed(record)
+            if self._framing.in_summary and opcode not in (mcap.DATA_END, mcap.FOOTER):
+                self._index.in_summary(record)
+        if record.size and not content:
+            self._loss_unknown |= opcode == mcap.MESSAGE
+            what = f"a record has {record.size} bytes"
+            raise mcap.DamagedRecord(refusal(what, "record_bytes", record.size))
+        if opcode == mcap.CHUNK:
+            yield from self._chunk(record)
+        elif opcode == mcap.MESSAGE_INDEX:
+            self._message_index(record)
         elif opcode == mcap.ATTACHMENT:
-            self._take_attachment(mcap.parse_attachment(content))
+            attachment, end = mcap.parse_attachment(content)
+            self._framing.settle(record, end)
+            self._keep_attachment(attachment)
+            if self._index is not None:
+                self._index.attachment(record, attachment)
+            yield attachment
         elif opcode == mcap.METADATA:
-            record = mcap.parse(Metadata, content)
-            self.metadata[record.name] = record.metadata
-        elif opcode == mcap.STATISTICS:
-            self._statistics = mcap.parse(Statistics, content).channel_message_counts
+            metadata, end = mcap.parse(Metadata, content)
+            self._framing.settle(record, end)
+            if self._index is not None:
+                self._index.metadata(record, metadata)
+            self._keeping.add(("metadata", metadata.name), cost_of_texts(metadata.metadata))
+            self.metadata[metadata.name] = metadata.metadata
+            yield metadata
+        elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
+            trust = None if self._framing.in_summary else Trust.PLAIN_DATA
+            self._framing.settle(record, self._define(record, opcode, content, trust))
         elif opcode == mcap.HEADER:
-            mcap.parse(Header, content)
+            self._framing.settle(record, mcap.parse(Header, content)[1])
         else:
-            self._take_definition(opcode, content)
-        return None
+            self._take_index(record)
 
-    def _take_chunk(self, content: bytes) -> Block:
-        self._loss_unknown |= self._index_awaited
-        self._chunk_lost = self._index_awaited = True
-        block, others = split_chunk(mcap.unpack_chunk(mcap.parse(Chunk, content)))
-        for opcode, inner in others:
-            self._take_definition(opcode, inner)
-        self._chunk_lost = self._index_awaited = False
-        return block
+    def _chunk(self, record: Record) -> Iterator[Block]:
+        chunk, end = mcap.parse_chunk(record.content)
+        self._framing.settle(record, end)
+        data = self._unpacker.chunk(chunk)
+        trust = Trust.CHECKED_DATA if chunk.crc else Trust.PLAIN_DATA
+        if self._index is not None:
+            self._index.chunk(record, chunk)
+        try:
+            for block, others in split_chunk(data, self._limits.other_records):
+                for opcode, inner in others:
+                    if opcode in (mcap.SCHEMA, mcap.CHANNEL):
+                        self._define(record, opcode, inner, trust)
+                    elif opcode <= mcap.DATA_END:
+                        self._framing.damage(record.offset, f"a chunk holds a record {opcode}")
+                if self._index is not None:
+                    self._index.messages(block)
+                if self._read_of_chunk is not None:
+                    self._read_of_chunk.update(block.counts())
+                yield block
+        except mcap.DamagedRecord:
+            if self._index is not None:
+                self._index.chunk_lost()
+            raise
+        self._read_of_chunk, self._index_awaited = None, False
 
-    def _take_attachment(self, attachment: Attachment) -> None:
-        self.attachments[attachment.name] = attachment
+    def _message_index(self, record: Record) -> None:
+        channel, entries, end = mcap.parse_message_index(record.content)
+        self._framing.settle(record, end)
+        if self._index is not None:
+            self._index.message_index(record, channel, entries)
+        if self._read_of_chunk is not None:
+            self._lost[channel] += max(0, len(entries) // 16 - self._read_of_chunk[channel])
+            self._index_awaited = False
+
+    def _take_index(self, record: Record) -> None:
+        """Take a record of the summary, or one that is not known here."""
+        opcode, content, index = record.opcode, record.content, self._index
+        clean = not self._framing.damages
+        if opcode == mcap.STATISTICS:
+            statistics, end = mcap.parse_mapping(Statistics, opcode, content)
+            self._framing.settle(record, end)
+            if self._statistics is not None:
+                raise mcap.DamagedRecord("there are two statistics")
+            self._statistics = record.offset, statistics
+        elif index is None:
+            return
+        elif opcode == mcap.CHUNK_INDEX:
+            chunk, end = mcap.parse_mapping(ChunkIndex, opcode, content)
+            self._framing.settle(record, end)
+            index.chunk_index(record, chunk, clean=clean)
+        elif opcode == mcap.ATTACHMENT_INDEX:
+            attachment, end = mcap.parse(AttachmentIndex, content)
+            self._framing.settle(record, end)
+            index.attachment_index(record, attachment, clean=clean)
+        elif opcode == mcap.METADATA_INDEX:
+            metadata, end = mcap.parse(MetadataIndex, content)
+            self._framing.settle(record, end)
+            index.metadata_index(record, metadata, clean=clean)
+        elif opcode == mcap.SUMMARY_OFFSET:
+            place, end = mcap.parse(SummaryOffset, content)
+            self._framing.settle(record, end)
+            index.summary_offset(record, place)
+        elif opcode == mcap.FOOTER:
+            index.footer(record)
+
+    def _keep_attachment(self, attachment: Attachment) -> None:
+        if self._keeping.has_room(("attachment", attachment.name), len(attachment.data)):
+            self.attachments[attachment.name] = attachment
         if attachment.name == names.DEFINITIONS:
             for channel in parse_definitions(attachment.data):
-                self.channels.setdefault(channel.channel_id, channel)
+                self._definitions.add_copy(channel)
 
-    def _take_definition(self, opcode: int, content: bytes) -> None:
+    def _define(self, record: Record, opcode: int, content: bytes, trust: Trust | None) -> int:
+        """Take a schema or channel, without ``trust`` not at all; returns where its fields end."""
+        found: Schema | Channel
         if opcode == mcap.SCHEMA:
-            schema = mcap.parse(Schema, content)
-            self._schemas[schema.id] = (schema.name, schema.encoding, mcap.decoded(schema.data))
-        elif opcode == mcap.CHANNEL:
-            channel = mcap.parse(Channel, content)
-            definition = ChannelDefinition(
-                channel.id,
-                channel.topic,
-                *self._schemas.get(channel.schema_id, ("", "", "")),
-                type_hash=channel.metadata.get("topic_type_hash", ""),
-                offered_qos=channel.metadata.get("offered_qos_profiles", ""),
-            )
-            self.channels.setdefault(channel.id, definition)
+            found, end = mcap.parse(Schema, content)
+            cost = len(found.data)
+        else:
+            found, end = mcap.parse(Channel, content)
+            cost = cost_of_texts(found.metadata)
+        if trust is not None:
+            self._keeping.add((opcode, found.id, trust), cost)
+            fault = self._definitions.add(found, trust)
+            if fault:
+                self._framing.damage(record.offset, fault)
+        return end
 
-    def _counted(self, block: Block | None) -> Iterator[Block]:
-        """Count the messages and yield those of known channels."""
-        if block is None:
-            return
-        unknown = {n: count for n, count in block.counts().items() if n not in self.channels}
-        if unknown:
-            self._lost.update(unknown)
-            block = block.select(~np.isin(block.headers["channel"], list(unknown)))
-        if len(block):
-            self._count(block)
+    def _readable(self, blocks: tuple[Block, ...]) -> Iterator[Block]:
+        """Count the messages and yield those of known channels, as they were published."""
+        for block in blocks:
+            numbers = block.counts()
+            for number in numbers.keys() - self._definitions.from_data:
+                if self._definitions.recover(number):
+                    what = f"channel {number} is defined in a copy alone"
+                    self._framing.damage(self.position, what)
+                    self._definitions.from_data.add(number)
+            unknown = numbers.keys() - self.channels.keys()
+            if unknown:
+                self._lost.update({n: numbers[n] for n in unknown})
+                block = block.select(~np.isin(block.headers["channel"], list(unknown)))  # noqa: PLW2901
+            if len(block):
+                self._count(block)
+                yield from self._plain(block)
+
+    def _plain(self, block: Block) -> Iterator[Block]:
+        """Yield ``block``, unpacked where rosbag2 has packed message by message."""
+        encoding = self.channels[int(block.headers["channel"][0])].message_encoding
+        if encoding != _CDR or not block.payload(0).startswith(ZSTD_MAGIC):  # no CDR begins so
             yield block
+            return
+        broken = Counter[int]()
+        yield from unpacked(block, self._unpacker.message, broken)
+        if broken:
+            self._unreadable += broken
+            self._counts -= broken
+            self._framing.damage(self.position, f"{broken.total()} packed messages are broken")
 
     def _conclude(self, framing: Framing) -> None:
         if framing.damages and self.position == 0:
@@ -170,62 +303,45 @@ class McapScan(Scan):
         self._loss_unknown |= (
             self._index_awaited or framing.skipped or (framing.truncated is not None)
         )
-        if not framing.summary_sound:
-            self._statistics = None
-        if self._statistics is not None and not framing.damages:
-            missing = self._missing(self._statistics)
-            if missing or self._statistics.keys() - self.channels.keys():
-                framing.damage(0, "fewer messages than the index of the file promises")
+        with_index = self._definitions.with_index()
+        self._definitions.recover_all(trusted=bool(framing.damages))
+        if self._statistics is not None and framing.summary_sound:
+            self._compare_statistics(framing, *self._statistics, with_index)
         if self._lost and not framing.damages:
             framing.damage(0, "messages of channels without a definition")
         self._damages = framing.damages
 
+    def _compare_statistics(
+        self, framing: Framing, offset: int, stated: Statistics, with_index: tuple[int, int]
+    ) -> None:
+        """Judge by the statistics what is missing, or by the data that the statistics are wrong."""
+        if not framing.data_proven and (stated.channel_message_counts or not stated.message_count):
+            self._promised = stated.channel_message_counts
+        if framing.damages:
+            return
+        if self._index is not None:
+            self._index.complete(offset)
+            counts = self._counts + self._unreadable
+            data = len(self._definitions.schema_ids), len(self._definitions.from_data)
+            self._index.statistics(
+                offset, stated, counts, self._span,
+                schemas=(data[0], with_index[0]), channels=(data[1], with_index[1]),
+            )  # fmt: skip
+        promised = self._promised or {}
+        if not framing.damages and (self._missing(promised) or promised.keys() - self.channels):
+            framing.damage(0, "fewer messages than the index of the file promises")
+
     def _missing(self, promised: dict[int, int]) -> Counter[int]:
-        return Counter(promised) - self._counts
+        return Counter(promised) - self._counts - self._unreadable
 
-    def _read_summary_definitions(self, file: BinaryIO) -> None:
-        """Take schemas and channels from the end of a complete file, if there are any."""
-        tail = mcap.HEADER_SIZE + mcap.FOOTER_CONTENT + len(mcap.MAGIC)
-        if self._size < tail:
-            return
-        file.seek(self._size - tail)
-        footer = file.read(tail)
-        start = int.from_bytes(footer[mcap.HEADER_SIZE : mcap.HEADER_SIZE + 8], "little")
-        end = self._size - tail
-        if not footer.endswith(mcap.MAGIC) or not 0 < start < end or end - start > mcap.MAX_RECORD:
-            return
-        file.seek(start)
-        summary = file.read(end - start)
-        position = 0
-        while position + mcap.HEADER_SIZE <= len(summary):
-            opcode, length = mcap.record_header.unpack_from(summary, position)
-            position += mcap.HEADER_SIZE
+    def _read_summary(self, file: BinaryIO, size: int) -> None:
+        """Take schemas and channels from the index of a complete file, if it has any."""
+        for record, checked in summary_definitions(file, size, self._limits.record_bytes):
+            trust = Trust.CHECKED_INDEX if checked else Trust.PLAIN_INDEX
             try:
-                self._take_definition(opcode, summary[position : position + length])
+                self._define(record, record.opcode, record.content, trust)
             except mcap.DamagedRecord:
-                return
-            position += length
-
-
-class _Held:
-    """Blocks that are yielded together: a small one costs as much as a large one."""
-
-    def __init__(self) -> None:
-        self._blocks: list[Block] = []
-        self._room = 0  # the first block goes at once: who wants no more need not wait
-
-    def grown(self, block: Block) -> Block | None:
-        """Take ``block``; return all as one when they are large enough."""
-        self._blocks.append(block)
-        self._room -= len(block.data)
-        return None if self._room > 0 else self.released()
-
-    def released(self) -> Block | None:
-        """Return what is held as one block, if anything is."""
-        if not self._blocks:
-            return None
-        blocks, self._blocks, self._room = self._blocks, [], _JOINED_BYTES
-        return joined(blocks)
+                continue
 
 
 def _block_of_run(run: list[bytes]) -> Block:

@@ -10,16 +10,18 @@ from typing import Final
 
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.mcap_scan import McapScan
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
-from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.scan import Item, Scan
 from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.whole_file import PACKED
 from rotcal_ros.errors import BagError
 
 Progress = Callable[[int, int], None]
 """Called with the bytes done and the bytes in all."""
 
 SUFFIXES: Final = (".mcap", ".db3")
-"""The endings of storage files."""
+"""The endings of storage files, in any case; ``.zstd`` behind one: compressed as a whole."""
 
 _NUMBER: Final = re.compile(r"(.*?)_?(\d+)$")
 _HASH_BYTES: Final = 1 << 20
@@ -36,26 +38,31 @@ def bag_files(path: Path) -> tuple[Path, ...]:
         scan_file(path)
         return (path,)
     for suffix in SUFFIXES:
-        files = sorted((f for f in path.iterdir() if f.suffix == suffix), key=_order)
+        found = sorted(f for f in path.iterdir() if _storage(f) == suffix)
+        # Of a file that was unpacked beside its packed form, the plain one is read.
+        files = {_plain(file).stem: file for file in reversed(found)}
         if files:
-            return tuple(files)
-    if any(f.name.endswith((".mcap.zstd", ".db3.zstd")) for f in path.iterdir()):
-        raise BagError(f"the files in {path} are compressed as a whole; unpack them: zstd -d FILE")
+            return tuple(sorted(files.values(), key=_order))
     inside = sorted(f.parent for ending in SUFFIXES for f in path.glob(f"*/*{ending}"))
     hint = f"; did you mean {inside[0]}?" if inside else ""
     raise BagError(f"{path} is no bag: there is no .mcap or .db3 file in the folder{hint}")
 
 
-def scan_file(path: Path) -> Scan:
+def scan_file(
+    path: Path, limits: ReadingLimits = DEFAULT_LIMITS, *, check_index: bool = False
+) -> Scan:
     """Return a pass over the storage file ``path``; raises BagError for any other file."""
-    if path.suffix == ".mcap":
-        return McapScan(path)
-    if path.suffix != ".db3":
+    storage = _storage(path)
+    if storage == ".mcap":
+        return McapScan(path, limits, check_index=check_index)
+    if storage != ".db3":
         raise BagError(
             f"{path} is no bag: expected a folder or a file ending in .mcap or .db3; a plain "
             "table is text with commas between its columns"
         )
-    # rosbags' reader takes a while to load, and few bags need it.
+    if _plain(path) != path:
+        raise BagError(f"{path} is compressed as a whole; unpack it: zstd -d {path.name}")
+    # Few bags need it.
     from rotcal_ros.bags.sqlite_scan import SqliteScan
 
     return SqliteScan(path)
@@ -76,11 +83,31 @@ def read_blocks(
         yield scan, None
 
 
+def read_items(
+    files: tuple[Path, ...],
+    progress: Progress | None = None,
+    limits: ReadingLimits = DEFAULT_LIMITS,
+) -> Iterator[tuple[Scan, Item | None]]:
+    """Yield all that several files hold, and check their indexes; as :func:`read_blocks`."""
+    total, done = sum(file.stat().st_size for file in files), 0
+    for file in files:
+        scan = scan_file(file, limits, check_index=True)
+        for item in scan.items():
+            yield scan, item
+            if progress is not None:
+                progress(done + scan.position, total)
+        done += file.stat().st_size
+        yield scan, None
+
+
 def check_files(
-    files: tuple[Path, ...], progress: Progress | None = None
+    files: tuple[Path, ...],
+    progress: Progress | None = None,
+    limits: ReadingLimits = DEFAULT_LIMITS,
 ) -> tuple[FileVerdict, ...]:
-    """Read files to their ends and return their verdicts."""
-    return tuple(scan.verdict() for scan, block in read_blocks(files, progress) if block is None)
+    """Read files and their indexes to the ends and return their verdicts."""
+    found = read_items(files, progress, limits)
+    return tuple(scan.verdict() for scan, item in found if item is None)
 
 
 def session_files(folder: Path, progress: Progress | None = None) -> tuple[FileInfo, ...]:
@@ -105,7 +132,18 @@ def sha256_of(path: Path) -> str:
     return digest.hexdigest()
 
 
+def _plain(path: Path) -> Path:
+    """Return ``path`` without the ending of a file that is compressed as a whole."""
+    return path.with_suffix("") if path.suffix.lower() == PACKED else path
+
+
+def _storage(path: Path) -> str:
+    """Return the ending of a storage file as in SUFFIXES, of any other file something else."""
+    return _plain(path).suffix.lower()
+
+
 def _order(path: Path) -> tuple[str, int]:
     """Sort key: name_2 comes before name_10."""
-    match = _NUMBER.match(path.stem)
-    return (match[1], int(match[2])) if match else (path.stem, -1)
+    stem = _plain(path).stem
+    match = _NUMBER.match(stem)
+    return (match[1], int(match[2])) if match else (stem, -1)

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from mcap.records import Attachment
+from mcap.records import Attachment, Metadata
 
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
@@ -15,12 +15,17 @@ from rotcal_ros.bags.dropout_reader import DropoutReader
 from rotcal_ros.bags.verdict import FileVerdict, TopicCount
 
 
+Item = Block | Attachment | Metadata
+"""What stands in a file: messages and what is beside them."""
+
+
 class Scan(ABC):
     """One pass over one storage file; ``position`` is how far it has come, in bytes.
 
     Iterate :meth:`blocks` to the end; ``channels``, ``attachments`` and ``metadata`` fill up on
     the way, and :meth:`verdict` is final afterwards. A block only holds messages of
-    channels whose definition is known.
+    channels whose definition is known. ``attachments`` and ``metadata`` hold the last of each
+    name, as far as memory allows.
     """
 
     def __init__(self, path: Path) -> None:
@@ -36,6 +41,10 @@ class Scan(ABC):
     @abstractmethod
     def blocks(self) -> Iterator[Block]:
         """Yield the readable messages; raises BagError when the file is unreadable at all."""
+
+    def items(self) -> Iterator[Item]:
+        """Yield all that the file holds, in its order; raises what :meth:`blocks` does."""
+        yield from self.blocks()
 
     @abstractmethod
     def verdict(self) -> FileVerdict:

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rotcal_ros.bags.blocks import split_chunk
+from rotcal_ros.bags import blocks
+from rotcal_ros.bags.blocks import Block, joined
 from rotcal_ros.bags.mcap_records import CHANNEL, MESSAGE, DamagedRecord
 
 headers = st.tuples(
@@ -18,6 +19,19 @@ headers = st.tuples(
 # Payloads full of bytes that look like records.
 tricky = st.sampled_from([b"\x05", b"\x00", b"\x05" + struct.pack("<Q", 22), b"\x16", b"x"])
 payloads = st.lists(tricky, max_size=8).map(b"".join)
+
+
+MOST = 1000
+
+
+def split_chunk(data: bytes, most: int = MOST) -> tuple[Block, list[tuple[int, bytes]]]:
+    """Return all pieces of a chunk as one."""
+    pieces = list(blocks.split_chunk(data, most))
+    others = [other for _, found in pieces for other in found]
+    return joined([block for block, _ in pieces] or [EMPTY]), others
+
+
+EMPTY = Block(b"", np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, blocks.HEADER_TYPE))
 
 
 def record(opcode: int, content: bytes) -> bytes:

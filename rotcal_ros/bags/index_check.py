@@ -1,0 +1,299 @@
+"""Checking the index of an MCAP file against its data, as a doctor would.
+
+Reading does not need the index, so a fault in it costs nothing here; others look messages up in
+it and would miss them.
+"""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_left
+from collections.abc import Callable, Mapping
+from typing import Final
+
+import numpy as np
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    ChunkIndex,
+    Metadata,
+    MetadataIndex,
+    Statistics,
+    SummaryOffset,
+)
+from numpy.typing import NDArray
+
+from rotcal_ros.arrays import Ints
+from rotcal_ros.bags import mcap_records as mcap
+from rotcal_ros.bags.blocks import HEADER_TYPE, Block
+from rotcal_ros.bags.framing import Record
+from rotcal_ros.bags.mcap_records import ChunkRecord
+
+Report = Callable[[int, str], None]
+"""Called with the offset and the words of each fault."""
+
+_BEFORE_PAYLOAD: Final = mcap.HEADER_SIZE + mcap.MESSAGE_FIXED
+_MOST_FACTS: Final = 1 << 22
+"""Chunks, attachments or metadata records of a file beyond which their index is not checked."""
+
+
+class IndexCheck:
+    """Is told of every sound record in file order, and reports where the index disagrees."""
+
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self._chunk: _ChunkFacts | None = None
+        self._chunks, self._attachments, self._notes = _Facts(), _Facts(), _Facts()
+        self._indexes = _Facts()
+        self._groups: dict[int, list[int]] = {}  # begin and end of those of a kind
+        self._last_kind = 0
+        self._begin: int | None = None
+        self._offsets_begin: int | None = None
+
+    def chunk(self, record: Record, chunk: ChunkRecord) -> None:
+        """Take a chunk whose messages come next."""
+        self._chunk = _ChunkFacts(record, chunk, self._report)
+
+    def messages(self, block: Block) -> None:
+        """Take messages of the chunk."""
+        if self._chunk is not None:
+            self._chunk.messages(block)
+
+    def chunk_lost(self) -> None:
+        """Forget the chunk: it is damaged."""
+        self._chunk = None
+
+    def message_index(self, record: Record, channel: int, entries: memoryview) -> None:
+        """Take a message index, which stands behind its chunk."""
+        if self._chunk is not None:
+            self._chunk.index(record, channel, entries)
+
+    def passed(self, record: Record) -> None:
+        """Take note of any record but a message index: a chunk and its indexes end before it."""
+        if self._chunk is not None:
+            chunk, self._chunk = self._chunk, None
+            chunk.finish()
+            self._chunks.add(chunk.record.offset, chunk.described)
+            self._indexes.add(chunk.record.offset, chunk.places())
+
+    def attachment(self, record: Record, found: Attachment) -> None:
+        """Take an attachment."""
+        times = (found.log_time, found.create_time)
+        size = record.end - record.offset
+        facts = (size, *times, len(found.data), found.name, found.media_type)
+        self._attachments.add(record.offset, facts)
+
+    def metadata(self, record: Record, found: Metadata) -> None:
+        """Take a metadata record."""
+        self._notes.add(record.offset, (record.end - record.offset, found.name))
+
+    def chunk_index(self, record: Record, index: ChunkIndex, *, clean: bool) -> None:
+        """Compare an index of a chunk; ``clean`` says that all data could be read."""
+        described = (
+            index.chunk_length,
+            index.message_start_time,
+            index.message_end_time,
+            index.compression,
+            index.compressed_size,
+            index.uncompressed_size,
+        )
+        offset = index.chunk_start_offset
+        self._compare(self._chunks, record, "chunk", offset, described, clean)
+        if index.message_index_offsets or index.message_index_length:
+            places = (index.message_index_length, frozenset(index.message_index_offsets.items()))
+            if self._indexes.differs(offset, places):
+                self._report(record.offset, f"the places of the indexes behind chunk {offset} are wrong")
+
+    def attachment_index(self, record: Record, index: AttachmentIndex, *, clean: bool) -> None:
+        """Compare an index of an attachment."""
+        times = (index.log_time, index.create_time)
+        facts = (index.length, *times, index.data_size, index.name, index.media_type)
+        self._compare(self._attachments, record, "attachment", index.offset, facts, clean)
+
+    def metadata_index(self, record: Record, index: MetadataIndex, *, clean: bool) -> None:
+        """Compare an index of a metadata record."""
+        facts = (index.length, index.name)
+        self._compare(self._notes, record, "metadata record", index.offset, facts, clean)
+
+    def in_summary(self, record: Record) -> None:
+        """Take note of where a record of the summary stands."""
+        if record.opcode == mcap.SUMMARY_OFFSET:
+            if self._offsets_begin is None:
+                self._offsets_begin = record.offset
+            return
+        if self._begin is None:
+            self._begin = record.offset
+        group = self._groups.setdefault(record.opcode, [record.offset, record.end])
+        if group[1] != record.end and self._last_kind != record.opcode:
+            self._report(record.offset, "the records of the summary are not grouped by kind")
+        group[1], self._last_kind = record.end, record.opcode
+
+    def summary_offset(self, record: Record, place: SummaryOffset) -> None:
+        """Compare the place of a group of records of the summary."""
+        begin, end = self._groups.get(place.group_opcode, [0, 0])
+        if place.group_length and (place.group_start, place.group_length) != (begin, end - begin):
+            self._report(record.offset, "a summary offset points to the wrong place")
+
+    def footer(self, record: Record) -> None:
+        """Compare where the footer says that the summary begins."""
+        begin = int.from_bytes(record.content[:8], "little")
+        offsets = int.from_bytes(record.content[8:16], "little")
+        expected = self._begin if self._begin is not None else self._offsets_begin
+        if begin not in ((0,) if expected is None else (expected,)):
+            self._report(record.offset, "the footer points to the wrong summary")
+        if offsets and offsets != (self._offsets_begin or record.offset):
+            self._report(record.offset, "the footer points to the wrong summary offsets")
+
+    def complete(self, offset: int) -> None:
+        """Report, at the end of a file whose data are sound, which index is not complete."""
+        parts = ("chunk", self._chunks), ("attachment", self._attachments), ("metadata", self._notes)
+        for what, facts in parts:
+            if facts.named and facts.named != len(facts):
+                self._report(offset, f"{len(facts) - facts.named} {what} records have no index")
+
+    def statistics(
+        self,
+        offset: int,
+        stated: Statistics,
+        counts: Mapping[int, int],
+        span: tuple[int, int] | None,
+        *,
+        schemas: tuple[int, int],
+        channels: tuple[int, int],
+    ) -> None:
+        """Compare the statistics of a file whose data are sound.
+
+        ``counts`` are messages by channel, ``span`` their first and last log time (ns),
+        ``schemas`` and ``channels`` how many the data define, and how many with the index.
+        """
+        total = sum(counts.values())
+        found = {
+            "messages": (stated.message_count, (total,)),
+            "chunks": (stated.chunk_count, (len(self._chunks),)),
+            "attachments": (stated.attachment_count, (len(self._attachments),)),
+            "metadata records": (stated.metadata_count, (len(self._notes),)),
+            "schemas": (stated.schema_count, schemas),
+            "channels": (stated.channel_count, channels),
+        }
+        for what, (number, true) in found.items():
+            if number not in true:
+                self._report(offset, f"the statistics count {number} {what}, there are {true[0]}")
+        by_channel = {n: count for n, count in stated.channel_message_counts.items() if count}
+        if stated.channel_message_counts and by_channel != dict(counts):
+            self._report(offset, "the statistics count other messages of a channel than there are")
+        if span and span != (stated.message_start_time, stated.message_end_time):
+            self._report(offset, "the times of the statistics are not those of the messages")
+
+    def _compare(
+        self, known: _Facts, record: Record, what: str, offset: int, facts: object, clean: bool
+    ) -> None:
+        if known.differs(offset, facts):
+            self._report(record.offset, f"the index of the {what} at byte {offset} is wrong")
+        elif not known.name(offset) and clean:
+            self._report(record.offset, f"an index points to byte {offset}, where no {what} is")
+
+
+class _Facts:
+    """What is known of the records of one kind, by offset, as hashes: 17 bytes for each."""
+
+    def __init__(self) -> None:
+        self._offsets, self._hashes = array("Q"), array("q")
+        self._is_named = bytearray()
+        self._more = 0
+        self.named = 0
+
+    def __len__(self) -> int:
+        return len(self._offsets) + self._more
+
+    def add(self, offset: int, facts: object) -> None:
+        """Add a record; they come in file order."""
+        if len(self._offsets) >= _MOST_FACTS:
+            self._more += 1
+            return
+        self._offsets.append(offset)
+        self._hashes.append(hash(facts))
+        self._is_named.append(0)
+
+    def differs(self, offset: int, facts: object) -> bool:
+        """Tell whether the record at ``offset`` is known, and not as ``facts`` say."""
+        place = self._place(offset)
+        return place is not None and self._hashes[place] != hash(facts)
+
+    def name(self, offset: int) -> bool:
+        """Note that the index names a record; False when it is not there or named before."""
+        place = self._place(offset)
+        if place is None or self._is_named[place]:
+            return self._more > 0
+        self._is_named[place] = 1
+        self.named += 1
+        return True
+
+    def _place(self, offset: int) -> int | None:
+        place = bisect_left(self._offsets, offset)
+        found = place < len(self._offsets) and self._offsets[place] == offset
+        return place if found else None
+
+
+class _ChunkFacts:
+    """A chunk, its messages and the indexes behind it."""
+
+    def __init__(self, record: Record, chunk: ChunkRecord, report: Report) -> None:
+        self.record = record
+        size = record.end - record.offset
+        packed = len(chunk.packed)
+        times = (chunk.start_ns, chunk.end_ns)
+        self.described = (size, *times, chunk.compression, packed, chunk.size)
+        self._times = times
+        self._report = report
+        self._headers: list[NDArray[np.void]] = []
+        self._offsets: list[Ints] = []
+        self._by_channel: tuple[NDArray[np.void], Ints] | None = None
+        self._indexes: dict[int, int] = {}
+        self._index_bytes = 0
+
+    def messages(self, block: Block) -> None:
+        self._headers.append(block.headers)
+        self._offsets.append(block.start - _BEFORE_PAYLOAD)
+
+    def index(self, record: Record, channel: int, entries: memoryview) -> None:
+        """Compare the index of one channel with its messages."""
+        self._index_bytes += record.end - record.offset
+        if channel in self._indexes:
+            self._report(record.offset, f"channel {channel} has two indexes behind a chunk")
+        self._indexes[channel] = record.offset
+        headers, offsets = self._sorted()
+        first, last = np.searchsorted(headers["channel"], [channel, channel + 1])
+        stated = np.frombuffer(entries, "<u8").reshape(-1, 2)
+        if (np.diff(stated[:, 1].astype(np.int64)) < 0).any():
+            stated = stated[np.argsort(stated[:, 1], kind="stable")]
+        same = (
+            len(stated) == last - first
+            and np.array_equal(stated[:, 0], headers["log_time"][first:last])
+            and np.array_equal(stated[:, 1], offsets[first:last].astype(np.uint64))
+        )
+        if not same:
+            self._report(record.offset, f"the message index of channel {channel} is wrong")
+
+    def finish(self) -> None:
+        """Compare what can only be known behind the indexes."""
+        headers, _ = self._sorted()
+        if not len(headers):
+            return
+        times = headers["log_time"]
+        if (int(times.min()), int(times.max())) != self._times:
+            self._report(self.record.offset, "the times of a chunk are not those of its messages")
+        if self._indexes and (missing := set(np.unique(headers["channel"])) - self._indexes.keys()):
+            self._report(self.record.offset, f"{len(missing)} channels of a chunk have no index")
+
+    def places(self) -> tuple[int, frozenset[tuple[int, int]]]:
+        """Return the size of the indexes and where they stand, by channel."""
+        return self._index_bytes, frozenset(self._indexes.items())
+
+    def _sorted(self) -> tuple[NDArray[np.void], Ints]:
+        """Return the messages by channel, in file order within one."""
+        if self._by_channel is None:
+            headers = np.concatenate([np.zeros(0, HEADER_TYPE), *self._headers])
+            offsets = np.concatenate([np.zeros(0, np.int64), *self._offsets])
+            order = np.argsort(headers["channel"], kind="stable")
+            self._by_channel = headers[order], offsets[order]
+        return self._by_channel

@@ -1,0 +1,52 @@
+"""The settings of the bag reader: how much a file may ask for, group ``reading``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from rotcal_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class ReadingLimits:
+    """What a bag may cost to read; what goes beyond is left out and said, by ``rotcal bag``."""
+
+    record_bytes: int = setting(
+        67_108_864,
+        doc="bytes, largest record of a file that is taken into memory",
+        minimum=65_536,
+    )
+    chunk_bytes: int = setting(
+        67_108_864,
+        doc="bytes, largest chunk or message that is unpacked",
+        minimum=65_536,
+    )
+    unpacked_bytes: int = setting(
+        536_870_912,
+        doc="bytes that a file of any size may unpack to in all",
+        minimum=65_536,
+    )
+    unpacked_ratio: int = setting(
+        1000,
+        doc="times the size of a file that it may unpack to where this is more",
+        minimum=1,
+    )
+    other_records: int = setting(
+        200_000,
+        doc="records in a chunk that are no messages",
+        minimum=1000,
+    )
+    kept_bytes: int = setting(
+        33_554_432,
+        doc="bytes of memory for all definitions, attachments and metadata of a file together",
+        minimum=65_536,
+    )
+
+
+DEFAULT_LIMITS: Final = ReadingLimits()
+
+
+def refusal(what: str, setting_name: str, least: int) -> str:
+    """Return the words for something beyond a limit: what it is, and what lets it pass."""
+    return f"{what}; --set reading.{setting_name}={least} of rotcal bag repair lets it pass"

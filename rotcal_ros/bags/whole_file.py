@@ -1,0 +1,51 @@
+"""Storage files that rosbag2 has compressed as a whole (mode FILE)."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import zstandard
+
+from rotcal_ros.bags.reading_limits import ReadingLimits, refusal
+from rotcal_ros.errors import BagError
+
+PACKED: Final = ".zstd"
+"""The ending of such a file, behind the one of its storage."""
+_STEP: Final = 1 << 20
+
+
+@contextmanager
+def opened(path: Path, limits: ReadingLimits) -> Iterator[BinaryIO]:
+    """Open a storage file; one that is compressed as a whole is unpacked into a temporary file.
+
+    Raises OSError, and BagError where it cannot be unpacked or would become too large. What
+    can be unpacked of a file that is cut off is given.
+    """
+    with path.open("rb") as file:
+        if path.suffix.lower() != PACKED:
+            yield file
+            return
+        with tempfile.TemporaryFile() as plain:
+            _unpack(file, plain, path, limits)
+            yield plain
+
+
+def _unpack(file: BinaryIO, plain: BinaryIO, path: Path, limits: ReadingLimits) -> None:
+    size = path.stat().st_size
+    most = max(limits.unpacked_bytes, limits.unpacked_ratio * size)
+    done = 0
+    try:
+        reader = zstandard.ZstdDecompressor().stream_reader(file, read_across_frames=True)
+        while part := reader.read(_STEP):
+            done += len(part)
+            if done > most:
+                ratio = 2 * (done // max(1, size)) + 1
+                raise BagError(refusal(f"{path} unpacks to too much", "unpacked_ratio", ratio))
+            plain.write(part)
+    except zstandard.ZstdError as error:
+        if not done:
+            raise BagError(f"{path} cannot be unpacked: {error}") from None
