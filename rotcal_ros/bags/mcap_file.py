@@ -13,20 +13,25 @@ from mcap.writer import CompressionType, Writer
 
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
-from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions
+from rotcal_ros.bags.definitions import ChannelDefinition, dump_definitions, schema_bytes
+from rotcal_ros.errors import BagError
 from rotcal_ros.files import DurableFile
 
 LIBRARY: Final = f"rotcal_ros {__version__}"
+_QOS: Final = "offered_qos_profiles"
+_HASH: Final = "topic_type_hash"
+_MOST_CHANNELS: Final = 65_535
 
 
 @dataclass(frozen=True, slots=True)
 class Attached:
-    """A file that goes beside the messages, since ``time_ns``."""
+    """A file that goes beside the messages, since ``time_ns``; made then if not otherwise said."""
 
     name: str
     media_type: str
     data: bytes
     time_ns: int
+    created_ns: int | None = None
 
 
 class McapFile:
@@ -45,7 +50,7 @@ class McapFile:
             enable_crcs=True,
             enable_data_crcs=True,
         )
-        self._schemas: dict[tuple[str, str], int] = {}
+        self._schemas: dict[tuple[str, str, str], int] = {}
         self._undescribed: list[ChannelDefinition] = []
 
     @property
@@ -59,8 +64,9 @@ class McapFile:
 
     def attach(self, attached: Attached) -> None:
         """Put a file beside the messages."""
+        created_ns = attached.time_ns if attached.created_ns is None else attached.created_ns
         self._writer.add_attachment(
-            attached.time_ns, attached.time_ns, attached.name, attached.media_type, attached.data
+            created_ns, attached.time_ns, attached.name, attached.media_type, attached.data
         )
 
     def note(self, name: str, texts: Mapping[str, str]) -> None:
@@ -69,19 +75,28 @@ class McapFile:
 
     def register(self, channel: ChannelDefinition) -> ChannelDefinition:
         """Add a channel and return it with its number; they count from 1 in every file."""
-        key = (channel.type_name, channel.definition)
-        if key not in self._schemas:
-            self._schemas[key] = self._writer.register_schema(
-                channel.type_name, channel.encoding, channel.definition.encode()
-            )
+        known = {_QOS: channel.offered_qos, _HASH: channel.type_hash}
         number = self._writer.register_channel(
             channel.topic,
-            "cdr",
-            self._schemas[key],
-            {"offered_qos_profiles": channel.offered_qos, "topic_type_hash": channel.type_hash},
+            channel.message_encoding,
+            self._schema(channel),
+            dict(channel.metadata) | {name: text for name, text in known.items() if text},
         )
+        if number > _MOST_CHANNELS:
+            raise BagError(f"a bag has {_MOST_CHANNELS} channels at most")
         self._undescribed.append(replace(channel, channel_id=number))
         return self._undescribed[-1]
+
+    def _schema(self, channel: ChannelDefinition) -> int:
+        """Return the number of a channel's schema, new or known; 0 stands for none."""
+        key = (channel.type_name, channel.encoding, channel.definition)
+        if not any(key):
+            return 0
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(
+                channel.type_name, channel.encoding, schema_bytes(channel.definition)
+            )
+        return self._schemas[key]
 
     def write(
         self, channel: int, data: bytes, log_time_ns: int, publish_time_ns: int, sequence: int

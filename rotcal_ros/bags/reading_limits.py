@@ -13,17 +13,17 @@ class ReadingLimits:
     """What a bag may cost to read; what goes beyond is left out and said, by ``rotcal bag``."""
 
     record_bytes: int = setting(
-        67_108_864,
+        50_331_648,
         doc="bytes, largest record of a file that is taken into memory",
         minimum=65_536,
     )
     chunk_bytes: int = setting(
-        67_108_864,
+        50_331_648,
         doc="bytes, largest chunk or message that is unpacked",
         minimum=65_536,
     )
     unpacked_bytes: int = setting(
-        536_870_912,
+        1_073_741_824,
         doc="bytes that a file of any size may unpack to in all",
         minimum=65_536,
     )

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
+from typing import Final
+
+from mcap.records import Attachment, Metadata
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.reader import Progress, bag_files, check_files, read_blocks
+from rotcal_ros.bags.mcap_file import Attached
+from rotcal_ros.bags.reader import Progress, bag_files, check_files, read_items
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
+
+_MESSAGE_BYTES: Final = 31
+"""What a message takes in a file beside its payload."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +34,12 @@ class Repair:
     after: tuple[FileVerdict, ...]
 
 
-def repair(path: Path, folder: Path, progress: Progress | None = None) -> Repair:
+def repair(
+    path: Path,
+    folder: Path,
+    progress: Progress | None = None,
+    limits: ReadingLimits = DEFAULT_LIMITS,
+) -> Repair:
     """Write all that can be read of the bag at ``path`` into the new ``folder``.
 
     The original is never touched. The new bag is read again and must hold every message
@@ -34,64 +48,79 @@ def repair(path: Path, folder: Path, progress: Progress | None = None) -> Repair
     before: list[FileVerdict] = []
     with BagWriter(folder, WriterSettings(min_free_bytes=0)) as writer:
         copier = _Copier(writer)
-        for scan, block in read_blocks(bag_files(path), progress):
-            copier.attachments(scan)
-            copier.run(scan)
-            if block is not None:
-                copier.copy(scan, block)
+        for scan, item in read_items(bag_files(path), progress, limits):
+            if isinstance(item, Block):
+                copier.messages(scan, item)
+            elif isinstance(item, Attachment):
+                copier.attachment(item)
+            elif isinstance(item, Metadata):
+                copier.metadata(item)
             else:
-                copier.notes(scan)
                 before.append(scan.verdict())
+                copier.end_file()
         if losses := session_losses(before):
             writer.note(names.LOSSES, losses)
         writer.note(names.REPAIR, {v.path.name: v.sentence() for v in before})
-    after = check_files(bag_files(folder))
+    room = max(limits.unpacked_bytes, 2 * copier.message_bytes)  # it may be packed more tightly
+    after = check_files(bag_files(folder), limits=replace(limits, unpacked_bytes=room))
     _compare(before, after, folder)
     return Repair(tuple(before), after)
 
 
 class _Copier:
-    """Copies blocks with all that belongs to them, each channel once."""
+    """Copies messages and all that belongs to them, each channel once."""
 
     def __init__(self, writer: BagWriter) -> None:
+        self.message_bytes = 0
         self._writer = writer
-        self._channels: dict[tuple[str, str, str], int] = {}
-        self._attached: set[bytes] = set()
+        self._channels: dict[ChannelDefinition, int] = {}
+        self._of_earlier_files: set[bytes] = set()
+        self._of_this_file: set[bytes] = set()
         self._run: dict[str, str] = {}
 
-    def copy(self, scan: Scan, block: Block) -> None:
+    def messages(self, scan: Scan, block: Block) -> None:
+        """Copy messages with their numbers and times."""
         numbers = {number: self._channel(scan.channels[number]) for number in block.counts()}
+        self.message_bytes += int(block.size.sum()) + _MESSAGE_BYTES * len(block)
         for row, (channel, sequence, log_time, publish_time) in enumerate(block.headers.tolist()):
             self._writer.write(
                 numbers[channel], block.payload(row), log_time, publish_time, sequence
             )
 
-    def attachments(self, scan: Scan) -> None:
-        """Copy the attachments that have come to light so far, each once."""
-        for attachment in scan.attachments.values():
-            if attachment.name != names.DEFINITIONS and attachment.data not in self._attached:
-                self._attached.add(attachment.data)
-                self._writer.attach(attachment.name, attachment.media_type, attachment.data)
+    def attachment(self, found: Attachment) -> None:
+        """Copy an attachment; of those that every file of a session carries, the first."""
+        key = sha256(repr((found.name, found.media_type)).encode() + found.data).digest()
+        self._of_this_file.add(key)
+        if found.name != names.DEFINITIONS and key not in self._of_earlier_files:
+            self._writer.attach_once(
+                Attached(
+                    found.name, found.media_type, found.data, found.log_time, found.create_time
+                )
+            )
 
-    def run(self, scan: Scan) -> None:
+    def metadata(self, record: Metadata) -> None:
+        """Copy a metadata record; losses are added up at the end, rosbag2's own is made anew."""
+        if record.name == names.RUN:
+            self._begin_run(record.metadata)
+        elif record.name not in (names.ROSBAG2, names.LOSSES):
+            self._writer.note(record.name, record.metadata)
+
+    def end_file(self) -> None:
+        """Take note that the next file begins."""
+        self._of_earlier_files |= self._of_this_file
+        self._of_this_file.clear()
+
+    def _begin_run(self, run: dict[str, str]) -> None:
         """Say which run of an interrupted plan the messages belong to that come now."""
-        if names.RUN in scan.metadata and scan.metadata[names.RUN] != self._run:
-            self._run = dict(scan.metadata[names.RUN])
+        if run != self._run:
+            self._run = dict(run)
             self._writer.sync()  # closes the chunk: the record must not overtake its messages
             self._writer.note(names.RUN, self._run)
 
-    def notes(self, scan: Scan) -> None:
-        """Copy the other metadata records."""
-        for name, entries in scan.metadata.items():
-            if name not in (names.ROSBAG2, names.RUN, names.LOSSES):
-                self._writer.note(name, entries)
-
     def _channel(self, channel: ChannelDefinition) -> int:
-        key = (channel.topic, channel.type_name, channel.definition)
+        key = replace(channel, channel_id=0)
         if key not in self._channels:
-            self._channels[key] = self._writer.channel(
-                *key, channel.type_hash, channel.offered_qos, encoding=channel.encoding
-            )
+            self._channels[key] = self._writer.add_channel(key)
         return self._channels[key]
 
 

@@ -108,7 +108,7 @@ def _topic(channel: ChannelDefinition, files: Sequence[FileInfo]) -> dict[str, A
         "topic_metadata": {
             "name": channel.topic,
             "type": channel.type_name,
-            "serialization_format": "cdr",
+            "serialization_format": channel.message_encoding,
             "offered_qos_profiles": qos_profiles(channel.offered_qos),
             "type_description_hash": channel.type_hash,
         },

@@ -83,6 +83,10 @@ class BagWriter:
         """Put ``data`` beside the messages, in this file and in every later one."""
         attached = Attached(name, media_type, data, time.time_ns())
         self._attachments.append(attached)
+        self.attach_once(attached)
+
+    def attach_once(self, attached: Attached) -> None:
+        """Put an attachment of another bag beside the messages, in this file alone."""
         self._guarded(lambda: self._file.attach(attached))
         self._unsynced += 1
 
@@ -110,9 +114,12 @@ class BagWriter:
         the RIHS01 hash (empty when the middleware offers none), ``offered_qos`` the text of
         :func:`rosbag2_metadata.qos_text`.
         """
-        wanted = ChannelDefinition(
-            0, topic, type_name, encoding, definition, type_hash, offered_qos
+        return self.add_channel(
+            ChannelDefinition(0, topic, type_name, encoding, definition, type_hash, offered_qos)
         )
+
+    def add_channel(self, wanted: ChannelDefinition) -> int:
+        """Add a channel as another bag defines it, and return its id here."""
         channel = self._guarded(lambda: self._file.register(wanted))
         self._channels[channel.channel_id] = channel
         self._sequences[channel.channel_id] = 0
