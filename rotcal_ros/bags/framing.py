@@ -188,7 +188,8 @@ class Framing:
 
     def _after_fault(self, offset: int, length: int) -> int | None:
         """Note the fault at ``offset`` and return where reading can go on, or None."""
-        found = self._search(offset + 1, min(length, self._largest))
+        was_read = length <= self._largest and offset + mcap.HEADER_SIZE + length <= self._size
+        found = self._search(offset + 1, length if was_read else 0)
         self.skipped = True
         if found is None:
             self.truncated = offset
