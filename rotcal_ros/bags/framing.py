@@ -41,8 +41,8 @@ class Framing:
 
     Records of more than ``largest`` bytes are not read. After the iteration ``damages`` holds
     the faults, ``truncated`` the offset where a file without a footer ends (else None),
-    ``skipped`` tells whether bytes were left out, ``data_proven`` whether a checksum over all
-    data holds, and ``summary_sound`` whether the index agrees with its own. Memory is bounded by the largest record, time by the size of the file.
+    ``skipped`` tells whether bytes were left out, ``data_sound`` whether the data
+    section is without fault, ``data_proven`` whether a checksum says so, and ``summary_sound`` whether the index agrees with its own. Memory is bounded by the largest record, time by the size of the file.
     """
 
     def __init__(self, file: BinaryIO, size: int, largest: int) -> None:
@@ -51,6 +51,7 @@ class Framing:
         self.chunked = False
         self.skipped = False
         self.in_summary = False
+        self.data_sound = False
         self.data_proven = False
         self.summary_sound = True
         self._file = file
@@ -58,6 +59,7 @@ class Framing:
         self._largest = largest
         self._crc: int | None = 0
         self._summary_crc = 0
+        self._behind_chunk = False
         self._finished = False
         self._rejected = False
         self._fields_end: int | None = None
@@ -93,6 +95,7 @@ class Framing:
                 continue
             if record.opcode == mcap.CHUNK:
                 self.chunked = True
+            self._behind_chunk = record.opcode in (mcap.CHUNK, mcap.MESSAGE_INDEX)
             self._checksum(record, head)
             yield record
             position = self._behind(record)
@@ -156,7 +159,8 @@ class Framing:
         if opcode == mcap.CHUNK:
             return 0 < mcap.chunk_size(content) <= len(content)
         if opcode == mcap.MESSAGE:
-            return len(content) >= mcap.MESSAGE_FIXED and not (self.chunked and self.skipped)
+            suspect = self.skipped or (self._behind_chunk and mcap.is_message_index(content))
+            return len(content) >= mcap.MESSAGE_FIXED and not (self.chunked and suspect)
         if opcode == mcap.MESSAGE_INDEX:
             return len(content) >= 6 + int.from_bytes(content[2:6], "little")
         if opcode in _EXACT:
@@ -214,7 +218,8 @@ class Framing:
             stated = int.from_bytes(content, "little")
             if stated and self._crc is not None and stated != self._crc:
                 self.damage(record.offset, "the checksum over all data is wrong")
-            self.data_proven = bool(stated) and not self.damages
+            self.data_sound = not self.damages
+            self.data_proven = self.data_sound and stated != 0
         elif record.opcode == mcap.FOOTER:
             self._finished = True
             crc = zlib.crc32(content[:-4], zlib.crc32(head, self._summary_crc))

@@ -136,6 +136,12 @@ def parse_message_index(content: bytes) -> tuple[int, memoryview, int]:
     return channel, memoryview(content)[_index_header.size : end], end
 
 
+def is_message_index(content: bytes) -> bool:
+    """Tell whether the length inside a record is that of a message index that fills it."""
+    size = int.from_bytes(content[2:6], "little")
+    return size % 16 == 0 and len(content) == _index_header.size + size
+
+
 def chunk_size(content: bytes) -> int:
     """Return how long the chunk record that begins with ``content`` says to be, or 0.
 

@@ -215,7 +215,7 @@ class McapScan(Scan):
     def _take_index(self, record: Record) -> None:
         """Take a record of the summary, or one that is not known here."""
         opcode, content, index = record.opcode, record.content, self._index
-        clean = not self._framing.damages
+        clean = self._framing.data_sound
         if opcode == mcap.STATISTICS:
             statistics, end = mcap.parse_mapping(Statistics, opcode, content)
             self._framing.settle(record, end)
@@ -303,6 +303,8 @@ class McapScan(Scan):
         self._loss_unknown |= (
             self._index_awaited or framing.skipped or (framing.truncated is not None)
         )
+        if self._index is not None and framing.data_sound and framing.truncated is None:
+            self._index.complete(self.position)
         with_index = self._definitions.with_index()
         self._definitions.recover_all(trusted=bool(framing.damages))
         if self._statistics is not None and framing.summary_sound:
@@ -317,10 +319,9 @@ class McapScan(Scan):
         """Judge by the statistics what is missing, or by the data that the statistics are wrong."""
         if not framing.data_proven and (stated.channel_message_counts or not stated.message_count):
             self._promised = stated.channel_message_counts
-        if framing.damages:
+        if not framing.data_sound:
             return
         if self._index is not None:
-            self._index.complete(offset)
             counts = self._counts + self._unreadable
             data = len(self._definitions.schema_ids), len(self._definitions.from_data)
             self._index.statistics(

@@ -23,7 +23,7 @@ class ReadingLimits:
         minimum=65_536,
     )
     unpacked_bytes: int = setting(
-        1_073_741_824,
+        268_435_456,
         doc="bytes that a file of any size may unpack to in all",
         minimum=65_536,
     )

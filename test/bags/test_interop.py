@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 from bag_samples import STORE, TYPES, Run, encode
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
@@ -17,6 +18,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
+from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.errors import BagError
 from rotcal_ros.observations import TracerSample
@@ -157,16 +159,61 @@ def test_bags_written_by_rosbags(
     assert verdict.state == "complete"
 
 
-def test_whole_file_compression_is_explained(simulated_run: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("with_metadata", [True, False])
+def test_compressed_bags_are_read_and_repaired_for_everybody(
+    mode: CompressionMode, with_metadata: bool, simulated_run: Run, tmp_path: Path
+) -> None:
     writer = RosbagsWriter(tmp_path / "zipped", version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    expected = [pair for pair in messages(simulated_run) if pair[0] == names.TRACER_LENGTH]
     with writer:
         connection = writer.add_connection(
             "/tracer_length", TYPES[names.TRACER_LENGTH], typestore=STORE
         )
-        writer.write(connection, 0, messages(simulated_run)[2][1])
-    with pytest.raises(BagError, match="zstd -d"):
-        bag_files(tmp_path / "zipped")
+        for time, (_, data) in enumerate(expected):
+            writer.write(connection, time, data)
+    if not with_metadata:
+        (tmp_path / "zipped" / "metadata.yaml").unlink()
+    found, (verdict,) = read(tmp_path / "zipped")
+    assert found == expected
+    assert verdict.sentence() == "complete"
+    repair(tmp_path / "zipped", tmp_path / "good")
+    with Reader(tmp_path / "good") as reader:
+        assert [bytes(data) for _, _, data in reader.messages()] == [data for _, data in expected]
+
+
+def test_a_broken_packed_message_is_counted(simulated_run: Run, tmp_path: Path) -> None:
+    whole = [zstandard.compress(data) for _, data in messages(simulated_run)[2:5]]
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/a", "cdr", 0)
+        for data in (whole[0], whole[1][:-3], whole[2]):
+            writer.add_message(channel, 0, data, 0)
+        writer.finish()
+    found, (verdict,) = read(tmp_path / "a.mcap")
+    assert found == [("a", data) for _, data in (messages(simulated_run)[2], messages(simulated_run)[4])]
+    assert (verdict.state, verdict.messages, verdict.lost) == ("damaged", 2, 1)
+
+
+def test_a_cut_file_that_was_compressed_as_a_whole(simulated_run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", simulated_run, chunk_size=3000)
+    packed = zstandard.compress((tmp_path / "a.mcap").read_bytes())
+    (tmp_path / "b.mcap.zstd").write_bytes(packed[: len(packed) * 3 // 4])
+    found, (verdict,) = read(tmp_path / "b.mcap.zstd")
+    expected = messages(simulated_run)
+    assert verdict.state == "truncated"
+    assert found == expected[: len(found)]
+    (tmp_path / "c.mcap.zstd").write_bytes(b"no zstd")
+    with pytest.raises(BagError, match="cannot be unpacked"):
+        read(tmp_path / "c.mcap.zstd")
+
+
+def test_the_ending_may_be_in_capitals(simulated_run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "THEIRS.MCAP", simulated_run)
+    assert bag_files(tmp_path) == (tmp_path / "THEIRS.MCAP",)
+    assert read(tmp_path / "THEIRS.MCAP")[0] == messages(simulated_run)
 
 
 def test_files_are_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
