@@ -17,6 +17,7 @@ from rotcal_ros.catalogue.settings_reference import (
     goal_section,
     kind_in_words,
     own_sections,
+    reading_section,
     range_in_words,
     shared_sections,
 )
@@ -37,6 +38,11 @@ GOAL = """## The goal of a tracer's plan
 Of `rotcal plan tracer GOAL.yaml`: a file of its own, lines of NAME: VALUE without groups; `--set
 NAME=VALUE` on the command line. See [planning](planning.md)."""
 
+READING = """## The limits of reading
+
+Of `rotcal bag check` and `rotcal bag repair`, on the command line alone. What goes beyond is left out
+and said with the setting that lets it pass. See [recording](recording.md#checking-and-repairing)."""
+
 
 def page() -> str:
     """Return the text of the page: the groups that all methods share, then those of each."""
@@ -47,6 +53,7 @@ def page() -> str:
                      f"({method.page}.md).\n")  # fmt: skip
         parts += [_section(f"### {own.group} of {name}", own) for own in own_sections(method)]
     parts.append(_section(GOAL, goal_section()))
+    parts.append(_section(READING, reading_section()))
     return "\n".join(parts)
 
 

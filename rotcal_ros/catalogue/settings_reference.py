@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
 from typing import Any, Final
 
+from rotcal_ros.bags.reading_limits import ReadingLimits
 from rotcal_ros.catalogue.configuration import GROUPS, SHARED_GROUPS, settings_classes
 from rotcal_ros.catalogue.method import Method, find_method, method_names
 from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
@@ -74,10 +75,15 @@ def goal_section() -> Section:
     return Section("", "", TracerDesignSettings)
 
 
+def reading_section() -> Section:
+    """Return the limits of the bag reader, which are set on the command line alone."""
+    return Section("reading", "", ReadingLimits)
+
+
 def all_sections() -> tuple[Section, ...]:
-    """Return every group: the shared ones, those of each method, the goal of a plan."""
+    """Return every group: the shared ones, those of each method, what stands elsewhere."""
     own = (section for name in method_names() for section in own_sections(find_method(name)))
-    return (*shared_sections(), *own, goal_section())
+    return (*shared_sections(), *own, goal_section(), reading_section())
 
 
 def kind_in_words(declared: Declaration) -> str:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from rotcal_ros.bags.reading_limits import ReadingLimits
 from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.reading_options import limits_option
 from rotcal_ros.report.terminal.console import progress, say
 
 if TYPE_CHECKING:
@@ -41,8 +43,9 @@ def info(bag: Path, as_json: bool) -> int:
 
 @command.command()
 @click.argument("bag", type=path_type)
+@limits_option
 @json_option
-def check(bag: Path, as_json: bool) -> int:
+def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     """Read BAG to its end and say for each file: complete, truncated or damaged.
 
     The exit code is 0 when all files are complete, 1 otherwise.
@@ -51,7 +54,7 @@ def check(bag: Path, as_json: bool) -> int:
     from rotcal_ros.recordings.dropouts import placed_in
 
     with progress("checking") as shown:
-        verdicts = check_files(bag_files(bag), shown)
+        verdicts = check_files(bag_files(bag), shown, limits)
     dropouts = placed_in(verdicts)
     if as_json:
         print_json({
@@ -114,14 +117,15 @@ def choices(bag: Path, as_json: bool) -> int:
     type=path_type,
     help="New folder for the sound bag; default: BAG's name with _repaired.",
 )
+@limits_option
 @json_option
-def repair(bag: Path, output: Path | None, as_json: bool) -> int:
+def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool) -> int:
     """Write all that can be saved of BAG into a new, sound bag; BAG itself is not touched."""
     from rotcal_ros.bags.repair import repair as repair_bag
 
     folder = output or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_repaired")
     with progress("repairing") as shown:
-        outcome = repair_bag(bag, folder, shown)
+        outcome = repair_bag(bag, folder, shown, limits)
     if as_json:
         print_json(
             {

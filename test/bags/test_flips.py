@@ -42,7 +42,7 @@ def in_one_chunk(bit: int) -> int:
 
 def test_every_flip_is_told_and_costs_what_it_covers(tmp_path: Path) -> None:
     path = tmp_path / "flipped.mcap"
-    for bit in flips(700, seed=1):
+    for bit in flips(400, seed=1):
         path.write_bytes(flipped(bit))
         try:
             found = small_bag.read(path)
@@ -58,7 +58,7 @@ def test_every_flip_is_told_and_costs_what_it_covers(tmp_path: Path) -> None:
 
 def test_repair_saves_all_messages_whatever_happened_to_the_index(tmp_path: Path) -> None:
     path = tmp_path / "flipped.mcap"
-    for number, bit in enumerate(flips(25, seed=2, first=SUMMARY)):
+    for number, bit in enumerate(flips(12, seed=2, first=SUMMARY)):
         path.write_bytes(flipped(bit))
         (after,) = repair(path, tmp_path / f"good{number}").after
         assert after.state == "complete"

@@ -1,0 +1,163 @@
+"""Whatever a file asks for, memory stays below 300 MB, and what is left out is said."""
+
+from __future__ import annotations
+
+import resource
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import lz4.frame
+import pytest
+import zstandard
+from click.testing import CliRunner
+from mcap_matrix import MAGIC, record, text
+
+from rotcal_ros.bags.mcap_scan import McapScan
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS
+from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.cli.bag import command
+
+PACK: dict[str, Callable[[bytes], bytes]] = {
+    "": bytes,
+    "zstd": zstandard.compress,
+    "lz4": lz4.frame.compress,
+}
+CHANNEL = record(4, struct.pack("<HH", 1, 0) + text("/a") + text("cdr") + text(b""))
+MESSAGE = record(5, struct.pack("<HIQQ", 1, 0, 0, 0))
+PRIVATE = record(0x80, b"")
+
+
+def chunk(inside: bytes, compression: str = "zstd", size: int | None = None) -> bytes:
+    packed = PACK[compression](inside)
+    size = len(inside) if size is None else size
+    head = struct.pack("<QQQI", 0, 0, size, zlib.crc32(inside)) + text(compression)
+    return record(6, head + struct.pack("<Q", len(packed)) + packed)
+
+
+def file_of(*parts: bytes) -> bytes:
+    """Return a closed file without checksums and index."""
+    head = MAGIC + record(1, text("") + text(""))
+    return head + b"".join(parts) + record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
+
+
+def attachment(name: str, data: bytes, size: int | None = None) -> bytes:
+    size = len(data) if size is None else size
+    head = struct.pack("<QQ", 0, 0) + text(name) + text("") + struct.pack("<Q", size)
+    return record(9, head + data + bytes(4))
+
+
+def nested(count: int, step: int = 64) -> bytes:
+    """Return attachments that each claim to hold all that follows, with a wrong checksum."""
+    size, parts = count * step, []
+    for number in range(count):
+        rest = size - number * step
+        head = struct.pack("<BQ", 9, rest - 9) + struct.pack("<QQ", 0, 0) + text("a") + text("")
+        parts.append((head + struct.pack("<Q", rest - len(head) - 12) + b"\1" * step)[:step])
+    return b"".join(parts)
+
+
+BOMBS: dict[str, tuple[Callable[[], bytes], int, str]] = {
+    "11 million records": (lambda: file_of(chunk(PRIVATE * 11_000_000)), 0, "chunk_bytes"),
+    "six of them": (lambda: file_of(*[chunk(PRIVATE * 11_000_000)] * 6), 0, "chunk_bytes"),
+    "as large as allowed": (
+        lambda: file_of(*[chunk(PRIVATE * 5_500_000)] * 8), 0, "other_records",
+    ),
+    "lz4": (lambda: file_of(chunk(PRIVATE * 5_500_000, "lz4")), 0, "other_records"),
+    "empty messages": (lambda: file_of(chunk(CHANNEL + MESSAGE * 1_500_000)), 1_500_000, ""),
+    "too many of them": (
+        lambda: file_of(*[chunk(CHANNEL + MESSAGE * 1_500_000)] * 9), 7_500_000, "unpacked_ratio",
+    ),
+    "opcodes everywhere": (
+        lambda: file_of(CHANNEL, chunk(MESSAGE + record(5, b"\1\0" + b"\5" * 45_000_000))), 2, "",
+    ),
+    "one large message": (
+        lambda: file_of(CHANNEL, record(5, b"\1" + bytes(45_000_000))), 1, "",
+    ),
+    "too large a message": (
+        lambda: file_of(CHANNEL, MESSAGE, record(5, b"\1" + bytes(60_000_000))), 1, "record_bytes",
+    ),
+    "claimed sizes": (lambda: file_of(*[chunk(b"x", size=50_000_000)] * 1000), 0, "unpacked_ratio"),
+    "attachments": (lambda: file_of(*[attachment(f"{n}", bytes(30_000_000)) for n in range(4)]), 0, ""),
+    "a claimed attachment": (lambda: file_of(attachment("a", b"x", size=2**63)), 0, ""),
+    "many attachments": (lambda: file_of(*[attachment(f"{n}", b"") for n in range(100_000)]), 0, ""),
+    "many notes": (
+        lambda: file_of(*[record(12, text(f"{n}") + text(b"")) for n in range(100_000)]), 0, "kept_bytes",
+    ),
+    "a map of numbers": (lambda: file_of(record(11, bytes(42) + text(bytes(40_000_000)))), 0, ""),
+    "schemas": (
+        lambda: file_of(chunk(b"".join(
+            record(3, struct.pack("<H", n + 1) + text("a") + text("b") + text(bytes(1000)))
+            for n in range(40_000)
+        ))), 0, "kept_bytes",
+    ),
+    "nested records": (lambda: MAGIC + nested(100_000), 0, ""),
+    "no records at all": (lambda: file_of(b"\xff" + (b"\5\x16" + bytes(7)) * 300_000), 0, ""),
+}  # fmt: skip
+
+PASS = """
+import resource, sys
+from pathlib import Path
+from rotcal_ros.bags.reader import check_files
+(verdict,) = check_files((Path(sys.argv[1]),))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, verdict.messages)
+print("; ".join(damage.what for damage in verdict.damages))
+"""
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_a_bomb_takes_little_memory_and_is_told(bomb: str, tmp_path: Path) -> None:
+    make, messages, setting = BOMBS[bomb]
+    (tmp_path / "bomb.mcap").write_bytes(make())
+    done = subprocess.run(
+        [sys.executable, "-c", PASS, str(tmp_path / "bomb.mcap")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    figures, told, *_ = (*done.stdout.splitlines(), "")
+    megabytes, read = map(int, figures.split())
+    assert megabytes < 300
+    assert read == messages
+    assert f"reading.{setting}=" in told if setting else "reading." not in told
+
+
+def verdict_of(path: Path, **limits: int) -> FileVerdict:
+    scan = McapScan(path, replace(DEFAULT_LIMITS, **limits), check_index=True)
+    for _ in scan.blocks():
+        pass
+    return scan.verdict()
+
+
+def test_the_setting_that_is_named_lets_it_pass(tmp_path: Path) -> None:
+    path = tmp_path / "large.mcap"
+    path.write_bytes(file_of(chunk(CHANNEL + MESSAGE * 10_000 + PRIVATE * 2000)))
+    assert verdict_of(path).messages == 10_000
+    for setting in ("chunk_bytes", "other_records", "record_bytes"):
+        refused = verdict_of(path, **{setting: 100})
+        assert refused.state == "damaged"
+        named = next(d.what for d in refused.damages if f"reading.{setting}=" in d.what)
+        value = int(named.partition(f"reading.{setting}=")[2].split()[0])
+        assert verdict_of(path, **{setting: value}).sentence() == "complete"
+
+
+def test_limits_are_set_on_the_command_line(tmp_path: Path) -> None:
+    path = tmp_path / "large.mcap"
+    path.write_bytes(file_of(CHANNEL, chunk(MESSAGE * 100_000)))
+    run = CliRunner().invoke
+    refused = run(command, ["check", str(path), "--set", "reading.chunk_bytes=70000"])
+    assert "--set reading.chunk_bytes=3100000" in refused.output
+    assert "100000 messages, complete" in run(command, ["check", str(path)]).output
+    wrong = run(command, ["check", str(path), "--set", "reading.chunks=1"])
+    assert "unknown setting 'chunks'" in str(wrong.exception)
+
+
+def test_memory_is_measured_in_kilobytes_here() -> None:
+    """On Linux; elsewhere the figures of this file would mean something else."""
+    assert 10_000 < resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 10_000_000
