@@ -17,8 +17,8 @@ from rotcal_ros.catalogue.settings_reference import (
     goal_section,
     kind_in_words,
     own_sections,
-    reading_section,
     range_in_words,
+    reading_section,
     shared_sections,
 )
 
@@ -40,8 +40,8 @@ NAME=VALUE` on the command line. See [planning](planning.md)."""
 
 READING = """## The limits of reading
 
-Of `rotcal bag check` and `rotcal bag repair`, on the command line alone. What goes beyond is left out
-and said with the setting that lets it pass. See [recording](recording.md#checking-and-repairing)."""
+Of `rotcal bag check` and `rotcal bag repair`, on the command line alone. See
+[recording](recording.md#checking-and-repairing)."""
 
 
 def page() -> str:

@@ -41,8 +41,10 @@ class Framing:
 
     Records of more than ``largest`` bytes are not read. After the iteration ``damages`` holds
     the faults, ``truncated`` the offset where a file without a footer ends (else None),
-    ``skipped`` tells whether bytes were left out, ``data_sound`` whether the data
-    section is without fault, ``data_proven`` whether a checksum says so, and ``summary_sound`` whether the index agrees with its own. Memory is bounded by the largest record, time by the size of the file.
+    ``skipped`` tells whether bytes were left out, ``data_sound`` whether the data section is
+    without fault, ``data_proven`` whether a checksum says so, and ``summary_sound`` whether the
+    index agrees with its own. Memory is bounded by the largest record, time by the size of the
+    file.
     """
 
     def __init__(self, file: BinaryIO, size: int, largest: int) -> None:

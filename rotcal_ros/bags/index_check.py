@@ -102,7 +102,9 @@ class IndexCheck:
         if index.message_index_offsets or index.message_index_length:
             places = (index.message_index_length, frozenset(index.message_index_offsets.items()))
             if self._indexes.differs(offset, places):
-                self._report(record.offset, f"the places of the indexes behind chunk {offset} are wrong")
+                self._report(
+                    record.offset, f"the places of the indexes behind chunk {offset} are wrong"
+                )
 
     def attachment_index(self, record: Record, index: AttachmentIndex, *, clean: bool) -> None:
         """Compare an index of an attachment."""
@@ -146,7 +148,11 @@ class IndexCheck:
 
     def complete(self, offset: int) -> None:
         """Report, at the end of a file whose data are sound, which index is not complete."""
-        parts = ("chunk", self._chunks), ("attachment", self._attachments), ("metadata", self._notes)
+        parts = (
+            ("chunk", self._chunks),
+            ("attachment", self._attachments),
+            ("metadata", self._notes),
+        )
         for what, facts in parts:
             if facts.named and facts.named != len(facts):
                 self._report(offset, f"{len(facts) - facts.named} {what} records have no index")
@@ -276,13 +282,15 @@ class _ChunkFacts:
 
     def finish(self) -> None:
         """Compare what can only be known behind the indexes."""
-        headers, _ = self._sorted()
-        if not len(headers):
+        if not any(len(headers) for headers in self._headers):
             return
+        headers, _ = self._sorted()
         times = headers["log_time"]
         if (int(times.min()), int(times.max())) != self._times:
             self._report(self.record.offset, "the times of a chunk are not those of its messages")
-        if self._indexes and (missing := set(np.unique(headers["channel"])) - self._indexes.keys()):
+        if self._indexes and (
+            missing := set(np.unique(headers["channel"])) - self._indexes.keys()
+        ):
             self._report(self.record.offset, f"{len(missing)} channels of a chunk have no index")
 
     def places(self) -> tuple[int, frozenset[tuple[int, int]]]:

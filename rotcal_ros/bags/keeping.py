@@ -11,6 +11,8 @@ from rotcal_ros.bags.reading_limits import refusal
 _OVERHEAD: Final = 1000
 """Bytes that an entry takes beside its content, at most."""
 _TEXT_OVERHEAD: Final = 150
+_PARSED: Final = 4
+"""Times the size of a record that it may take while it is parsed."""
 
 
 class Keeping:
@@ -20,6 +22,12 @@ class Keeping:
         self._limit = limit
         self._total = 0
         self._costs: dict[Hashable, int] = {}
+
+    def admit(self, content: bytes) -> None:
+        """Refuse a record that may take more memory than is allowed while it is parsed."""
+        if len(content) > self._limit // _PARSED:
+            what = f"definitions or metadata have {len(content)} bytes"
+            raise DamagedRecord(refusal(what, "kept_bytes", _PARSED * len(content)))
 
     def has_room(self, key: Hashable, size: int) -> bool:
         """Count ``size`` bytes as kept under ``key``, unless that is too much."""

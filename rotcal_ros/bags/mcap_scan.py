@@ -41,6 +41,8 @@ from rotcal_ros.errors import BagError
 
 _RUN_BYTES: Final = 1 << 20
 _CDR: Final = "cdr"
+_LARGE: Final = (mcap.MESSAGE, mcap.CHUNK, mcap.MESSAGE_INDEX, mcap.ATTACHMENT)
+"""Records that hold data; the others hold texts and numbers by name."""
 
 
 class McapScan(Scan):
@@ -140,36 +142,15 @@ class McapScan(Scan):
     def _take(self, record: Record) -> Iterator[Item]:
         """Take in one top-level record; yields what it holds."""
         opcode, content = record.opcode, record.content
-        if opcode == mcap.CHUNK:
-            self._loss_unknown |= self._index_awaited
-            self._read_of_chunk, self._index_awaited = Counter(), True
-        if self._index is not None and opcode != mcap.MESSAGE_INDEX:
-            self._index.passed(record)
-            if self._framing.in_summary and opcode not in (mcap.DATA_END, mcap.FOOTER):
-                self._index.in_summary(record)
-        if record.size and not content:
-            self._loss_unknown |= opcode == mcap.MESSAGE
-            what = f"a record has {record.size} bytes"
-            raise mcap.DamagedRecord(refusal(what, "record_bytes", record.size))
+        self._admit(record)
         if opcode == mcap.CHUNK:
             yield from self._chunk(record)
         elif opcode == mcap.MESSAGE_INDEX:
             self._message_index(record)
         elif opcode == mcap.ATTACHMENT:
-            attachment, end = mcap.parse_attachment(content)
-            self._framing.settle(record, end)
-            self._keep_attachment(attachment)
-            if self._index is not None:
-                self._index.attachment(record, attachment)
-            yield attachment
+            yield self._attachment(record)
         elif opcode == mcap.METADATA:
-            metadata, end = mcap.parse(Metadata, content)
-            self._framing.settle(record, end)
-            if self._index is not None:
-                self._index.metadata(record, metadata)
-            self._keeping.add(("metadata", metadata.name), cost_of_texts(metadata.metadata))
-            self.metadata[metadata.name] = metadata.metadata
-            yield metadata
+            yield self._metadata(record)
         elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
             trust = None if self._framing.in_summary else Trust.PLAIN_DATA
             self._framing.settle(record, self._define(record, opcode, content, trust))
@@ -177,6 +158,23 @@ class McapScan(Scan):
             self._framing.settle(record, mcap.parse(Header, content)[1])
         else:
             self._take_index(record)
+
+    def _admit(self, record: Record) -> None:
+        """Take note of a record; raises DamagedRecord where it is larger than is allowed."""
+        opcode = record.opcode
+        if opcode == mcap.CHUNK:
+            self._loss_unknown |= self._index_awaited
+            self._read_of_chunk, self._index_awaited = Counter(), True
+        if self._index is not None and opcode != mcap.MESSAGE_INDEX:
+            self._index.passed(record)
+            if self._framing.in_summary and opcode not in (mcap.DATA_END, mcap.FOOTER):
+                self._index.in_summary(record)
+        if record.size and not record.content:
+            self._loss_unknown |= opcode == mcap.MESSAGE
+            what = f"a record has {record.size} bytes"
+            raise mcap.DamagedRecord(refusal(what, "record_bytes", record.size))
+        if opcode not in _LARGE:
+            self._keeping.admit(record.content)
 
     def _chunk(self, record: Record) -> Iterator[Block]:
         chunk, end = mcap.parse_chunk(record.content)
@@ -243,16 +241,31 @@ class McapScan(Scan):
         elif opcode == mcap.FOOTER:
             index.footer(record)
 
-    def _keep_attachment(self, attachment: Attachment) -> None:
+    def _attachment(self, record: Record) -> Attachment:
+        attachment, end = mcap.parse_attachment(record.content)
+        self._framing.settle(record, end)
+        if self._index is not None:
+            self._index.attachment(record, attachment)
         if self._keeping.has_room(("attachment", attachment.name), len(attachment.data)):
             self.attachments[attachment.name] = attachment
         if attachment.name == names.DEFINITIONS:
             for channel in parse_definitions(attachment.data):
                 self._definitions.add_copy(channel)
+        return attachment
+
+    def _metadata(self, record: Record) -> Metadata:
+        metadata, end = mcap.parse(Metadata, record.content)
+        self._framing.settle(record, end)
+        if self._index is not None:
+            self._index.metadata(record, metadata)
+        self._keeping.add(("metadata", metadata.name), cost_of_texts(metadata.metadata))
+        self.metadata[metadata.name] = metadata.metadata
+        return metadata
 
     def _define(self, record: Record, opcode: int, content: bytes, trust: Trust | None) -> int:
         """Take a schema or channel, without ``trust`` not at all; returns where its fields end."""
         found: Schema | Channel
+        self._keeping.admit(content)
         if opcode == mcap.SCHEMA:
             found, end = mcap.parse(Schema, content)
             cost = len(found.data)
@@ -278,7 +291,7 @@ class McapScan(Scan):
             unknown = numbers.keys() - self.channels.keys()
             if unknown:
                 self._lost.update({n: numbers[n] for n in unknown})
-                block = block.select(~np.isin(block.headers["channel"], list(unknown)))  # noqa: PLW2901
+                block = block.select(~np.isin(block.headers["channel"], list(unknown)))
             if len(block):
                 self._count(block)
                 yield from self._plain(block)
@@ -316,7 +329,7 @@ class McapScan(Scan):
     def _compare_statistics(
         self, framing: Framing, offset: int, stated: Statistics, with_index: tuple[int, int]
     ) -> None:
-        """Judge by the statistics what is missing, or by the data that the statistics are wrong."""
+        """Judge what is missing by the statistics, or by sound data that these are wrong."""
         if not framing.data_proven and (stated.channel_message_counts or not stated.message_count):
             self._promised = stated.channel_message_counts
         if not framing.data_sound:

@@ -14,7 +14,6 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.dropout_reader import DropoutReader
 from rotcal_ros.bags.verdict import FileVerdict, TopicCount
 
-
 Item = Block | Attachment | Metadata
 """What stands in a file: messages and what is beside them."""
 

@@ -13,9 +13,7 @@ _TAIL: Final = mcap.HEADER_SIZE + mcap.FOOTER_CONTENT + len(mcap.MAGIC)
 _CRC_SIZE: Final = 4
 
 
-def summary_definitions(
-    file: BinaryIO, size: int, largest: int
-) -> Iterator[tuple[Record, bool]]:
+def summary_definitions(file: BinaryIO, size: int, largest: int) -> Iterator[tuple[Record, bool]]:
     """Yield the schemas and channels of the summary, and whether a checksum covers them.
 
     A summary with a wrong checksum, or one of more than ``largest`` bytes, yields none.

@@ -193,7 +193,9 @@ def test_a_broken_packed_message_is_counted(simulated_run: Run, tmp_path: Path) 
             writer.add_message(channel, 0, data, 0)
         writer.finish()
     found, (verdict,) = read(tmp_path / "a.mcap")
-    assert found == [("a", data) for _, data in (messages(simulated_run)[2], messages(simulated_run)[4])]
+    assert found == [
+        ("a", data) for _, data in (messages(simulated_run)[2], messages(simulated_run)[4])
+    ]
     assert (verdict.state, verdict.messages, verdict.lost) == ("damaged", 2, 1)
 
 

@@ -82,11 +82,14 @@ def test_repair_loses_nothing(variant: tuple, tmp_path: Path) -> None:
         channel = next(r for r in records if isinstance(r, Channel))
         assert (channel.topic, channel.message_encoding, channel.metadata) == content.channel
         assert (channel.schema_id == 0) == (content.schema is None)
-    assert tuple(
-        (r.name, r.media_type, r.log_time, r.create_time, r.data)
-        for r in records
-        if isinstance(r, Attachment) and r.name == "myFile"
-    ) == content.attachments
+    assert (
+        tuple(
+            (r.name, r.media_type, r.log_time, r.create_time, r.data)
+            for r in records
+            if isinstance(r, Attachment) and r.name == "myFile"
+        )
+        == content.attachments
+    )
     assert {
         r.name: r.metadata for r in records if isinstance(r, Metadata) and r.name == "myMetadata"
     } == content.metadata

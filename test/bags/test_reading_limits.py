@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import resource
+import json
 import struct
 import subprocess
 import sys
@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import lz4.frame
-import pytest
 import zstandard
 from click.testing import CliRunner
 from mcap_matrix import MAGIC, record, text
@@ -65,12 +64,12 @@ BOMBS: dict[str, tuple[Callable[[], bytes], int, str]] = {
     "11 million records": (lambda: file_of(chunk(PRIVATE * 11_000_000)), 0, "chunk_bytes"),
     "six of them": (lambda: file_of(*[chunk(PRIVATE * 11_000_000)] * 6), 0, "chunk_bytes"),
     "as large as allowed": (
-        lambda: file_of(*[chunk(PRIVATE * 5_500_000)] * 8), 0, "other_records",
+        lambda: file_of(*[chunk(PRIVATE * 5_500_000)] * 2), 0, "other_records",
     ),
     "lz4": (lambda: file_of(chunk(PRIVATE * 5_500_000, "lz4")), 0, "other_records"),
     "empty messages": (lambda: file_of(chunk(CHANNEL + MESSAGE * 1_500_000)), 1_500_000, ""),
     "too many of them": (
-        lambda: file_of(*[chunk(CHANNEL + MESSAGE * 1_500_000)] * 9), 7_500_000, "unpacked_ratio",
+        lambda: file_of(*[chunk(CHANNEL + MESSAGE * 1_500_000)] * 6), 7_500_000, "unpacked_ratio",
     ),
     "opcodes everywhere": (
         lambda: file_of(CHANNEL, chunk(MESSAGE + record(5, b"\1\0" + b"\5" * 45_000_000))), 2, "",
@@ -81,51 +80,61 @@ BOMBS: dict[str, tuple[Callable[[], bytes], int, str]] = {
     "too large a message": (
         lambda: file_of(CHANNEL, MESSAGE, record(5, b"\1" + bytes(60_000_000))), 1, "record_bytes",
     ),
-    "claimed sizes": (lambda: file_of(*[chunk(b"x", size=50_000_000)] * 1000), 0, "unpacked_ratio"),
-    "attachments": (lambda: file_of(*[attachment(f"{n}", bytes(30_000_000)) for n in range(4)]), 0, ""),
-    "a claimed attachment": (lambda: file_of(attachment("a", b"x", size=2**63)), 0, ""),
-    "many attachments": (lambda: file_of(*[attachment(f"{n}", b"") for n in range(100_000)]), 0, ""),
-    "many notes": (
-        lambda: file_of(*[record(12, text(f"{n}") + text(b"")) for n in range(100_000)]), 0, "kept_bytes",
+    "claimed sizes": (
+        lambda: file_of(*[chunk(b"x", size=50_000_000)] * 1000), 0, "unpacked_ratio",
     ),
-    "a map of numbers": (lambda: file_of(record(11, bytes(42) + text(bytes(40_000_000)))), 0, ""),
+    "attachments": (
+        lambda: file_of(*[attachment(f"{n}", bytes(30_000_000)) for n in range(3)]), 0, "",
+    ),
+    "a claimed attachment": (lambda: file_of(attachment("a", b"x", size=2**63)), 0, ""),
+    "many attachments": (
+        lambda: file_of(*[attachment(f"{n}", b"") for n in range(30_000)]), 0, "",
+    ),
+    "many notes": (
+        lambda: file_of(*[record(12, text(f"{n}") + text(b"")) for n in range(40_000)]),
+        0, "kept_bytes",
+    ),
+    "a map of numbers": (
+        lambda: file_of(record(11, bytes(42) + text(bytes(40_000_000)))), 0, "kept_bytes",
+    ),
     "schemas": (
         lambda: file_of(chunk(b"".join(
             record(3, struct.pack("<H", n + 1) + text("a") + text("b") + text(bytes(1000)))
             for n in range(40_000)
         ))), 0, "kept_bytes",
     ),
-    "nested records": (lambda: MAGIC + nested(100_000), 0, ""),
-    "no records at all": (lambda: file_of(b"\xff" + (b"\5\x16" + bytes(7)) * 300_000), 0, ""),
+    "nested records": (lambda: MAGIC + nested(30_000), 0, ""),
+    "no records at all": (lambda: file_of(b"\xff" + (b"\5\x16" + bytes(7)) * 100_000), 0, ""),
 }  # fmt: skip
 
 PASS = """
-import resource, sys
+import json, sys
 from pathlib import Path
 from rotcal_ros.bags.reader import check_files
-(verdict,) = check_files((Path(sys.argv[1]),))
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, verdict.messages)
-print("; ".join(damage.what for damage in verdict.damages))
+for path in map(Path, sys.argv[1:]):
+    (verdict,) = check_files((path,))
+    status = Path("/proc/self/status").read_text()
+    kilobytes = int(status.partition("VmHWM:")[2].split()[0])
+    damages = [damage.what for damage in verdict.damages]
+    print(json.dumps([path.stem, kilobytes, verdict.messages, damages]))
 """
 
 
-@pytest.mark.parametrize("bomb", BOMBS)
-def test_a_bomb_takes_little_memory_and_is_told(bomb: str, tmp_path: Path) -> None:
-    make, messages, setting = BOMBS[bomb]
-    (tmp_path / "bomb.mcap").write_bytes(make())
+def test_bombs_take_little_memory_and_are_told(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{name}.mcap" for name in BOMBS]
+    for path in paths:
+        path.write_bytes(BOMBS[path.stem][0]())
     done = subprocess.run(
-        [sys.executable, "-c", PASS, str(tmp_path / "bomb.mcap")],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
+        [sys.executable, "-c", PASS, *map(str, paths)], capture_output=True, text=True, check=True
     )
-    assert done.returncode == 0, done.stderr
-    figures, told, *_ = (*done.stdout.splitlines(), "")
-    megabytes, read = map(int, figures.split())
-    assert megabytes < 300
-    assert read == messages
-    assert f"reading.{setting}=" in told if setting else "reading." not in told
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [name for name, *_ in lines] == list(BOMBS)
+    for name, kilobytes, read, damages in lines:
+        _, messages, setting = BOMBS[name]
+        told = "; ".join(damages)
+        assert kilobytes < 300_000, name
+        assert read == messages, name
+        assert f"reading.{setting}=" in told if setting else "reading." not in told, name
 
 
 def verdict_of(path: Path, **limits: int) -> FileVerdict:
@@ -156,8 +165,3 @@ def test_limits_are_set_on_the_command_line(tmp_path: Path) -> None:
     assert "100000 messages, complete" in run(command, ["check", str(path)]).output
     wrong = run(command, ["check", str(path), "--set", "reading.chunks=1"])
     assert "unknown setting 'chunks'" in str(wrong.exception)
-
-
-def test_memory_is_measured_in_kilobytes_here() -> None:
-    """On Linux; elsewhere the figures of this file would mean something else."""
-    assert 10_000 < resource.getrusage(resource.RUSAGE_SELF).ru_maxrss < 10_000_000
