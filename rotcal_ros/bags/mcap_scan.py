@@ -30,11 +30,16 @@ from rotcal_ros.bags.held import Held
 from rotcal_ros.bags.index_check import IndexCheck
 from rotcal_ros.bags.keeping import Keeping, cost_of_texts
 from rotcal_ros.bags.mcap_definitions import Definitions, Trust
-from rotcal_ros.bags.message_compression import unpacked
+from rotcal_ros.bags.message_compression import (
+    declared_compression,
+    decompressor,
+    looks_packed,
+    unpacked,
+)
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits, refusal
 from rotcal_ros.bags.scan import Item, Scan
 from rotcal_ros.bags.summary_section import summary_definitions
-from rotcal_ros.bags.unpacking import ZSTD_MAGIC, Unpacker
+from rotcal_ros.bags.unpacking import Unpacker
 from rotcal_ros.bags.verdict import Damage, FileVerdict, State
 from rotcal_ros.bags.whole_file import opened
 from rotcal_ros.errors import BagError
@@ -78,6 +83,7 @@ class McapScan(Scan):
     def items(self) -> Iterator[Item]:
         """Yield messages, attachments and metadata in file order; raises as :meth:`blocks`."""
         try:
+            decompressor(*declared_compression(self.path))  # refuses what nobody here can unpack
             with opened(self.path, self._limits) as file:
                 self._size = self.path.stat().st_size
                 size = file.seek(0, 2)
@@ -299,7 +305,7 @@ class McapScan(Scan):
     def _plain(self, block: Block) -> Iterator[Block]:
         """Yield ``block``, unpacked where rosbag2 has packed message by message."""
         encoding = self.channels[int(block.headers["channel"][0])].message_encoding
-        if encoding != _CDR or not block.payload(0).startswith(ZSTD_MAGIC):  # no CDR begins so
+        if encoding != _CDR or not looks_packed(block.payload(0)):
             yield block
             return
         broken = Counter[int]()

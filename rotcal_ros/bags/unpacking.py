@@ -13,7 +13,6 @@ import zstandard
 from rotcal_ros.bags.mcap_records import ChunkRecord, DamagedRecord
 from rotcal_ros.bags.reading_limits import ReadingLimits, refusal
 
-ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _LZ4_STEP: Final = 1 << 16
 
 

@@ -14,13 +14,15 @@ from rotcal_ros.settings import load
 _GROUP = "reading"
 
 
-def _limits(_: click.Context, __: click.Parameter, changes: tuple[str, ...]) -> ReadingLimits:
+def _limits(
+    context: click.Context, option: click.Parameter, changes: tuple[str, ...]
+) -> ReadingLimits:
     """Return the limits with the changes; raises ConfigurationError for what cannot be set."""
     values: dict[str, Any] = {}
     for change in changes:
         name, equals, value = change.partition("=")
-        group, _, setting = name.partition(".")
-        if group != _GROUP or not setting or not equals:
+        group, dot, setting = name.partition(".")
+        if group != _GROUP or not dot or not equals:
             raise ConfigurationError(f"--set {change}: expected {_GROUP}.NAME=VALUE")
         try:
             values[setting] = yaml.safe_load(value)

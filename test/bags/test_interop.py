@@ -199,6 +199,14 @@ def test_a_broken_packed_message_is_counted(simulated_run: Run, tmp_path: Path) 
     assert (verdict.state, verdict.messages, verdict.lost) == ("damaged", 2, 1)
 
 
+def test_a_compression_that_nobody_here_knows_is_named(simulated_run: Run, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "a.mcap", simulated_run)
+    stated = "  compression_format: lz9\n  compression_mode: MESSAGE\n"
+    (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n{stated}")
+    with pytest.raises(BagError, match="one by one as 'lz9'"):
+        read(tmp_path)
+
+
 def test_a_cut_file_that_was_compressed_as_a_whole(simulated_run: Run, tmp_path: Path) -> None:
     write_mcap(tmp_path / "a.mcap", simulated_run, chunk_size=3000)
     packed = zstandard.compress((tmp_path / "a.mcap").read_bytes())
