@@ -82,8 +82,8 @@ class McapScan(Scan):
 
     def items(self) -> Iterator[Item]:
         """Yield messages, attachments and metadata in file order; raises as :meth:`blocks`."""
+        self._require_known_compression()
         try:
-            decompressor(*declared_compression(self.path))  # refuses what nobody here can unpack
             with opened(self.path, self._limits) as file:
                 self._size = self.path.stat().st_size
                 size = file.seek(0, 2)
@@ -117,6 +117,12 @@ class McapScan(Scan):
             run=_integers(self.metadata.get(names.RUN, {})).get("number", 0),
             dropouts=tuple(self._dropouts.found),
         )
+
+    def _require_known_compression(self) -> None:
+        try:
+            decompressor(*declared_compression(self.path))
+        except BagError as error:
+            raise BagError(f"cannot read {self.path}: {error}") from None
 
     def _items(self, framing: Framing) -> Iterator[Item]:
         run: list[bytes] = []
