@@ -162,7 +162,8 @@ class Framing:
             return 0 < mcap.chunk_size(content) <= len(content)
         if opcode == mcap.MESSAGE:
             suspect = self.skipped or (self._behind_chunk and mcap.is_message_index(content))
-            return len(content) >= mcap.MESSAGE_FIXED and not (self.chunked and suspect)
+            suspect = self.in_summary or (self.chunked and suspect)
+            return len(content) >= mcap.MESSAGE_FIXED and not suspect
         if opcode == mcap.MESSAGE_INDEX:
             return len(content) >= 6 + int.from_bytes(content[2:6], "little")
         if opcode in _EXACT:

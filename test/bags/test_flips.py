@@ -55,6 +55,15 @@ def test_every_flip_is_told_and_costs_what_it_covers(tmp_path: Path) -> None:
             assert found.verdict.lost == lost.total(), f"bit {bit}"
 
 
+def test_a_record_of_the_summary_never_becomes_a_message(tmp_path: Path) -> None:
+    channels = [offset for opcode, offset in PLACES if opcode == 0x04]
+    assert len(channels) == 6
+    for offset in channels:
+        (tmp_path / "flipped.mcap").write_bytes(flipped(8 * offset))
+        found = small_bag.read(tmp_path / "flipped.mcap")
+        assert (found.messages, found.verdict.state) == (TRUTH, "damaged")
+
+
 def test_repair_saves_all_messages_whatever_happened_to_the_index(tmp_path: Path) -> None:
     path = tmp_path / "flipped.mcap"
     for number, bit in enumerate(flips(1000 if LONG else 12, seed=2, first=SUMMARY)):
