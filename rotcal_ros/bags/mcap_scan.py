@@ -69,6 +69,7 @@ class McapScan(Scan):
             lost_exactly=self._statistics is not None or not self._loss_unknown,
             losses_recorded=_integers(self.metadata.get(names.LOSSES, {})),
             run=_integers(self.metadata.get(names.RUN, {})).get("number", 0),
+            notes=self.metadata,
         )
 
     def _blocks(self, framing: Framing) -> Iterator[Block]:

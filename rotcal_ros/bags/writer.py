@@ -251,6 +251,8 @@ class BagWriter:
         return file.messages > 0 and (too_big or 0 < limits.split_duration_s <= seconds)
 
     def _split(self) -> None:
+        following = f"{self.folder.name}_{len(self.files)}.mcap"
+        self._writer.add_metadata(names.CONTINUED, {"in": following})
         self._finish()
         self._open_file()
 
