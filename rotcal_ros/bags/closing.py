@@ -51,7 +51,7 @@ class InterruptedSession:
         ends = tuple(end for end in map(open_end, files) if end is not None)
         return cls(session_files(folder), session, ends)
 
-    def close(self, continued_in: str) -> None:
+    def close(self, continued_in: str = "") -> None:
         """Close the files that the interruption left open; call it with the right to write.
 
         Raises BagError when that fails: nothing is lost, and the next call does it again.
@@ -76,8 +76,8 @@ class OpenEnd:
     torn: bytes
     contents: Contents
 
-    def close(self, continued_in: str) -> None:
-        """Append what is missing; the session goes on in the file ``continued_in``.
+    def close(self, continued_in: str = "") -> None:
+        """Append what is missing; the session goes on in the file ``continued_in``, if at all.
 
         Raises OSError when the disk fails; the next call on the same file does it again.
         """
@@ -102,7 +102,7 @@ class OpenEnd:
         return Metadata(
             name=names.CONTINUED,
             metadata={
-                "in": continued_in,
+                **({"in": continued_in} if continued_in else {}),
                 "interrupted_at_byte": str(self.end),
                 "torn_bytes": str(len(self.torn)),
                 "closed": f"{datetime.now(timezone.utc):%Y-%m-%dT%H:%M:%SZ}",

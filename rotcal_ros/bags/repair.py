@@ -10,7 +10,9 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, check_files, read_blocks
+from rotcal_ros.bags.repair_record import repair_record
 from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
@@ -44,7 +46,7 @@ def repair(path: Path, folder: Path, progress: Progress | None = None) -> Repair
                 before.append(scan.verdict())
         if losses := session_losses(before):
             writer.note(names.LOSSES, losses)
-        writer.note(names.REPAIR, {v.path.name: v.sentence() for v in before})
+        writer.note(names.REPAIR, repair_record(before, judge_session(path, before).missing))
     after = check_files(bag_files(folder))
     _compare(before, after, folder)
     return Repair(tuple(before), after)
@@ -83,7 +85,7 @@ class _Copier:
     def notes(self, scan: Scan) -> None:
         """Copy the other metadata records."""
         for name, entries in scan.metadata.items():
-            if name not in (names.ROSBAG2, names.RUN, names.LOSSES):
+            if name not in (names.ROSBAG2, names.RUN, names.LOSSES, names.CONTINUED, names.REPAIR):
                 self._writer.note(name, entries)
 
     def _channel(self, channel: ChannelDefinition) -> int:

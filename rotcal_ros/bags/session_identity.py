@@ -121,6 +121,15 @@ def _name(head: FileHead, unnamed: dict[tuple[str, str], str]) -> str:
     return unnamed[key]
 
 
+def foreign_files(files: Sequence[Path]) -> str:
+    """Return why the files are not those of one session; empty when they are."""
+    try:
+        require_one_session(files)
+    except BagError as error:
+        return str(error)
+    return ""
+
+
 def require_one_session(files: Sequence[Path]) -> None:
     """Raise BagError unless all files belong to one session and none is a copy of another."""
     if len(files) < 2:

@@ -40,21 +40,54 @@ def info(bag: Path, as_json: bool) -> int:
 def check(bag: Path, as_json: bool) -> int:
     """Read BAG to its end and say for each file: complete, truncated or damaged.
 
-    The exit code is 0 when all files are complete, 1 otherwise.
+    And for all of them: whether a file of the session is missing, whether they belong together,
+    and where metadata.yaml is wrong. The exit code is 0 when all is in order, 1 otherwise.
     """
     from rotcal_ros.bags.reader import bag_files, check_files
+    from rotcal_ros.bags.session_identity import foreign_files
+    from rotcal_ros.bags.session_verdict import judge_session
 
+    files = bag_files(bag)
     with progress("checking") as shown:
-        verdicts = check_files(bag_files(bag), shown)
+        verdicts = check_files(files, shown)
+    session = judge_session(bag, verdicts)
+    mixed = foreign_files(files)
     if as_json:
-        print_json({"files": [verdict.to_dict() for verdict in verdicts]})
+        found = {**session.to_dict(), "several_sessions": mixed}
+        print_json({"files": [verdict.to_dict() for verdict in verdicts], "session": found})
     else:
         for verdict in verdicts:
             click.echo(f"{verdict.path}: {verdict.messages} messages, {verdict.sentence()}")
             for name, topic in verdict.topics.items():
                 if topic.lost:
                     click.echo(f"  {name}: {topic.lost} lost, {topic.messages} read")
-    return 0 if all(verdict.state == "complete" for verdict in verdicts) else 1
+        for sentence in (*filter(None, [mixed]), *session.sentences()):
+            click.echo(sentence)
+    whole = all(verdict.state == "complete" for verdict in verdicts)
+    return 0 if whole and session.sound and not mixed else 1
+
+
+@command.command()
+@click.argument("bag", type=path_type)
+@json_option
+def reindex(bag: Path, as_json: bool) -> int:
+    """Write metadata.yaml of the folder BAG again from its files; a copy of the old one stays."""
+    from rotcal_ros.bags.reindex import reindex as reindex_bag
+
+    with progress("reading") as shown:
+        outcome = reindex_bag(bag, shown)
+    if as_json:
+        old = None if outcome.old is None else str(outcome.old)
+        found = outcome.session.to_dict()
+        print_json(
+            {"path": str(outcome.path), "old": old, "messages": outcome.messages, "session": found}
+        )
+    else:
+        kept = f"; the old one is {outcome.old.name}" if outcome.old else ""
+        click.echo(f"{outcome.path}: {outcome.messages} messages{kept}")
+        for sentence in outcome.session.missing:
+            click.echo(sentence)
+    return 1 if outcome.session.missing else 0
 
 
 @command.command()
@@ -148,6 +181,10 @@ def _print(summary: dict[str, Any]) -> None:
         click.echo(f"attached  {', '.join(summary['attachments'])}")
     for sentence in losses_in_words(summary["losses_recorded"]):
         say(sentence)
+    session = summary["session"]
+    for kind in ("missing", "differing", "repaired", "closed"):
+        for sentence in session[kind]:
+            say(sentence)
     width = max((len(name) for name in summary["topics"]), default=0)
     for name, topic in summary["topics"].items():
         lost = f", {topic['lost']} lost" if topic["lost"] else ""

@@ -8,6 +8,7 @@ from typing import Any
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
+from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError
@@ -15,11 +16,15 @@ from rotcal_ros.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class Summary:
-    """The files of a bag, the names of what is attached, and its configuration if there is."""
+    """The files of a bag, the names of what is attached, its configuration if there is.
+
+    ``session`` is the verdict on all files together.
+    """
 
     files: tuple[FileVerdict, ...]
     attachments: tuple[str, ...]
     configuration: Configuration | None
+    session: SessionVerdict
 
     @property
     def start_ns(self) -> int | None:
@@ -54,6 +59,7 @@ class Summary:
             "item": self.configuration.identity.title if self.configuration else None,
             "plan_id": self.configuration.plan_id if self.configuration else None,
             "losses_recorded": session_losses(self.files),
+            "session": self.session.to_dict(),
         }
 
 
@@ -65,7 +71,8 @@ def describe(path: Path, progress: Progress | None = None) -> Summary:
         if block is None:
             verdicts.append(scan.verdict())
             attachments |= {name: a.data for name, a in scan.attachments.items()}
-    return Summary(tuple(verdicts), tuple(attachments), _configuration(attachments))
+    session = judge_session(path, verdicts)
+    return Summary(tuple(verdicts), tuple(attachments), _configuration(attachments), session)
 
 
 def _configuration(attachments: dict[str, bytes]) -> Configuration | None:
