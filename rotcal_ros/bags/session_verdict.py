@@ -78,7 +78,7 @@ def judge_session(path: Path, verdicts: Sequence[FileVerdict]) -> SessionVerdict
         wrong.clear()  # one file was named, the folder may be anybody's
     missing = dict(_missing(folder, present, listed))
     if path.is_dir():
-        missing = {**_gaps(folder, present), **missing}
+        missing = {**_gaps(folder, present, known), **missing}
     short: list[str] = []
     if known is not None:
         wrong += _differences(known, present, whole=path.is_dir() and not missing)
@@ -139,21 +139,27 @@ def _sentence(folder: Path, name: str, why: str) -> str:
     return f"the file {name} of the session was not read, only a part of it was named: {why}"
 
 
-def _gaps(folder: Path, present: _Present) -> dict[str, str]:
-    """Return the files that are missing in the row of numbers of a recorder's files."""
+def _gaps(folder: Path, present: _Present, known: BagDescription | None) -> dict[str, str]:
+    """Return the files that are missing in the row of numbers of a recorder's files.
+
+    Other recorders may delete their oldest files: for theirs ``known`` says it, if it is there.
+    """
+    renamed = {f.name for f in known.files if present.find(f) is not None} if known else set()
     found: dict[str, str] = {}
     pattern = re.compile(r"(.+)_(\d{1,6})(\.\w+)$")
     matches = [m for v in present.verdicts if (m := pattern.match(v.path.name))]
     for stem, ending in {(m[1], m[3]) for m in matches}:
         mine = [m for m in matches if (m[1], m[3]) == (stem, ending)]
         ours = any(present.recorded[m[0]] for m in mine)
-        if stem != folder.name and not ours:
+        if not ours and (stem != folder.name or known is not None):
             continue
         numbers = {int(m[2]) for m in mine}
         if ours and len(mine) == 1:
             continue  # a file may be renamed, and says itself which ones it follows
         for number in sorted(set(range(min(max(numbers), 10_000))) - numbers):
             name = f"{stem}_{number}{ending}"
+            if name in renamed or name in present.by_name:
+                continue
             found[name] = _sentence(folder, name, "the files are numbered without a gap")
     return found
 
