@@ -27,6 +27,7 @@ DEEPEST: Final = 64
 """Levels of lists and groups in each other; ours have less than ten."""
 LARGEST_EXPANSION: Final = 400_000
 """Values of a YAML text once its aliases stand for what they name."""
+_LONGEST_NUMBER: Final = 1000
 
 _KINDS: Final = (
     (stat.S_ISDIR, "a folder"),
@@ -86,7 +87,7 @@ def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
 
 
 def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST_FILE) -> str:
-    """Return the text of a plain file, line ends as ``\\n``; OSError or UnicodeDecodeError."""
+    """Return the text of a plain file, line ends made alike; OSError or UnicodeDecodeError."""
     with io.TextIOWrapper(io.BytesIO(read_bytes(path, largest)), encoding=encoding) as text:
         return text.read()
 
@@ -129,7 +130,7 @@ def load_yaml(text: str, source: str) -> Any:
         )
     try:
         _check_events(yaml.parse(text, Loader=_loader(yaml)))
-        return yaml.load(text, Loader=_loader(yaml))  # noqa: S506  both are safe loaders
+        return yaml.load(text, Loader=_loader(yaml))
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
@@ -182,12 +183,19 @@ def _check_events(events: Iterable[Any]) -> None:
             if any(anchor == event.anchor for anchor, _ in open_):
                 raise ValueError(f"the alias *{event.anchor} stands inside of what it names")
             total += sizes.get(event.anchor, 1)
-        elif isinstance(event, yaml.ScalarEvent):
+        else:
             total += 1
-            if event.anchor:
-                sizes[event.anchor] = 1
+            _check_number(event)
         if total > LARGEST_EXPANSION:
             raise ValueError(f"more than {LARGEST_EXPANSION:,} values")
+
+
+def _check_number(event: Any) -> None:
+    """Raise ValueError for a number that Python itself would not print, as one in hexadecimal."""
+    text = getattr(event, "value", "")
+    plain = len(text) > _LONGEST_NUMBER and (event.implicit[0] or event.tag)
+    if plain and text.lstrip("+-")[:1].isdigit():
+        raise ValueError(f"a number of more than {_LONGEST_NUMBER:,} digits")
 
 
 def _check_depth(value: Any) -> None:
@@ -198,4 +206,3 @@ def _check_depth(value: Any) -> None:
         level = [x for inside in insides for x in inside if isinstance(x, dict | list)]
     if level:
         raise ValueError(_TOO_DEEP)
-

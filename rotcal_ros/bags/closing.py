@@ -35,7 +35,8 @@ JOURNAL_SUFFIX: Final = ".closing"
 class InterruptedSession:
     """What an interrupted session left: its ``files`` for the writer that continues it.
 
-    ``session`` is its identity, empty where nothing says one. Nothing is changed before :meth:`close`.
+    ``session`` is its identity, empty where nothing says one. Nothing is changed before
+    :meth:`close`.
     """
 
     files: tuple[FileInfo, ...] = ()
@@ -56,14 +57,14 @@ class InterruptedSession:
 
         Raises BagError when that fails: nothing is lost, and the next call does it again.
         """
-        for end in self.open_ends:
-            try:
+        try:
+            for end in self.open_ends:
                 end.close(continued_in)
-            except OSError as error:
-                raise BagError(
-                    f"cannot close {end.path}, which an interruption left open: "
-                    f"{error.strerror or error}; make room and the file writable, then go on"
-                ) from error
+        except OSError as error:
+            raise BagError(
+                f"cannot close {end.path}, which an interruption left open: "
+                f"{error.strerror or error}; make room and the file writable, then go on"
+            ) from error
 
 
 @dataclass(frozen=True)

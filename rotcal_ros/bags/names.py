@@ -21,8 +21,8 @@ RUN: Final = "rotcal_run"
 """Metadata record: ``number`` of the run of an interrupted plan that the file belongs to, and
 ``session``, which all files of all its runs have in common."""
 CONTINUED: Final = "rotcal_continued"
-"""Metadata record: ``in`` which file the session went on; after an interruption also at which
-byte the recording had ended, how many bytes of a torn record stood there, and when it was closed."""
+"""Metadata record: ``in`` which file the session went on; after an interruption also where the
+file had ended, how many bytes of a torn record stood there, and when it was closed."""
 TORN: Final = "torn_record.bin"
 """Attachment: the bytes of a torn record that stood at the end of an interrupted file."""
 SUBJECT: Final = "rotcal_subject"

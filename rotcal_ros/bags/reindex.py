@@ -38,7 +38,7 @@ class Reindexed:
 
 
 def reindex(folder: Path, progress: Progress | None = None) -> Reindexed:
-    """Write ``metadata.yaml`` of the bag in ``folder`` from its files; a copy of the old one stays.
+    """Write ``metadata.yaml`` of the bag in ``folder`` from its files; a copy of the old stays.
 
     What is missing is named in it, so that it stays known. Raises BagError, and changes nothing,
     for a file alone, for files that are damaged, left open or of several sessions: nobody else
@@ -95,8 +95,8 @@ def _require_sound(folder: Path, verdicts: Iterable[FileVerdict]) -> None:
     bad = [f"{v.path.name} is {v.sentence()}" for v in verdicts if v.state != "complete"]
     if bad:
         raise BagError(
-            f"{'; '.join(bad)}: no metadata.yaml makes that readable for others; rotcal bag repair "
-            f"{folder} writes a sound bag with its own"
+            f"{'; '.join(bad)}: no metadata.yaml makes that readable for others; "
+            f"rotcal bag repair {folder} writes a sound bag with its own"
         )
 
 

@@ -43,9 +43,9 @@ def repair_record(before: Sequence[FileVerdict], missing: Sequence[str]) -> dict
 def repairs_in_words(notes: Notes) -> tuple[str, ...]:
     """Return a sentence for each damaged file that a repaired one was made from."""
     record = notes.get(names.REPAIR, {})
-    made = record.get(_DATE, "")
+    date = record.get(_DATE, "")
     return tuple(
-        f"repaired {f'on {made} ' if made else ''}from {name}: {sentence}"
+        f"repaired {f'on {date} ' if date else ''}from {name}: {sentence}"
         for name, sentence in record.items()
         if name not in (_DATE, _MISSING, _EARLIER)
         and not name.endswith(_DETAILS)

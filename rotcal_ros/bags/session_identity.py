@@ -1,4 +1,4 @@
-"""Which measurement a file belongs to: all its runs, splits and repaired copies are one session."""
+"""Which session a file belongs to: its runs, splits and repaired copies are one measurement."""
 
 from __future__ import annotations
 

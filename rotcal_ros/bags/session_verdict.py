@@ -1,4 +1,4 @@
-"""The verdict on a whole session: are all its files there, and is ``metadata.yaml`` right?"""
+"""The verdict on a whole session: which files are missing, where ``metadata.yaml`` is wrong."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import datetime, timezone
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -181,10 +182,10 @@ def _print(summary: dict[str, Any]) -> None:
         click.echo(f"attached  {', '.join(summary['attachments'])}")
     for sentence in losses_in_words(summary["losses_recorded"]):
         say(sentence)
-    session = summary["session"]
-    for kind in ("missing", "differing", "repaired", "closed"):
-        for sentence in session[kind]:
-            say(sentence)
+    for sentence in chain.from_iterable(
+        summary["session"][kind] for kind in ("missing", "differing", "repaired", "closed")
+    ):
+        say(sentence)
     width = max((len(name) for name in summary["topics"]), default=0)
     for name, topic in summary["topics"].items():
         lost = f", {topic['lost']} lost" if topic["lost"] else ""

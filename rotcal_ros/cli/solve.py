@@ -83,7 +83,9 @@ def command(
             raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
         evaluations = evaluate(data.calibration, data.observations, ways(balls, coarser))
         if isinstance(data, Recording):
-            evaluations = tuple(replace(e, result=data.told(e.result)) for e in evaluations)
+            evaluations = tuple(
+                replace(e, result=data.with_warnings(e.result)) for e in evaluations
+            )
         if len(evaluations) > 1:
             for warning in data.warnings() if isinstance(data, Recording) else ():
                 say(f"warning: {warning}")

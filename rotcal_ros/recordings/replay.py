@@ -86,9 +86,9 @@ class Recording:
 
         It has the warnings about the bag too, and is suspect at best where a file is missing.
         """
-        return self.told(self.calibration.solve(self.observations, self.announced))
+        return self.with_warnings(self.calibration.solve(self.observations, self.announced))
 
-    def told(self, result: Result) -> Result:
+    def with_warnings(self, result: Result) -> Result:
         """Return a ``result`` of these observations with what its reader must know of the bag."""
         further = tuple(text for text in self.warnings() if text not in result.warnings)
         doubtful = self.session.missing and result.verdict == "ok"
@@ -180,8 +180,8 @@ def read_recording(
 
     Without ``configuration`` the one in the bag is used: the attachment, else the text on the
     ``plan`` topic. Raises BagError when the bag cannot be read, holds no configuration or files of
-    several sessions, and DataError when it was recorded with another method than that of ``configuration``.
-    Memory does not grow with the size of the bag.
+    several sessions, and DataError when it was recorded with another method than that of
+    ``configuration``. Memory does not grow with the size of the bag.
     """
     files = bag_files(path)
     require_one_session(files)

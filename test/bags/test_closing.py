@@ -1,4 +1,4 @@
-"""Files that were left open: closed behind their last whole record, and nothing before it changed."""
+"""Files that were left open are closed behind their last whole record; nothing before changes."""
 
 import random
 import struct
@@ -72,7 +72,9 @@ def test_wherever_it_was_cut(tmp_path: Path) -> None:
         path.write_bytes(whole[:cut])
         (before,) = check_files((path,))
         end = close(path)
-        last_whole = max([0, 8 * (cut >= 8), *(e for o, e in records if e <= cut and o < DATA_END)])
+        last_whole = max(
+            [0, 8 * (cut >= 8), *(e for o, e in records if e <= cut and o < DATA_END)]
+        )
         data_end = next(e for o, e in records if o == DATA_END)
         assert end == (last_whole if cut < data_end else data_end - 13)
         (after,) = check_files((path,))

@@ -111,9 +111,7 @@ def test_nothing_is_missing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("kind", "number"), [
     ("split", 0), ("split", 2), ("split", 5), ("resumed", 0), ("resumed", 1),
 ])  # fmt: skip
-def test_a_missing_file_is_found(
-    kind: str, number: int, description: str, tmp_path: Path
-) -> None:
+def test_a_missing_file_is_found(kind: str, number: int, description: str, tmp_path: Path) -> None:
     folder = (split if kind == "split" else resumed)(tmp_path / "bag")
     (folder / f"bag_{number}.mcap").unlink()
     if description != "kept":
@@ -182,8 +180,9 @@ def test_counts_and_times_that_differ_are_said(tmp_path: Path) -> None:
     assert described(folder, files=data["files"]).sound
     (text,) = described(folder, duration={"nanoseconds": 9 * SECOND_NS}).differing
     assert text == "metadata.yaml lists 9.000 s, the messages span 5.000 s"
-    (text,) = described(folder, duration={"nanoseconds": 5 * SECOND_NS},
-                        relative_file_paths=[f"bag_{k}.mcap" for k in range(5)]).differing  # fmt: skip
+    listed = [f"bag_{k}.mcap" for k in range(5)]
+    right = {"nanoseconds": 5 * SECOND_NS}
+    (text,) = described(folder, duration=right, relative_file_paths=listed).differing
     assert text == "metadata.yaml does not list bag_5.mcap"
 
 
@@ -200,8 +199,9 @@ BROKEN = {
     "negative": "rosbag2_bagfile_information: {version: -1}",
     "cut": "rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n    - bag_0.mc",
     "types": "rosbag2_bagfile_information: {version: 5, message_count: x, relative_file_paths: 3}",
-    "path": "rosbag2_bagfile_information: {version: 5, message_count: 0, duration: {nanoseconds: 0},"
-    " starting_time: {nanoseconds_since_epoch: 0}, relative_file_paths: ['..']}",
+    "path": "rosbag2_bagfile_information: {version: 5, message_count: 0,"
+    " duration: {nanoseconds: 0}, starting_time: {nanoseconds_since_epoch: 0},"
+    " relative_file_paths: ['..']}",
     "date": "rosbag2_bagfile_information: 2026-99-99",
 }  # fmt: skip
 
@@ -242,7 +242,9 @@ V1 = """rosbag2_bagfile_information:
     - topic_metadata: {name: /a, type: std_msgs/msg/String, serialization_format: cdr}
       message_count: 3
 """
-V5 = V1.replace("version: 1", "version: 5").replace("cell_bag/", "") + """  compression_format: zstd
+V5 = (
+    V1.replace("version: 1", "version: 5").replace("cell_bag/", "")
+    + """  compression_format: zstd
   compression_mode: FILE
   files:
     - path: cell_bag_0.db3
@@ -250,6 +252,7 @@ V5 = V1.replace("version: 1", "version: 5").replace("cell_bag/", "") + """  comp
       duration: {nanoseconds: 4000000000}
       message_count: 3
 """
+)
 
 
 def test_old_versions_are_understood() -> None:
