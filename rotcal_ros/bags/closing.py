@@ -17,13 +17,12 @@ from typing import Final
 
 from mcap.records import Metadata
 
-from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
-from rotcal_ros.bags.framing import Framing
 from rotcal_ros.bags.mcap_tail import Contents
-from rotcal_ros.bags.reader import bag_files, session_files
+from rotcal_ros.bags.reader import bag_files, file_info, read_blocks
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.session_identity import file_head
+from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.writer import LIBRARY
 from rotcal_ros.errors import BagError
 from rotcal_ros.files import replace_atomically, sync_folder
@@ -49,8 +48,9 @@ class InterruptedSession:
         files = bag_files(folder)
         heads = (file_head(file) for file in files)
         session = next((head.session for head in heads if not head.silent), "")
-        ends = tuple(end for end in map(open_end, files) if end is not None)
-        return cls(session_files(folder), session, ends)
+        scans = [scan for scan, block in read_blocks(files) if block is None]
+        ends = tuple(end for scan in scans if (end := open_end(scan.verdict())) is not None)
+        return cls(tuple(map(file_info, scans)), session, ends)
 
     def close(self, continued_in: str = "") -> None:
         """Close the files that the interruption left open; call it with the right to write.
@@ -69,13 +69,17 @@ class InterruptedSession:
 
 @dataclass(frozen=True)
 class OpenEnd:
-    """An interrupted file: its whole records end at byte ``end``, ``torn`` stands behind them."""
+    """An interrupted file: ``torn`` stands behind the ``contents`` of its whole records."""
 
     path: Path
     size: int
-    end: int
     torn: bytes
     contents: Contents
+
+    @property
+    def end(self) -> int:
+        """The byte at which the whole records end."""
+        return self.contents.end
 
     def close(self, continued_in: str = "") -> None:
         """Append what is missing; the session goes on in the file ``continued_in``, if at all.
@@ -90,7 +94,7 @@ class OpenEnd:
         if not journal.exists():
             head = json.dumps({"end": self.end}).encode() + b"\n"
             replace_atomically(journal, lambda path: path.write_bytes(head + self.torn))
-        tail = self.contents.tail(self.end, self._record(continued_in), self.torn, LIBRARY)
+        tail = self.contents.tail(self._record(continued_in), self.torn, LIBRARY)
         with self.path.open("r+b") as file:
             file.truncate(self.end)
             file.seek(self.end)
@@ -111,38 +115,23 @@ class OpenEnd:
         )
 
 
-def open_end(path: Path) -> OpenEnd | None:
-    """Read an interrupted file; None when it is closed, or damaged: then it is left as it is."""
+def open_end(verdict: FileVerdict) -> OpenEnd | None:
+    """Return how an interrupted file is closed; None when it is closed, or damaged.
+
+    A damaged file is left as it is, and so is one that no recorder of ours wrote.
+    """
+    path = verdict.path
     journal = _journal(path)
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        if _ends(path, size):
+    if verdict.state != "truncated":
+        if verdict.state == "complete":
             _remove(journal)
-            return None
-        begun = _begun(journal)
-        framing = Framing(file, size if begun is None else begun[0])
-        contents = Contents()
-        try:
-            for record in framing.records():
-                contents.take(record)
-        except mcap.DamagedRecord:
-            return None
-        if framing.damages:
-            return None
-        ended = contents.data_end if contents.data_end is not None else framing.truncated
-        if begun is not None:
-            end, torn = begun
-        else:
-            end = size if ended is None else ended
-            file.seek(end)
-            torn = file.read()
-    return OpenEnd(path, size, end, torn, contents)
-
-
-def _ends(path: Path, size: int) -> bool:
+        return None
+    begun = _begun(journal)
     with path.open("rb") as file:
-        file.seek(max(0, size - len(mcap.MAGIC)))
-        return size > 2 * len(mcap.MAGIC) and file.read() == mcap.MAGIC
+        contents = Contents.of(file, begun[0] if begun else verdict.damages[0].offset)
+        file.seek(contents.end)
+        torn = begun[1] if begun else file.read()
+    return OpenEnd(path, path.stat().st_size, torn, contents) if contents.plain else None
 
 
 def _journal(path: Path) -> Path:

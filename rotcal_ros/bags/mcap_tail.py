@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import struct
 import time
 import zlib
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Final
+from io import BytesIO
+from typing import BinaryIO, Final, TypeVar
 
-from mcap.data_stream import RecordBuilder
+import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -28,18 +32,42 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
-from rotcal_ros.bags.blocks import Block, split_chunk
-from rotcal_ros.bags.framing import Record
 
+R = TypeVar("R", Attachment, Channel, Chunk, Metadata, Schema)
+
+MAGIC: Final = b"\x89MCAP0\r\n"
 PROFILE: Final = "ros2"
-_MAGIC_CRC: Final = zlib.crc32(mcap.MAGIC)
+_HEAD: Final = struct.Struct("<BQ")
+_MESSAGE: Final = struct.Struct("<HIQ")
+_INDEX: Final = struct.Struct("<HI")
+
+
+def _read(kind: type[R], content: bytes) -> R:
+    record: R = kind.read(ReadDataStream(BytesIO(content)))
+    return record
+
+
+def _taken(builder: RecordBuilder) -> bytes:
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+def _inner(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield opcode, begin and length of the content of every record in an unpacked chunk."""
+    position, unpack = 0, _HEAD.unpack_from
+    while position < len(data):
+        opcode, length = unpack(data, position)
+        yield opcode, position + _HEAD.size, length
+        position += _HEAD.size + length
 
 
 @dataclass
 class Contents:
-    """What the index at the end of a file says: collected from its records, in one pass."""
+    """What the index at the end of a file says: collected from its records, in one pass.
+
+    For files of our recorder whose records are known to be sound: messages stand in chunks.
+    """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -47,48 +75,61 @@ class Contents:
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
+    end: int = 0
     header: bool = False
-    data_end: int | None = None
-    crc: int = 0
-    last: Block | None = None
-    _last_begins: int = 0
+    plain: bool = True
+    _crc: int = 0
+    _last: bytes = b""
 
-    def take(self, record: Record) -> None:
-        """Take in one top-level record; raises DamagedRecord for one that contradicts itself."""
-        if self.data_end is not None:
-            return
-        if record.opcode == mcap.DATA_END:
-            self.data_end = record.offset
-            return
-        head = mcap.record_header.pack(record.opcode, len(record.content))
-        self.crc = zlib.crc32(record.content, zlib.crc32(head, self.crc or _MAGIC_CRC))
-        length = len(head) + len(record.content)
-        if record.opcode == mcap.CHUNK:
-            self._chunk(record, length)
-        elif record.opcode == mcap.MESSAGE_INDEX and self.chunks:
-            channel, _ = mcap.parse_message_index(record.content)
-            self.chunks[-1].message_index_offsets[channel] = record.offset
+    @classmethod
+    def of(cls, file: BinaryIO, end: int) -> Contents:
+        """Collect from the data section of ``file``; its whole records end at byte ``end``.
+
+        ``plain`` is False for a file that was not written like ours.
+        """
+        found = cls()
+        file.seek(0)
+        found._crc = zlib.crc32(file.read(min(end, len(MAGIC))))
+        found.end = min(end, len(MAGIC))
+        while found.end + _HEAD.size <= end:
+            head = file.read(_HEAD.size)
+            opcode, length = _HEAD.unpack(head)
+            if opcode == Opcode.DATA_END:
+                break
+            content = file.read(length)
+            found._crc = zlib.crc32(content, zlib.crc32(head, found._crc))
+            found._take(opcode, content)
+            found.end += _HEAD.size + length
+        return found
+
+    def _take(self, opcode: int, content: bytes) -> None:
+        """Take in one record of the data section, which begins at ``end``."""
+        length = _HEAD.size + len(content)
+        if opcode == Opcode.CHUNK:
+            self._chunk(_read(Chunk, content), length)
+        elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
+            channel, size = _INDEX.unpack_from(content)
+            self.counts[channel] += size // 16
+            self.chunks[-1].message_index_offsets[channel] = self.end
             self.chunks[-1].message_index_length += length
-        elif record.opcode == mcap.ATTACHMENT:
-            self._attachment(record.offset, length, mcap.parse_attachment(record.content))
-        elif record.opcode == mcap.METADATA:
-            name = mcap.parse(Metadata, record.content).name
-            self.metadata.append(MetadataIndex(record.offset, length, name))
-        elif record.opcode == mcap.HEADER:
+        elif opcode == Opcode.ATTACHMENT:
+            self._attachment(self.end, length, _read(Attachment, content))
+        elif opcode == Opcode.METADATA:
+            name = _read(Metadata, content).name
+            self.metadata.append(MetadataIndex(self.end, length, name))
+        elif opcode == Opcode.HEADER:
             self.header = True
-        elif record.opcode == mcap.MESSAGE:
-            raise mcap.DamagedRecord("a message outside of chunks: not a file of this recorder")
         else:
-            self._definition(record.opcode, record.content)
+            self.plain = False
 
-    def tail(self, end: int, note: Metadata, torn: bytes, library: str) -> bytes:
-        """Return all that stands behind byte ``end`` of the closed file."""
-        data = RecordBuilder()
-        if end < len(mcap.MAGIC):
-            data.write(mcap.MAGIC)
+    def tail(self, note: Metadata, torn: bytes, library: str) -> bytes:
+        """Return all that stands behind byte ``end`` of the closed file; call it once."""
+        end, data = self.end, RecordBuilder()
+        if end < len(MAGIC):
+            data.write(MAGIC)
         if not self.header:
             Header(PROFILE, library).write(data)
-        self._missing_indexes(data, end)
+        self._missing_indexes(data)
         begin = end + data.count
         note.write(data)
         self.metadata.append(MetadataIndex(begin, end + data.count - begin, note.name))
@@ -98,23 +139,28 @@ class Contents:
             begin = end + data.count
             attachment.write(data)
             self._attachment(begin, end + data.count - begin, attachment)
-        written = data.end()
-        known = self.crc or (_MAGIC_CRC if end else 0)
-        DataEnd(zlib.crc32(written, known)).write(data)
-        return written + (ended := data.end()) + self._summary(end + len(written) + len(ended))
+        written = _taken(data)
+        DataEnd(zlib.crc32(written, self._crc)).write(data)
+        return written + (ended := _taken(data)) + self._summary(end + len(written) + len(ended))
 
-    def _chunk(self, record: Record, length: int) -> None:
-        chunk = mcap.parse(Chunk, record.content)
-        self.last, others = split_chunk(mcap.unpack_chunk(chunk))
-        self._last_begins = record.offset + length
-        for opcode, inner in others:
-            self._definition(opcode, inner)
-        self.counts.update(self.last.counts())
+    def _chunk(self, chunk: Chunk, length: int) -> None:
+        packed = chunk.compression == "zstd"
+        self.plain &= packed or not chunk.compression
+        self._last = chunk.data
+        if packed:
+            self._last = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+        for opcode, begin, size in _inner(self._last):
+            if opcode == Opcode.SCHEMA:
+                schema = _read(Schema, self._last[begin : begin + size])
+                self.schemas.setdefault(schema.id, schema)
+            elif opcode == Opcode.CHANNEL:
+                channel = _read(Channel, self._last[begin : begin + size])
+                self.channels.setdefault(channel.id, channel)
         self.chunks.append(
             ChunkIndex(
                 message_start_time=chunk.message_start_time,
                 message_end_time=chunk.message_end_time,
-                chunk_start_offset=record.offset,
+                chunk_start_offset=self.end,
                 chunk_length=length,
                 message_index_offsets={},
                 message_index_length=0,
@@ -123,14 +169,6 @@ class Contents:
                 uncompressed_size=chunk.uncompressed_size,
             )
         )
-
-    def _definition(self, opcode: int, content: bytes) -> None:
-        if opcode == mcap.SCHEMA:
-            schema = mcap.parse(Schema, content)
-            self.schemas.setdefault(schema.id, schema)
-        elif opcode == mcap.CHANNEL:
-            channel = mcap.parse(Channel, content)
-            self.channels.setdefault(channel.id, channel)
 
     def _attachment(self, offset: int, length: int, attachment: Attachment) -> None:
         self.attachments.append(
@@ -145,21 +183,23 @@ class Contents:
             )
         )
 
-    def _missing_indexes(self, data: RecordBuilder, end: int) -> None:
+    def _missing_indexes(self, data: RecordBuilder) -> None:
         """Write the message indexes that the interruption kept from following the last chunk."""
-        if self.last is None:
+        if not self.chunks:
             return
-        index, block = self.chunks[-1], self.last
-        missing = [n for n in block.counts() if n not in index.message_index_offsets]
-        if not missing or self._last_begins + index.message_index_length != end:
+        index = self.chunks[-1]
+        if index.chunk_start_offset + index.chunk_length + index.message_index_length != self.end:
             return
-        begins = block.start - mcap.message_header.size - mcap.HEADER_SIZE
-        for channel in missing:
-            rows = block.headers["channel"] == channel
-            times = block.headers["log_time"][rows].tolist()
-            index.message_index_offsets[channel] = end + data.count
-            entries = list(zip(times, begins[rows].tolist(), strict=True))
+        missing: dict[int, list[tuple[int, int]]] = {}
+        for opcode, begin, _ in _inner(self._last):
+            if opcode == Opcode.MESSAGE:
+                channel, _, log_time = _MESSAGE.unpack_from(self._last, begin)
+                if channel not in index.message_index_offsets:
+                    missing.setdefault(channel, []).append((log_time, begin - _HEAD.size))
+        for channel, entries in missing.items():
+            index.message_index_offsets[channel] = self.end + data.count
             MessageIndex(channel, entries).write(data)
+            self.counts[channel] += len(entries)
         index.message_index_length += data.count
 
     def _summary(self, start: int) -> bytes:
@@ -182,11 +222,11 @@ class Contents:
         offsets_start = start + summary.count
         for offset in offsets:
             offset.write(summary)
-        text = summary.end()
+        text = _taken(summary)
         Footer(start, offsets_start, 0).write(summary)
-        footer = summary.end()[:-4]
+        footer = _taken(summary)[:-4]
         crc = zlib.crc32(footer, zlib.crc32(text))
-        return text + footer + crc.to_bytes(4, "little") + mcap.MAGIC
+        return text + footer + crc.to_bytes(4, "little") + MAGIC
 
     def _statistics(self) -> Statistics:
         return Statistics(

@@ -185,13 +185,13 @@ def _differences(known: BagDescription, present: _Present, *, whole: bool) -> It
             if id(verdict) not in described:
                 yield f"{METADATA_FILE} does not list {verdict.path.name}"
     for entry in known.files:
-        verdict = present.find(entry)
-        if verdict is None or verdict.state != "complete" or entry.messages is None:
+        found = present.find(entry)
+        if found is None or found.state != "complete" or entry.messages is None:
             continue
-        if verdict.messages > entry.messages:
+        if found.messages > entry.messages:
             yield (
-                f"{METADATA_FILE} lists {entry.messages} messages in {verdict.path.name}, it "
-                f"holds {verdict.messages}"
+                f"{METADATA_FILE} lists {entry.messages} messages in {found.path.name}, it "
+                f"holds {found.messages}"
             )
     if whole and all(v.state == "complete" and id(v) in described for v in present.verdicts):
         yield from _totals(known, present.verdicts)

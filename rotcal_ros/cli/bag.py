@@ -140,8 +140,11 @@ def choices(bag: Path, as_json: bool) -> int:
 @json_option
 def repair(bag: Path, output: Path | None, as_json: bool) -> int:
     """Write all that can be saved of BAG into a new, sound bag; BAG itself is not touched."""
+    from rotcal_ros.bags.reader import bag_files
     from rotcal_ros.bags.repair import repair as repair_bag
+    from rotcal_ros.bags.session_identity import require_one_session
 
+    require_one_session(bag_files(bag))
     folder = output or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_repaired")
     with progress("repairing") as shown:
         outcome = repair_bag(bag, folder, shown)

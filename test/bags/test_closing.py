@@ -11,7 +11,7 @@ from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.closing import JOURNAL_SUFFIX, InterruptedSession, open_end
+from rotcal_ros.bags.closing import JOURNAL_SUFFIX, InterruptedSession, OpenEnd, open_end
 from rotcal_ros.bags.reader import bag_files, check_files
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
@@ -42,8 +42,13 @@ def record_ends(data: bytes) -> list[tuple[int, int]]:
     return found
 
 
+def ended(path: Path) -> OpenEnd | None:
+    (verdict,) = check_files((path,))
+    return open_end(verdict)
+
+
 def close(path: Path, following: str = "next.mcap") -> int:
-    end = open_end(path)
+    end = ended(path)
     assert end is not None
     end.close(following)
     return end.end
@@ -83,7 +88,7 @@ def test_wherever_it_was_cut(tmp_path: Path) -> None:
         with path.open("rb") as file:
             torn = [a.data for a in SeekingReader(file).iter_attachments() if a.name == names.TORN]
         assert path.read_bytes()[:end] + b"".join(torn) == whole[:cut]
-        assert open_end(path) is None
+        assert ended(path) is None
         assert not path.with_name(path.name + JOURNAL_SUFFIX).exists()
 
 
@@ -103,7 +108,7 @@ def test_whoever_dies_while_closing_leaves_it_to_the_next(tmp_path: Path) -> Non
     path = tmp_path / "cut_0.mcap"
     path.write_bytes(whole[:cut])
     journal = path.with_name(path.name + JOURNAL_SUFFIX)
-    once = open_end(path)
+    once = ended(path)
     assert once is not None
     noted: list[bytes] = []
     with pytest.MonkeyPatch.context() as patch:
@@ -126,7 +131,7 @@ def test_damage_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "bad_0.mcap"
     path.write_bytes(whole[:-200])
     before = path.read_bytes()
-    assert open_end(path) is None
+    assert ended(path) is None
     assert path.read_bytes() == before
 
 
@@ -148,7 +153,7 @@ def test_the_next_run_takes_the_identity_and_closes(tmp_path: Path) -> None:
 def test_a_file_that_changed_meanwhile_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "cut_0.mcap"
     path.write_bytes(fill(tmp_path / "bag")[:-300])
-    end = open_end(path)
+    end = ended(path)
     assert end is not None
     path.write_bytes(path.read_bytes() + b"x")
     with pytest.raises(BagError, match="has changed since it was read"):

@@ -67,7 +67,7 @@ def test_a_file_closed_after_an_interruption_is_read_like_any(reader, run_bag, t
     path = tmp_path / "killed_0.mcap"
     path.write_bytes(data[: len(data) // 2])
     (verdict,) = check_files((path,))
-    end = open_end(path)
+    end = open_end(verdict)
     end.close("killed_1.mcap")
     found = reader(path)
     assert {topic: len(values) for topic, values in found.items()} == {
