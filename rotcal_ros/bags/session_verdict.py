@@ -121,8 +121,9 @@ def _missing(
     for verdict in present.verdicts:
         for name in present.recorded[verdict.path.name]:
             said.setdefault(name, f"it was there when {verdict.path.name} was recorded")
-        if name := verdict.notes.get(names.CONTINUED, {}).get("in", ""):
-            said[name] = f"the session went on in it after {verdict.path.name}"
+        following = verdict.notes.get(names.CONTINUED, {}).get("in", "")
+        if following and verdict.state != "truncated":  # else it died before it was opened
+            said[following] = f"the session went on in it after {verdict.path.name}"
     for entry in listed:
         about = entry.in_words()
         said[entry.name] = f"{METADATA_FILE} lists it{f' with {about}' if about else ''}"

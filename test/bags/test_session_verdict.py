@@ -124,6 +124,16 @@ def test_a_missing_file_is_found(kind: str, number: int, description: str, tmp_p
     assert f"the file bag_{number}.mcap of the session is missing" in missing[0]
 
 
+def test_a_death_while_splitting_leaves_nothing_missing(tmp_path: Path) -> None:
+    folder = split(tmp_path / "bag")
+    for number in (3, 4, 5):
+        (folder / f"bag_{number}.mcap").unlink()
+    (folder / "metadata.yaml").unlink()
+    last = folder / "bag_2.mcap"
+    last.write_bytes(last.read_bytes()[:-40])
+    assert judged(folder).missing == ()
+
+
 def test_one_file_alone_is_a_part(tmp_path: Path) -> None:
     folder = resumed(tmp_path / "bag")
     assert "bag_0.mcap of the session was not read" in judged(folder / "bag_1.mcap").missing[0]
