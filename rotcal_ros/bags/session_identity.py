@@ -17,6 +17,8 @@ from rotcal_ros.errors import BagError
 
 _SHOWN: Final = 8
 """Characters of an identity that people are shown."""
+_NAMED: Final = 10
+"""Sessions that an error names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,8 +140,9 @@ def require_one_session(files: Sequence[Path]) -> None:
     if len(found) > 1:
         groups = "; ".join(
             f"{', '.join(head.path.name for head in heads)} ({heads[0].in_words()})"
-            for heads in found.values()
+            for heads in list(found.values())[:_NAMED]
         )
+        groups += "; ..." * (len(found) > _NAMED)
         raise BagError(
             f"{files[0].parent} holds files of {len(found)} measurements: {groups}; put each into "
             f"a folder of its own, or name the file itself, such as {files[0]}"
