@@ -66,7 +66,7 @@ def test_whole_it_is_ok_and_a_part_is_suspect_whoever_asks(
     page = tmp_path / "page.html"
     assert run("report", part, "-o", page).exit_code == 1
     assert MISSING in page.read_text()
-    exported = run("export", part, "--for", "csv", "-o", tmp_path / "files", "--replace")
+    exported = run("export", part, "--to", "csv", "-o", tmp_path / "files", "--replace")
     assert exported.exit_code not in (0, 1)
     assert MISSING in exported.output
     checked = run("bag", "check", part, "--json")
