@@ -116,6 +116,7 @@ class McapScan(Scan):
             losses_recorded=_integers(self.metadata.get(names.LOSSES, {})),
             run=_integers(self.metadata.get(names.RUN, {})).get("number", 0),
             dropouts=tuple(self._dropouts.found),
+            notes=self.metadata,
         )
 
     def _require_known_compression(self) -> None:

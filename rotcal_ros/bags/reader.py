@@ -113,13 +113,21 @@ def check_files(
 def session_files(folder: Path, progress: Progress | None = None) -> tuple[FileInfo, ...]:
     """Return the files of an interrupted session, for a BagWriter that continues it."""
     return tuple(
-        FileInfo(
-            verdict.path.name,
-            INFINITE_NS if verdict.start_ns is None else verdict.start_ns,
-            verdict.end_ns or 0,
-            {name: topic.messages for name, topic in verdict.topics.items() if topic.messages},
-        )
-        for verdict in check_files(bag_files(folder), progress)
+        file_info(scan)
+        for scan, block in read_blocks(bag_files(folder), progress)
+        if block is None
+    )
+
+
+def file_info(scan: Scan) -> FileInfo:
+    """Return what rosbag2's description says of a file, after the pass over it."""
+    verdict = scan.verdict()
+    return FileInfo(
+        verdict.path.name,
+        INFINITE_NS if verdict.start_ns is None else verdict.start_ns,
+        verdict.end_ns or 0,
+        {name: topic.messages for name, topic in verdict.topics.items() if topic.messages},
+        tuple(scan.channels.values()),
     )
 
 

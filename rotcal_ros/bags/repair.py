@@ -16,7 +16,9 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.mcap_file import Attached
 from rotcal_ros.bags.reader import Progress, bag_files, check_files, read_items
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.repair_record import repair_record
 from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
@@ -60,7 +62,7 @@ def repair(
                 copier.end_file()
         if losses := session_losses(before):
             writer.note(names.LOSSES, losses)
-        writer.note(names.REPAIR, {v.path.name: v.sentence() for v in before})
+        writer.note(names.REPAIR, repair_record(before, judge_session(path, before).missing))
     room = max(limits.unpacked_bytes, 2 * copier.message_bytes)  # it may be packed more tightly
     after = check_files(bag_files(folder), limits=replace(limits, unpacked_bytes=room))
     _compare(before, after, folder)
@@ -102,7 +104,7 @@ class _Copier:
         """Copy a metadata record; losses are added up at the end, rosbag2's own is made anew."""
         if record.name == names.RUN:
             self._begin_run(record.metadata)
-        elif record.name not in (names.ROSBAG2, names.LOSSES):
+        elif record.name not in (names.ROSBAG2, names.LOSSES, names.CONTINUED, names.REPAIR):
             self._writer.note(record.name, record.metadata)
 
     def end_file(self) -> None:

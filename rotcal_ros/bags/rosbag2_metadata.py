@@ -68,12 +68,16 @@ def qos_profiles(text: str) -> list[Any]:
 
 @dataclass(slots=True)
 class FileInfo:
-    """One storage file: name, range of log times (ns) and number of messages per topic."""
+    """One storage file: name, range of log times (ns) and number of messages per topic.
+
+    ``channels`` of an earlier file say what the writer of a later one cannot know.
+    """
 
     name: str
     start_ns: int = INFINITE_NS
     end_ns: int = 0
     counts: dict[str, int] = field(default_factory=dict)
+    channels: tuple[ChannelDefinition, ...] = field(default=(), compare=False)
 
     @property
     def messages(self) -> int:
@@ -87,13 +91,18 @@ def bag_information(
     *,
     ros_distro: str = "",
     custom_data: Mapping[str, str] | None = None,
+    storage: str = "mcap",
 ) -> dict[str, Any]:
-    """Return the mapping that rosbag2 calls ``rosbag2_bagfile_information``."""
+    """Return the mapping that rosbag2 calls ``rosbag2_bagfile_information``.
+
+    It has the topics of ``channels`` and those that the files know besides.
+    """
+    by_topic = {c.topic: c for c in (*(c for f in files for c in f.channels), *channels)}
     return {
         "version": VERSION,
-        "storage_identifier": "mcap",
+        "storage_identifier": storage,
         **_span(files),
-        "topics_with_message_count": [_topic(channel, files) for channel in channels],
+        "topics_with_message_count": [_topic(channel, files) for channel in by_topic.values()],
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.name for file in files],

@@ -38,7 +38,8 @@ class FileVerdict:
     ``lost_exactly`` is False when messages may be missing beyond those counted in ``topics``:
     what stood behind the end of a truncated file is unknown, and so is the content of a
     damaged chunk whose index is damaged too. ``losses_recorded`` counts from the beginning of
-    the ``run`` of an interrupted plan, over all files of it; ``dropouts`` are those of this file.
+    the ``run`` of an interrupted plan, over all files of it; ``dropouts`` are those of this file,
+    ``notes`` its metadata records by name, the last of each.
     """
 
     path: Path
@@ -52,6 +53,7 @@ class FileVerdict:
     losses_recorded: Mapping[str, int] = field(default_factory=dict)
     run: int = 0
     dropouts: tuple[Dropout, ...] = ()
+    notes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
     def messages(self) -> int:

@@ -234,6 +234,8 @@ class BagWriter:
         return file.messages > 0 and (too_big or 0 < limits.split_duration_s <= seconds)
 
     def _split(self) -> None:
+        following = f"{self.folder.name}_{len(self.files)}.mcap"
+        self._file.note(names.CONTINUED, {"in": following})
         self._finish_file()
         self._begin_file()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime, timezone
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,18 +49,25 @@ def info(bag: Path, as_json: bool) -> int:
 def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     """Read BAG to its end and say for each file: complete, truncated or damaged.
 
-    The exit code is 0 when all files are complete, 1 otherwise.
+    And for all of them: whether a file of the session is missing, whether they belong together,
+    and where metadata.yaml is wrong. The exit code is 0 when all is in order, 1 otherwise.
     """
     from rotcal_ros.bags.reader import bag_files, check_files
+    from rotcal_ros.bags.session_identity import foreign_files
+    from rotcal_ros.bags.session_verdict import judge_session
     from rotcal_ros.recordings.dropouts import placed_in
 
+    files = bag_files(bag)
     with progress("checking") as shown:
-        verdicts = check_files(bag_files(bag), shown, limits)
+        verdicts = check_files(files, shown, limits)
+    session = judge_session(bag, verdicts)
+    mixed = foreign_files(files)
     dropouts = placed_in(verdicts)
     if as_json:
         print_json({
             "files": [verdict.to_dict() for verdict in verdicts],
             "dropouts": [dropout.to_dict() for dropout in dropouts],
+            "session": {**session.to_dict(), "several_sessions": mixed},
         })  # fmt: skip
     else:
         for verdict in verdicts:
@@ -68,7 +76,33 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
                 if topic.lost:
                     click.echo(f"  {name}: {topic.lost} lost, {topic.messages} read")
         _tell(dropouts)
-    return 0 if all(verdict.state == "complete" for verdict in verdicts) else 1
+        for sentence in (*filter(None, [mixed]), *session.sentences()):
+            click.echo(sentence)
+    whole = all(verdict.state == "complete" for verdict in verdicts)
+    return 0 if whole and session.sound and not mixed else 1
+
+
+@command.command()
+@click.argument("bag", type=path_type)
+@json_option
+def reindex(bag: Path, as_json: bool) -> int:
+    """Write metadata.yaml of the folder BAG again from its files; a copy of the old one stays."""
+    from rotcal_ros.bags.reindex import reindex as reindex_bag
+
+    with progress("reading") as shown:
+        outcome = reindex_bag(bag, shown)
+    if as_json:
+        old = None if outcome.old is None else str(outcome.old)
+        found = outcome.session.to_dict()
+        print_json(
+            {"path": str(outcome.path), "old": old, "messages": outcome.messages, "session": found}
+        )
+    else:
+        kept = f"; the old one is {outcome.old.name}" if outcome.old else ""
+        click.echo(f"{outcome.path}: {outcome.messages} messages{kept}")
+        for sentence in outcome.session.missing:
+            click.echo(sentence)
+    return 1 if outcome.session.missing else 0
 
 
 @command.command()
@@ -121,8 +155,11 @@ def choices(bag: Path, as_json: bool) -> int:
 @json_option
 def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool) -> int:
     """Write all that can be saved of BAG into a new, sound bag; BAG itself is not touched."""
+    from rotcal_ros.bags.reader import bag_files
     from rotcal_ros.bags.repair import repair as repair_bag
+    from rotcal_ros.bags.session_identity import require_one_session
 
+    require_one_session(bag_files(bag))
     folder = output or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_repaired")
     with progress("repairing") as shown:
         outcome = repair_bag(bag, folder, shown, limits)
@@ -170,6 +207,10 @@ def _print(summary: dict[str, Any]) -> None:
     if summary["attachments"]:
         click.echo(f"attached  {', '.join(summary['attachments'])}")
     for sentence in losses_in_words(summary["losses_recorded"]):
+        say(sentence)
+    for sentence in chain.from_iterable(
+        summary["session"][kind] for kind in ("missing", "differing", "repaired", "closed")
+    ):
         say(sentence)
     width = max((len(name) for name in summary["topics"]), default=0)
     for name, topic in summary["topics"].items():

@@ -153,14 +153,11 @@ def _of_configuration(option: str) -> bool:
 def _read(
     path: Path, setup: Path | None, targets: Path | None, changes: tuple[str, ...]
 ) -> Source:
-    """Read a result, a bag or a table; show what the reader of a bag must know."""
+    """Read a result, a bag or a table."""
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.sources import read_source
 
-    source = read_source(path, Input(path, setup, targets, changes))
-    for warning in source.warnings:
-        say(f"warning: {warning}")
-    return source
+    return read_source(path, Input(path, setup, targets, changes))
 
 
 def _table(

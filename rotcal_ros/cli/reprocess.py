@@ -100,6 +100,7 @@ def _summary(outcome: Outcome) -> dict[str, object]:
         "table": outcome.table,
         "verdict": result.verdict if result else None,
         "verdict_line": result.verdict_line if result else None,
+        "warnings": list(result.warnings) if result else [],
         "error": outcome.error,
         "cached": outcome.cached,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,7 +82,13 @@ def command(
         ):
             raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
         evaluations = evaluate(data.calibration, data.observations, ways(balls, coarser))
+        if isinstance(data, Recording):
+            evaluations = tuple(
+                replace(e, result=data.with_warnings(e.result)) for e in evaluations
+            )
         if len(evaluations) > 1:
+            for warning in data.warnings() if isinstance(data, Recording) else ():
+                say(f"warning: {warning}")
             return _show_evaluations(evaluations, output, as_json)
         result = evaluations[0].result
     else:
@@ -92,6 +99,8 @@ def command(
 
         write_atomically(output, text + "\n")
     if as_json:
+        for warning in result.warnings:
+            say(f"warning: {warning}")
         print_json(text)
     else:
         from rotcal_ros.report.terminal.tables import print_result
@@ -103,14 +112,9 @@ def command(
 
 
 def _read(given: Input) -> Recording | Measurements:
-    """Read a bag or a table; show what the reader of a bag must know."""
-    from rotcal_ros.recordings.replay import Recording
-
+    """Read a bag or a table."""
     with progress("reading") as shown:
-        measured = given.read(shown)
-    for warning in measured.warnings() if isinstance(measured, Recording) else ():
-        say(f"warning: {warning}")
-    return measured
+        return given.read(shown)
 
 
 def _show_evaluations(

@@ -23,8 +23,9 @@ from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.listening import HeardTopic, Listener
 from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.recording import Messages, Receipt, Recording, SessionBags
+from rotcal_ros.nodes.recording import Messages, Receipt, Recording
 from rotcal_ros.nodes.running import run
+from rotcal_ros.nodes.session_bags import SessionBags
 from rotcal_ros.nodes.surroundings import parameters_json, subject, versions_json
 
 CLOSE_TIMEOUT_S: Final = 15.0

@@ -16,6 +16,8 @@ from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, scan_file, sha256_of
 from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.session_identity import require_one_session
+from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.catalogue.configuration import (
@@ -56,7 +58,8 @@ class Recording:
     observations were taken from the bag), ``broken`` the messages per topic that could not be
     decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
     ``announced`` which tables the cell announced to be in force, ``unreadable`` why topics could
-    not be read, ``clock`` how the system clock jumped, in words.
+    not be read, ``clock`` how the system clock jumped, in words, ``session`` whether all files
+    are there.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -77,6 +80,7 @@ class Recording:
     announced: frozenset[str] = frozenset()
     unreadable: Mapping[str, str] = field(default_factory=dict)
     clock: tuple[str, ...] = ()
+    session: SessionVerdict = field(default_factory=SessionVerdict)
 
     @property
     def configuration(self) -> Configuration:
@@ -84,9 +88,22 @@ class Recording:
         return self.calibration.configuration
 
     def solve(self) -> Result:
-        """Return the result; equal observations give equal results to the last bit."""
+        """Return the result; equal observations give equal results to the last bit.
+
+        It has the warnings about the bag too, and is suspect at best where a file is missing.
+        """
         self._require_observations()
-        return self.calibration.solve(self.observations, self.announced)
+        return self.with_warnings(self.calibration.solve(self.observations, self.announced))
+
+    def with_warnings(self, result: Result) -> Result:
+        """Return a ``result`` of these observations with what its reader must know of the bag."""
+        further = tuple(text for text in self.warnings() if text not in result.warnings)
+        doubtful = self.session.missing and result.verdict == "ok"
+        return replace(
+            result,
+            verdict="suspect" if doubtful else result.verdict,
+            warnings=(*result.warnings, *further),
+        )
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""
@@ -156,7 +173,8 @@ class Recording:
 
     def warnings(self) -> tuple[str, ...]:
         """Return what the reader of a result must know about the bag."""
-        texts = [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
+        texts = [*self.session.missing, *self.session.repaired]
+        texts += [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
         texts += self.unreadable.values()
         texts += self.clock
@@ -180,11 +198,12 @@ def read_recording(
     """Read a bag and capture its observations again, or take the recorded ones.
 
     Without ``configuration`` the one in the bag is used: the attachment, else the text on the
-    ``plan`` topic. Raises BagError when the bag cannot be read or holds no configuration, and
-    DataError when it was recorded with another method than that of ``configuration``.
-    Memory does not grow with the size of the bag.
+    ``plan`` topic. Raises BagError when the bag cannot be read, holds no configuration or files of
+    several sessions, and DataError when it was recorded with another method than that of
+    ``configuration``. Memory does not grow with the size of the bag.
     """
     files = bag_files(path)
+    require_one_session(files)
     topics = topics or Topics()
     if configuration is None:
         configuration = find_configuration(files, topics)
@@ -220,6 +239,7 @@ def read_recording(
         announced=frozenset(found.announced),
         unreadable=dict(topics.unreadable),
         clock=clock_in_words(found.scans, found.log_times),
+        session=judge_session(path, verdicts),
     )
 
 
@@ -243,14 +263,14 @@ def _read(
     progress: Progress | None,
 ) -> _Found:
     """Read all files once; the streams go to ``feeder``."""
-    found, run = _Found(), "0"
+    found, run = _Found(), 0
     for scan, block in read_blocks(files, progress):
         if block is None:
             found.scans.append(scan)
             continue
-        before, run = run, scan.metadata.get(names.RUN, {}).get("number", run)
+        before, run = run, _run_number(scan, run)
         if feeder is not None and run != before:
-            feeder.begin_run(int(run))
+            feeder.begin_run(run)
         found.log_times.look(block)
         parts = topics.split(block, scan.channels, found.decoders)
         for part in parts:
@@ -266,6 +286,12 @@ def _read(
         if feeder is not None:
             feeder.feed(block, parts)
     return found
+
+
+def _run_number(scan: Scan, before: int) -> int:
+    """Return the run that is being read; ``before`` where the file says none."""
+    number = scan.metadata.get(names.RUN, {}).get("number", "")
+    return int(number) if number.isascii() and number.isdigit() and len(number) < 10 else before
 
 
 def find_configuration(files: tuple[Path, ...], topics: Topics) -> Configuration:

@@ -28,13 +28,12 @@ class Source:
     """A result and where it comes from.
 
     ``sha256`` maps file names to hashes. ``axis`` is the letter of the measured axis, None where
-    only the result is known. ``warnings`` are what the reader of a bag must know.
+    only the result is known.
     """
 
     result: Result
     sha256: Mapping[str, str]
     axis: str | None = None
-    warnings: tuple[str, ...] = ()
 
 
 def read_source(path: Path, given: Input | None = None) -> Source:
@@ -74,8 +73,7 @@ def read_source(path: Path, given: Input | None = None) -> Source:
 def solved(measured: Recording | Measurements) -> Source:
     """Return the solution of a bag or a table."""
     axis = measured.configuration.cell.axis
-    warnings = measured.warnings() if isinstance(measured, Recording) else ()
-    return Source(measured.solve(), measured.sha256, axis, warnings)
+    return Source(measured.solve(), measured.sha256, axis)
 
 
 def read_repeated_runs(path: Path) -> BidirectionalRuns:

@@ -8,6 +8,7 @@ from typing import Any
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
+from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError
@@ -16,11 +17,15 @@ from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in
 
 @dataclass(frozen=True)
 class Summary:
-    """The files of a bag, what is attached, its configuration if there is, what is missing."""
+    """The files of a bag, the names of what is attached, its configuration if there is.
+
+    ``session`` is the verdict on all files together, ``dropouts`` say what is missing from when.
+    """
 
     files: tuple[FileVerdict, ...]
     attachments: tuple[str, ...]
     configuration: Configuration | None
+    session: SessionVerdict
     dropouts: tuple[PlacedDropout, ...] = ()
 
     @property
@@ -57,6 +62,7 @@ class Summary:
             "plan_id": self.configuration.plan_id if self.configuration else None,
             "losses_recorded": session_losses(self.files),
             "dropouts": [dropout.to_dict() for dropout in self.dropouts],
+            "session": self.session.to_dict(),
         }
 
 
@@ -69,7 +75,11 @@ def describe(path: Path, progress: Progress | None = None) -> Summary:
             verdicts.append(scan.verdict())
             attachments |= {name: a.data for name, a in scan.attachments.items()}
     return Summary(
-        tuple(verdicts), tuple(attachments), _configuration(attachments), placed_in(verdicts)
+        files=tuple(verdicts),
+        attachments=tuple(attachments),
+        configuration=_configuration(attachments),
+        session=judge_session(path, verdicts),
+        dropouts=placed_in(verdicts),
     )
 
 

@@ -102,7 +102,7 @@ def _summary(outcome: Outcome) -> dict[str, Any]:
     result = outcome.deviations()
     ranges, warnings, begin = [], outcome.warnings, ""
     if result is not None:
-        warnings += result.warnings
+        warnings = tuple(dict.fromkeys((*warnings, *result.warnings)))
         for name in result.components:
             factor, unit = unit_of(name)
             ranges.append(f"{name} {np.ptp(result.deviations[name]) / factor:.3g} {unit}")

@@ -50,7 +50,6 @@ class ReportInput:
     inputs: Sequence[tuple[str, str]] = ()
     versions: Mapping[str, str] = field(default_factory=dict)
     truth: Mapping[str, Any] | None = None
-    notes: Sequence[str] = ()
     extra: Sequence[tuple[str, str]] = ()
     goal: GoalStanding | None = None
     issued: str = ""

@@ -44,7 +44,6 @@ def write_recorded(
         inputs=[*recording.sha256.items(), ("plan and configuration", configuration.plan_id)],
         versions=_versions(recording.attachments),
         truth=truth,
-        notes=recording.warnings(),
         extra=extra,
         goal=recording.goal_standing(result),
         issued=_today(),
@@ -86,7 +85,6 @@ def write_result(source: Source, page: Path, truth: Mapping[str, Any] | None = N
         inputs=list(source.sha256.items()),
         versions=_versions({}),
         truth=truth,
-        notes=source.warnings,
         issued=_today(),
     )
     write_atomically(page, render_report(report))

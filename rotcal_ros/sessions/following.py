@@ -8,6 +8,7 @@ from queue import Empty
 from types import FrameType
 from typing import Any, Final, NoReturn
 
+from rotcal_ros.bags.reindex import finish_interrupted
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import read_recording
@@ -78,6 +79,7 @@ def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:
 
 def _solve_bag(session: Session) -> dict[str, Any]:
     """Solve the bag of a session that was interrupted behind its last step."""
+    finish_interrupted(session.folder.bag)
     recording = read_recording(session.folder.bag)
     result = recording.solve()
     write_atomically(session.folder.result, result.to_json())

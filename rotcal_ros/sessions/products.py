@@ -98,7 +98,8 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     recording = read_recording(folder.bag)
     truth = json.loads(folder.truth.read_text("utf-8")) if folder.truth.exists() else None
     result = write_recorded(recording, folder.report, truth, extra)
-    if result.to_dict() != json.loads(folder.result.read_text(encoding="utf-8")):
+    live = recording.with_warnings(read_source(folder.result).result)
+    if result.to_json() != live.to_json():
         say(f"warning: {folder.bag} solved again gives another result than live: rotcal solve")
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.bags.reader import bag_files
+from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation, continued
 from rotcal_ros.errors import BagError, ConfigurationError
@@ -96,10 +97,13 @@ def _observed(bag: Path, calibration: Calibration) -> tuple[Observation, ...]:
                 bag, configuration=calibration.configuration, progress=shown
             )
     except BagError as error:
+        require_one_session(bag_files(bag))
         say(f"nothing to go on from: {error}")
         return ()
-    for warning in recording.warnings():
-        say(f"warning: {warning}")
+    if recording.session.missing:
+        raise BagError(f"{'; '.join(recording.session.missing)}: put it back before you go on")
+    for text in recording.warnings():
+        say(text)
     if recording.calibration.plan.steps != calibration.plan.steps:
         raise ConfigurationError(
             f"{bag} was begun by an earlier version, whose steps were others: begin a new one"

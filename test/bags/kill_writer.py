@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rotcal_ros.bags.reader import session_files
+from rotcal_ros.bags.closing import InterruptedSession
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.nodes.recording import Channel, Messages, Receipt, Recording
@@ -45,11 +45,13 @@ def record(folder: Path, receipts: Any, how: dict[str, Any]) -> None:
     if how.get("nobody") and os.geteuid() == 0:
         os.seteuid(65534)
     try:
-        earlier = session_files(folder) if how.get("resume") else None
+        earlier = InterruptedSession.read(folder) if how.get("resume") else None
         settings = WriterSettings(
             sync_interval_s=0.2, min_free_bytes=0, split_bytes=how.get("split_bytes", 0)
         )
-        writer = BagWriter(folder, settings, earlier=earlier)
+        writer = BagWriter(folder, settings, earlier=earlier.files if earlier else None)
+        if earlier:
+            earlier.close(writer.path.name)
     except Exception as error:
         receipts.send(("error", str(error)))
         return

@@ -13,8 +13,11 @@ from pathlib import Path
 
 import pytest
 from kill_writer import READING, TOPICS, record
+from mcap.reader import SeekingReader
+from rosbags.rosbag2 import Reader
 
-from rotcal_ros.bags.reader import bag_files, read_blocks, sha256_of
+from rotcal_ros.bags import names
+from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.writer import BagWriter
 
 AT_ONCE = 4
@@ -126,15 +129,28 @@ def test_kill_9_between_splits(processes, tmp_path):
     assert max(many(case, KILLS, 5000)) > 1
 
 
-def test_a_second_death_alters_nothing_of_the_first(processes, tmp_path):
+def test_who_goes_on_closes_what_the_first_death_left_open(processes, tmp_path):
+    """No whole record changes, and others' readers take the file as they take any."""
+
     def case(seed):
         folder = tmp_path / str(seed) / "bag"
         live(processes, folder, seed, "KILL")
-        before = {file: sha256_of(file) for file in bag_files(folder)}
+        (first,) = bag_files(folder)
+        left = first.read_bytes()
+        (verdict,) = check_files((first,))
         second = live(processes, folder, seed + 1, "KILL", resume=True)
         after = bag_files(folder)
         assert len(after) == 2
-        assert {file: sha256_of(file) for file in before} == before
+        with first.open("rb") as file:
+            reader = SeekingReader(file, validate_crcs=True)
+            notes = {record.name: record.metadata for record in reader.iter_metadata()}
+            torn = [a.data for a in reader.iter_attachments() if a.name == names.TORN]
+            assert sum(1 for _ in reader.iter_messages()) == verdict.messages
+        whole = int(notes[names.CONTINUED]["interrupted_at_byte"])
+        assert first.read_bytes()[:whole] + b"".join(torn) == left
+        assert notes[names.CONTINUED]["in"] == after[1].name
+        with Reader(first) as reader:
+            assert sum(1 for _ in reader.messages()) == verdict.messages
         (tmp_path / f"{seed}_second").mkdir()
         new = tmp_path / f"{seed}_second" / after[1].name
         new.write_bytes(after[1].read_bytes())

@@ -8,6 +8,8 @@ import pytest
 from bag_samples import simulate, write_run
 from node_packages import installed
 
+from rotcal_ros.bags.closing import open_end
+from rotcal_ros.bags.reader import check_files
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
 
@@ -58,3 +60,16 @@ def test_every_message_is_read_with_the_same_values(reader, tmp_path):
     assert [(v["step"], v["mean"], v["accepted"]) for v in found["/cell/observation"]] == [
         (o.step, list(o.mean), o.accepted) for o in run.observations
     ]
+
+
+def test_a_file_closed_after_an_interruption_is_read_like_any(reader, run_bag, tmp_path):
+    data = (run_bag / "run_0.mcap").read_bytes()
+    path = tmp_path / "killed_0.mcap"
+    path.write_bytes(data[: len(data) // 2])
+    (verdict,) = check_files((path,))
+    end = open_end(verdict)
+    end.close("killed_1.mcap")
+    found = reader(path)
+    assert {topic: len(values) for topic, values in found.items()} == {
+        name: topic.messages for name, topic in verdict.topics.items() if topic.messages
+    }

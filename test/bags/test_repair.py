@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -111,5 +112,8 @@ def test_sound_bag_keeps_sequence_and_times(run_bag: Path, tmp_path: Path) -> No
     (copied,) = bag_files(tmp_path / "copy")
     with copied.open("rb") as file:
         notes = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
-    assert notes["rotcal_repair"] == {"run_0.mcap": verdict.sentence()}
+    record = notes["rotcal_repair"]
+    assert record["run_0.mcap"] == verdict.sentence()
+    assert record["run_0.mcap sha256"] == sha256(verdict.path.read_bytes()).hexdigest()
+    assert (record["run_0.mcap lost"], record["run_0.mcap damages"]) == ("{}", "[]")
     assert "complete" in verdict.sentence()
