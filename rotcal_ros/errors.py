@@ -20,6 +20,11 @@ class RotcalError(Exception):
 
     exit_code = 2
 
+    def __init__(self, text: str = "", log: str = "") -> None:
+        """Say ``text`` in one line; ``log`` has the last lines of what another process said."""
+        super().__init__(text)
+        self.log = log
+
 
 class ConfigurationError(RotcalError):
     """A configuration, set-up or parameter is missing, misspelt or out of range."""

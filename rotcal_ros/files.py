@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rotcal_ros.errors import BagError
+from rotcal_ros.untrusted import require_replaceable
 
 
 class DurableFile:
@@ -89,8 +90,10 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     ``path`` holds either the old or the new content, never half. What ``write`` raises is passed
     on; the unfinished file is removed. It is made in a folder of its own that nobody else may
     enter: under a name that can be guessed, a planted link would lead the writing elsewhere.
+    OSError where ``path`` is a device, a pipe or a folder.
     """
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as scratch:
+    require_replaceable(path)
+    with tempfile.TemporaryDirectory(prefix=".rotcal-", dir=path.parent) as scratch:
         temporary = Path(scratch) / path.name
         write(temporary)
         with temporary.open("rb") as file:

@@ -10,7 +10,7 @@ import click
 
 from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.report.terminal.console import progress, say
+from rotcal_ros.report.terminal.console import progress, say, tell
 
 
 @click.group()
@@ -50,10 +50,10 @@ def check(bag: Path, as_json: bool) -> int:
         print_json({"files": [verdict.to_dict() for verdict in verdicts]})
     else:
         for verdict in verdicts:
-            click.echo(f"{verdict.path}: {verdict.messages} messages, {verdict.sentence()}")
+            tell(f"{verdict.path}: {verdict.messages} messages, {verdict.sentence()}")
             for name, topic in verdict.topics.items():
                 if topic.lost:
-                    click.echo(f"  {name}: {topic.lost} lost, {topic.messages} read")
+                    tell(f"  {name}: {topic.lost} lost, {topic.messages} read")
     return 0 if all(verdict.state == "complete" for verdict in verdicts) else 1
 
 
@@ -89,7 +89,7 @@ def choices(bag: Path, as_json: bool) -> int:
         return 1 if differing else 0
     for row in rows:
         what = "stop" if row["step"] is None else f"step {row['step']}"
-        click.echo(f"run {row['run']} {row['number']:5} {what}: {row['reason']}")
+        tell(f"run {row['run']} {row['number']:5} {what}: {row['reason']}")
     for text in differing:
         say(text)
     return 1 if differing else 0
@@ -121,9 +121,9 @@ def repair(bag: Path, output: Path | None, as_json: bool) -> int:
         )
     else:
         for verdict in outcome.before:
-            click.echo(f"{verdict.path}: {verdict.sentence()}")
+            tell(f"{verdict.path}: {verdict.sentence()}")
         saved = sum(verdict.messages for verdict in outcome.after)
-        click.echo(f"{saved} messages saved in {folder.absolute()}")
+        tell(f"{saved} messages saved in {folder.absolute()}")
     return 0
 
 
@@ -132,7 +132,7 @@ def _print(summary: dict[str, Any]) -> None:
     from rotcal_ros.bags.verdict import losses_in_words
 
     for file in summary["files"]:
-        click.echo(f"{file['path']}")
+        tell(f"{file['path']}")
         click.echo(f"  {file['size'] / 1e6:.3f} MB, {file['messages']} messages, ", nl=False)
         click.echo(file["verdict"] if file["offset"] is None else file["sentence"])
     if summary["start_ns"] is not None:
@@ -143,12 +143,12 @@ def _print(summary: dict[str, Any]) -> None:
         click.echo(NOTHING_MEASURED)
     for name in ("method", "item", "plan_id"):
         if summary[name]:
-            click.echo(f"{name:9} {summary[name]}")
+            tell(f"{name:9} {summary[name]}")
     if summary["attachments"]:
-        click.echo(f"attached  {', '.join(summary['attachments'])}")
+        tell(f"attached  {', '.join(summary['attachments'])}")
     for sentence in losses_in_words(summary["losses_recorded"]):
         say(sentence)
     width = max((len(name) for name in summary["topics"]), default=0)
     for name, topic in summary["topics"].items():
         lost = f", {topic['lost']} lost" if topic["lost"] else ""
-        click.echo(f"  {name:{width}}  {topic['messages']:>10}  {topic['type']}{lost}")
+        tell(f"  {name:{width}}  {topic['messages']:>10}  {topic['type']}{lost}")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held import HeldTable, held_table
 from rotcal_ros.compensation.writing import PROVENANCE, check_file_name
 from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.untrusted import load_json, read_text, why
 
 
 def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
@@ -21,7 +21,7 @@ def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
     for path in sorted(folder.glob(f"*{PROVENANCE}")):
         text = _text(path)
         try:
-            side = json.loads(text)
+            side = load_json(text)
             if (side["controller"], side["axis"]) == (controller_name, axis):
                 found[path.name] = (text, side)
         except (ValueError, TypeError, KeyError) as error:
@@ -47,6 +47,6 @@ def _checked(path: Path, sha256: str) -> str:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"cannot read {path}: {error}") from error
+        raise BagError(f"cannot read {path}: {why(error)}") from error

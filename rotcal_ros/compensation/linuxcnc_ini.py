@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.untrusted import read_bytes
 
 ENCODING: Final = "latin-1"
 """Takes every byte, so that the copy differs in nothing but the new lines."""
@@ -37,7 +38,7 @@ class Ini:
     def read(cls, path: Path) -> Ini:
         """Read the file; ConfigurationError when there is none."""
         try:
-            return cls(path, path.read_bytes().decode(ENCODING))
+            return cls(path, read_bytes(path).decode(ENCODING))
         except OSError as error:
             raise ConfigurationError(
                 f"cannot read the machine's ini file {path}: {error.strerror}"

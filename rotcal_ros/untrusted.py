@@ -1,0 +1,208 @@
+"""What others wrote, read within bounds: plain files, JSON and YAML.
+
+A path may lead to a pipe that nobody writes to or a device without an end; a text may nest without
+end, or grow when its references are followed. Every reader of such input goes through here, so
+that it ends at once with a value or with an error that has one sentence.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import stat
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+from rotcal_ros.errors import ConfigurationError
+
+LARGEST_FILE: Final = 1 << 28
+"""Bytes of a file that is read whole; the result of 20 000 lengths has 10 million."""
+_PART: Final = 1 << 20
+LARGEST_YAML: Final = 1 << 22
+"""Characters of a YAML text; a plan of 100 000 lengths has a million."""
+DEEPEST: Final = 64
+"""Levels of lists and groups in each other; ours have less than ten."""
+LARGEST_EXPANSION: Final = 400_000
+"""Values of a YAML text once its aliases stand for what they name."""
+_LONGEST_NUMBER: Final = 1000
+
+_KINDS: Final = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+class NotAFileError(OSError):
+    """What a path leads to is no plain file; ``strerror`` says what it is."""
+
+
+def plain_file(path: Path) -> bool:
+    """Return whether ``path`` leads to a plain file; False for what cannot be looked at."""
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def open_plain(path: Path) -> BinaryIO:
+    """Open a plain file for reading; never waits for a writer. OSError for anything else."""
+    _require_plain(path, path.stat())
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+    try:
+        _require_plain(path, os.fstat(descriptor))
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def require_replaceable(path: Path) -> None:
+    """Raise OSError where something other than a plain file has the name of a new file.
+
+    A file that is put in the place of a device takes the device away from the whole machine.
+    """
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        return
+    _require_plain(path, status)
+
+
+def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
+    """Return the content of a plain file; OSError when it is none or has more than ``largest``."""
+    data = bytearray()
+    with open_plain(path) as file:
+        while part := file.read(_PART):
+            data += part
+            if len(data) > largest:
+                what = f"it has more than the {largest:,} bytes that such a file can have"
+                raise OSError(errno.EFBIG, what, str(path))
+    return bytes(data)
+
+
+def read_text(path: Path, encoding: str = "utf-8", largest: int = LARGEST_FILE) -> str:
+    """Return the text of a plain file, line ends made alike; OSError or UnicodeDecodeError."""
+    with io.TextIOWrapper(io.BytesIO(read_bytes(path, largest)), encoding=encoding) as text:
+        return text.read()
+
+
+def why(error: Exception) -> str:
+    """Return what is the matter with a file that could not be read, without its path."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if isinstance(error, UnicodeDecodeError):
+        return f"it is no text in UTF-8 (byte {error.start})"
+    return str(error)
+
+
+def load_json(text: str | bytes) -> Any:
+    """Return the value that a JSON text states; ValueError for any other text.
+
+    >>> load_json("[" * 100 + "]" * 100)
+    Traceback (most recent call last):
+    ...
+    ValueError: more than 64 levels of lists and groups in each other
+    """
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    except UnicodeDecodeError as error:
+        raise ValueError(why(error)) from None
+    _check_depth(value)
+    return value
+
+
+def load_yaml(text: str, source: str) -> Any:
+    """Return the value that a YAML text states; ConfigurationError, naming ``source``, else."""
+    import yaml
+
+    if len(text) > LARGEST_YAML:
+        raise ConfigurationError(
+            f"{source}: not valid YAML for us: {len(text):,} characters, expected at most "
+            f"{LARGEST_YAML:,}"
+        )
+    try:
+        _check_events(yaml.parse(text, Loader=_loader(yaml)))
+        return yaml.load(text, Loader=_loader(yaml))
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        what = error.problem or error.context or "it cannot be read"
+        raise ConfigurationError(f"{source}: not valid YAML: {where}{what}") from error
+    except yaml.YAMLError as error:
+        what = " ".join(str(error).split())
+        raise ConfigurationError(f"{source}: not valid YAML: {what}") from error
+    except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
+        # What stands behind a tag, as a date that there is not, is nobody's business but yaml's.
+        raise ConfigurationError(f"{source}: a value cannot be read: {error}") from error
+
+
+_TOO_DEEP: Final = f"more than {DEEPEST} levels of lists and groups in each other"
+
+
+def _require_plain(path: Path, status: os.stat_result) -> None:
+    if stat.S_ISREG(status.st_mode):
+        return
+    kind = next((name for test, name in _KINDS if test(status.st_mode)), "something else")
+    number = errno.EISDIR if kind == "a folder" else errno.EINVAL
+    raise NotAFileError(number, f"it is {kind}, expected a file", str(path))
+
+
+def _loader(yaml: Any) -> Any:
+    return getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def _check_events(events: Iterable[Any]) -> None:
+    """Raise ValueError for what nests too deeply or grows too large; see the constants.
+
+    The loader itself goes down level by level, in C, and follows aliases as often as they stand.
+    """
+    import yaml
+
+    sizes: dict[str, int] = {}
+    open_: list[tuple[str | None, int]] = []
+    total = 0
+    for event in events:
+        if isinstance(event, yaml.CollectionStartEvent):
+            open_.append((event.anchor, total))
+            if len(open_) > DEEPEST:
+                raise ValueError(_TOO_DEEP)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, before = open_.pop()
+            total += 1
+            if anchor:
+                sizes[anchor] = total - before
+        elif isinstance(event, yaml.AliasEvent):
+            if any(anchor == event.anchor for anchor, _ in open_):
+                raise ValueError(f"the alias *{event.anchor} stands inside of what it names")
+            total += sizes.get(event.anchor, 1)
+        else:
+            total += 1
+            _check_number(event)
+        if total > LARGEST_EXPANSION:
+            raise ValueError(f"more than {LARGEST_EXPANSION:,} values")
+
+
+def _check_number(event: Any) -> None:
+    """Raise ValueError for a number that Python itself would not print, as one in hexadecimal."""
+    text = getattr(event, "value", "")
+    plain = len(text) > _LONGEST_NUMBER and (event.implicit[0] or event.tag)
+    if plain and text.lstrip("+-")[:1].isdigit():
+        raise ValueError(f"a number of more than {_LONGEST_NUMBER:,} digits")
+
+
+def _check_depth(value: Any) -> None:
+    """Raise ValueError where lists and groups nest deeper than ``DEEPEST``."""
+    level: list[Any] = [[value]]
+    for _ in range(DEEPEST + 1):
+        insides = (x.values() if isinstance(x, dict) else x for x in level)
+        level = [x for inside in insides for x in inside if isinstance(x, dict | list)]
+    if level:
+        raise ValueError(_TOO_DEEP)
