@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rotcal_ros.errors import BagError
-from rotcal_ros.untrusted import require_replaceable
+from rotcal_ros.untrusted import require_plain
 
 
 class DurableFile:
@@ -92,7 +92,7 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     enter: under a name that can be guessed, a planted link would lead the writing elsewhere.
     OSError where ``path`` is a device, a pipe or a folder.
     """
-    require_replaceable(path)
+    require_plain(path)
     with tempfile.TemporaryDirectory(prefix=".rotcal-", dir=path.parent) as scratch:
         temporary = Path(scratch) / path.name
         write(temporary)

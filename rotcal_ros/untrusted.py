@@ -13,6 +13,7 @@ import json
 import os
 import stat
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -62,16 +63,13 @@ def open_plain(path: Path) -> BinaryIO:
         raise
 
 
-def require_replaceable(path: Path) -> None:
-    """Raise OSError where something other than a plain file has the name of a new file.
+def require_plain(path: Path) -> None:
+    """Raise OSError where ``path`` leads to anything but a plain file; nothing there is fine.
 
-    A file that is put in the place of a device takes the device away from the whole machine.
+    Whoever puts a file in the place of a device takes the device away from the whole machine.
     """
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        return
-    _require_plain(path, status)
+    with suppress(FileNotFoundError):
+        _require_plain(path, path.stat())
 
 
 def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
