@@ -53,6 +53,8 @@ def plain_file(path: Path) -> bool:
 
 def open_plain(path: Path) -> BinaryIO:
     """Open a plain file for reading; never waits for a writer. OSError for anything else."""
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "no file has a NUL in its name", str(path))
     _require_plain(path, path.stat())
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     try:

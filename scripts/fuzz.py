@@ -13,8 +13,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test" / "fuzz"))
 
-from fuzzing import Finding, broken, keep, run  # noqa: E402
-from targets import TARGETS  # noqa: E402
+from fuzzing import Finding, broken, keep, run
+from targets import TARGETS
 
 
 def main() -> int:

@@ -23,17 +23,19 @@ def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
         try:
             side = load_json(text)
             if (side["controller"], side["axis"]) == (controller_name, axis):
-                found[path.name] = (text, side)
-        except (ValueError, TypeError, KeyError) as error:
-            raise BagError(f"{path} is no side file of a table: {error!r}") from error
+                found[path.name] = (text, dict(side["settings"]), dict(side["files_sha256"]))
+        except KeyError as error:
+            raise BagError(f"{path} is no side file of a table: no entry {error}") from error
+        except (ValueError, TypeError) as error:
+            raise BagError(f"{path} is no side file of a table: {error}") from error
     if len(found) != 1:
         raise ConfigurationError(
             f"{folder} holds {len(found)} tables of axis {axis} for {controller_name}, expected "
             f"one: name the folder with the files of the table in force and its *{PROVENANCE}"
         )
-    (name, (text, side)), *_ = found.items()
-    files = {n: _checked(folder / check_file_name(n), h) for n, h in side["files_sha256"].items()}
-    return held_table(make_controller(controller_name, side["settings"]), {**files, name: text})
+    (name, (text, settings, hashes)), *_ = found.items()
+    files = {n: _checked(folder / check_file_name(n), h) for n, h in hashes.items()}
+    return held_table(make_controller(controller_name, settings), {**files, name: text})
 
 
 def _checked(path: Path, sha256: str) -> str:

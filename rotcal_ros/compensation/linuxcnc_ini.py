@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Final
 
@@ -66,7 +67,9 @@ class Ini:
             raise ConfigurationError(
                 f"{self.path}: [{section}] {key} = {text!r}, expected a number"
             )
-        return float(match[0])
+        if not isfinite(number := float(match[0])):
+            raise ConfigurationError(f"{self.path}: [{section}] {key} = {text!r:.60} is too large")
+        return number
 
     def count(self, section: str) -> int:
         """Return how many sections there are of that name."""

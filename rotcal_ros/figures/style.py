@@ -105,9 +105,10 @@ def svg(ax: Axes) -> str:
     _make_plain(figure)
     stream = io.StringIO()
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # a box stands there, which is all
+        # A box stands for a sign that the font lacks, and long names stand over each other.
+        warnings.filterwarnings("ignore", "Glyph .* missing|constrained_layout not applied")
         figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    text = stream.getvalue()
+    text = printable_lines(stream.getvalue())  # ticks get their names while they are drawn
     return text[text.index("<svg") :]
 
 

@@ -5,6 +5,7 @@ Lengths and checksums are put right again behind most changes, so that the harm 
 
 from __future__ import annotations
 
+import contextlib
 import io
 import sqlite3
 import struct
@@ -267,9 +268,7 @@ def _harmed_values(rng: Random, data: bytes) -> bytes:
                     connection.execute(statement, (rng.choice(_CELLS),))
             except (sqlite3.Error, OverflowError):
                 continue
-        try:
+        with contextlib.suppress(sqlite3.Error):
             connection.commit()
-        except sqlite3.Error:
-            pass
         connection.close()
         return path.read_bytes()

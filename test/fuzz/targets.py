@@ -144,9 +144,10 @@ def _read_reference(path: Path) -> None:
 
 def _references() -> Iterable[bytes]:
     rows = (f"{15 * k},{0.5 * (k % 5)},0.1" for k in range(25))
-    yield "angle_deg,deviation_arcsec,u_arcsec\n".encode() + "\n".join(
-        [*list(rows)[:-1], "360,0.0,0.1"]
-    ).encode()
+    yield (
+        b"angle_deg,deviation_arcsec,u_arcsec\n"
+        + "\n".join([*list(rows)[:-1], "360,0.0,0.1"]).encode()
+    )
 
 
 def _read_runs(path: Path) -> None:
@@ -439,7 +440,8 @@ TARGETS: Final[Mapping[str, Target]] = {
                texts.harmed_yaml, _read_options),
         Target("lengths/lengths.csv", _files("lengths.csv"), texts.harmed_csv,
                _table("tracer.yaml", "targets.csv")),
-        Target("balls/balls.csv", _files("balls.csv"), texts.harmed_csv, _table("ball_plate.yaml")),
+        Target("balls/balls.csv", _files("balls.csv"), texts.harmed_csv,
+               _table("ball_plate.yaml")),
         Target("tracker/tracker.csv", _files("tracker.csv"), texts.harmed_csv,
                _table("plane_mirror.yaml")),
         Target("targets/targets.csv", _files("targets.csv"), texts.harmed_csv, _read_targets),

@@ -55,7 +55,7 @@ class Column:
 
     def least_width(self) -> int:
         """Return the width (characters) below which the column would be cut."""
-        texts = [self.heading, *self.shown()]
+        texts = [printable(self.heading), *self.shown()]
         if self.is_text():
             texts = [word for text in texts for word in text.split()]
         return max(map(len, texts), default=0)
@@ -97,7 +97,7 @@ def print_tables(tables: Sequence[Titled], key: str = "") -> None:
         plain = [pair for column in table.columns for pair in column.plain()]
         first = [key] if key else []
         if number == 0:
-            writer.writerow([*first, *(heading for heading, _ in plain)])
+            writer.writerow([*first, *(table_cell(heading) for heading, _ in plain)])
         for row in zip(*(cells for _, cells in plain), strict=True):
             writer.writerow([*([table_cell(table.key)] if key else []), *map(_exact, row)])
 
@@ -147,7 +147,7 @@ def _print_stacked(table: Titled) -> None:
         for column in group:
             text = column.is_text()
             drawn.add_column(
-                column.heading, justify="left" if text else "right", no_wrap=not text,
+                printable(column.heading), justify="left" if text else "right", no_wrap=not text,
                 min_width=column.least_width(),
             )  # fmt: skip
         for row in zip(*(column.shown() for column in group), strict=True):

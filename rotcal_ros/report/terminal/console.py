@@ -25,7 +25,7 @@ def say(text: str) -> None:
 def tell(*lines: str, colour: str = "", err: bool = False) -> None:
     """Print lines on standard output (``err``: error), whatever names of others are in them."""
     for line in lines:
-        click.secho(printable(line), fg=colour or None, err=err)
+        click.echo(click.style(printable(line), colour) if colour else printable(line), err=err)
 
 
 def progress_bar(*, time_left: bool = True) -> Progress:
