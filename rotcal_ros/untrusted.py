@@ -10,6 +10,7 @@ from __future__ import annotations
 import errno
 import io
 import json
+import math
 import os
 import stat
 from collections.abc import Iterable
@@ -110,7 +111,7 @@ def load_json(text: str | bytes) -> Any:
     ValueError: more than 64 levels of lists and groups in each other
     """
     try:
-        value = json.loads(text)
+        value = json.loads(text, parse_constant=_finite, parse_float=_finite)
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
     except UnicodeDecodeError as error:
@@ -153,6 +154,13 @@ def _require_plain(path: Path, status: os.stat_result) -> None:
     kind = next((name for test, name in _KINDS if test(status.st_mode)), "something else")
     number = errno.EISDIR if kind == "a folder" else errno.EINVAL
     raise NotAFileError(number, f"it is {kind}, expected a file", str(path))
+
+
+def _finite(text: str) -> float:
+    """Return a number of JSON, which knows neither NaN nor infinity; ValueError for those."""
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text:.20} is no finite number")
+    return number
 
 
 def _loader(yaml: Any) -> Any:
