@@ -7,7 +7,6 @@ Settings that people write are a matter of :mod:`rotcal_ros.settings`.
 from __future__ import annotations
 
 import dataclasses
-import math
 import types
 import typing
 from collections.abc import Mapping
@@ -116,10 +115,8 @@ def _scalar(kind: type, value: Any, where: str) -> Any:
     whole = isinstance(value, int) and not isinstance(value, bool)
     if whole and abs(value) > _LARGEST:
         raise _unexpected(where, "a number of at most 64 bits", value)
-    if kind is float and (whole or isinstance(value, float)):
-        if math.isfinite(value):
-            return float(value)
-        raise _unexpected(where, "a finite number", value)
+    if kind is float and whole:
+        return float(value)
     if not isinstance(value, kind) or (kind is int and not whole):
         raise _unexpected(where, kind.__name__, value)
     return value

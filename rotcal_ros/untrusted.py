@@ -102,8 +102,10 @@ def why(error: Exception) -> str:
     return str(error)
 
 
-def load_json(text: str | bytes) -> Any:
+def load_json(text: str | bytes, *, finite: bool = True) -> Any:
     """Return the value that a JSON text states; ValueError for any other text.
+
+    With ``finite`` False the text may have NaN, as our own files between processes do.
 
     >>> load_json("[" * 100 + "]" * 100)
     Traceback (most recent call last):
@@ -111,7 +113,8 @@ def load_json(text: str | bytes) -> Any:
     ValueError: more than 64 levels of lists and groups in each other
     """
     try:
-        value = json.loads(text, parse_constant=_finite, parse_float=_finite)
+        number = _finite if finite else float
+        value = json.loads(text, parse_constant=number, parse_float=number)
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
     except UnicodeDecodeError as error:

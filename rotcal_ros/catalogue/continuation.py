@@ -46,7 +46,7 @@ class Continuation:
     def from_json(cls, text: str) -> Continuation:
         """Read the text of :meth:`to_json`; raises DataError when it is something else."""
         try:
-            return record(cls, load_json(text))
+            return record(cls, load_json(text, finite=False))
         except ValueError as error:
             raise DataError(f"not a continuation of an interrupted plan: {error}") from error
 
