@@ -36,7 +36,7 @@ def record(kind: type[T], data: Any, where: str = "") -> T:
     """
     if not isinstance(data, Mapping):
         raise _unexpected(where, "a group of entries", data)
-    fields, hints = _declared(kind)
+    fields, hints = _declared(typing.cast(Any, kind))
     unknown = [name for name in data if name not in fields]
     if unknown:
         raise ValueError(f"{_place(where, unknown[0])}: there is no such entry")

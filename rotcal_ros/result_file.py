@@ -142,7 +142,7 @@ def _directions(data: Any) -> dict[str, Directions]:
 
 def _residuals(data: Mapping[str, Any]) -> Residuals:
     names = [field.name for field in fields(Residuals) if field.name not in ("std", "coordinates")]
-    columns = {
+    columns: dict[str, Any] = {
         name: np.asarray(data[FILE_NAMES.get(name, name)], _WHOLE.get(name, np.float64))
         for name in names
     }

@@ -21,7 +21,8 @@ from pathlib import Path
 from random import Random
 from typing import Any, Final
 
-from targets import TARGETS, Target, require_one_line
+from properties import require_one_line
+from targets import TARGETS, Target
 
 from rotcal_ros.errors import RotcalError
 
