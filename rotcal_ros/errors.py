@@ -30,7 +30,7 @@ class RotcalError(Exception):
     exit_code = 2
 
     def __init__(self, text: str = "", log: str = "") -> None:
-        """Say ``text``; ``log`` has the last lines of what another process said.
+        """Say ``text``; ``log`` has further lines: a list, or what another process said.
 
         Whatever names of others are in it, the text is one line of visible characters that can be
         read at a glance.
