@@ -3,12 +3,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 SEED ?= 1
 SAMPLE ?= 400
+SECONDS ?= 60
 
 # A sourced ROS installation must not leak into .venv, which brings its own ROS.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test docs bench power mutants lint setup clean help
+.PHONY: demo resume test docs bench power mutants fuzz lint setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output out/demo --keep-previous
@@ -35,6 +36,9 @@ mutants: setup  ## try small faults in the code: do the tests notice? SEED=1 SAM
 	@$(BIN)/python -c 'import coverage, libcst, mutmut' 2>/dev/null || $(BIN)/pip install -q \
 		--disable-pip-version-check --no-build-isolation -c constraints.txt -e '.[mutants]'
 	@nice $(BIN)/python scripts/mutants.py --seed $(SEED) --sample $(SAMPLE) $(MUTANTS_ARGS)
+
+fuzz: setup  ## harm inputs and see that reading holds: SECONDS=3600 SEED=1 FUZZ_ARGS="--targets mcap"
+	@nice $(BIN)/python scripts/fuzz.py --seconds $(SECONDS) --seed $(SEED) $(FUZZ_ARGS)
 
 lint: setup  ## style, types, and which room may import which
 	$(BIN)/ruff check .

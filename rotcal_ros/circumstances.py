@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from rotcal_ros.identity import Identity
+from rotcal_ros.records import record
 
 SIMULATED: Final = "SIMULATED"
 """How all that comes from a simulation is marked."""
@@ -86,11 +87,6 @@ class Circumstances:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Circumstances:
-        """Rebuild them from :meth:`to_dict`; raises TypeError or ConfigurationError."""
-        known = dict(data)
-        known["identity"] = Identity.from_dict(known.get("identity", {}))
-        ranges = dict.fromkeys(("temperature_c", "pressure_pa", "humidity"), Range)
-        for name, kind in (*ranges.items(), ("counts", Counts)):
-            if name in known:
-                known[name] = kind(**known[name])
-        return cls(**known)
+        """Rebuild them from :meth:`to_dict`; raises ValueError or ConfigurationError."""
+        identity = Identity.from_dict(data.get("identity", {}))
+        return record(cls, {**data, "identity": identity}, "circumstances")

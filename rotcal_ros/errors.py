@@ -4,6 +4,15 @@ The text of every error says what was found, where (file, station, ball, row), w
 expected, and what to do.
 """
 
+from __future__ import annotations
+
+from typing import Final
+
+from rotcal_ros.escapes import printable, shortened
+
+LONGEST: Final = 2000
+"""Characters of an error; of a longer one the middle is left out."""
+
 
 class RotcalError(Exception):
     """Base of all errors that rotcal raises on purpose.
@@ -19,6 +28,15 @@ class RotcalError(Exception):
     """
 
     exit_code = 2
+
+    def __init__(self, text: str = "", log: str = "") -> None:
+        """Say ``text``; ``log`` has further lines: a list, or what another process said.
+
+        Whatever names of others are in it, the text is one line of visible characters that can be
+        read at a glance.
+        """
+        super().__init__(shortened(printable(text), LONGEST))
+        self.log = log
 
 
 class ConfigurationError(RotcalError):

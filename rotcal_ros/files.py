@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rotcal_ros import disk
 from rotcal_ros.errors import BagError
+from rotcal_ros.untrusted import require_plain
 
 
 class DurableFile:
@@ -102,8 +103,11 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` make a file at the path it gets, sync it, and put it in the place of ``path``.
 
     ``path`` holds either the old or the new content, never half. What ``write`` raises is passed
-    on; the unfinished file is removed.
+    on; the unfinished file is removed. It is made in a folder of its own that nobody else may
+    enter: under a name that can be guessed, a planted link would lead the writing elsewhere.
+    OSError where ``path`` is a device, a pipe or a folder.
     """
+    require_plain(path)
     with scratch_folder(path.parent) as scratch:
         temporary = scratch / path.name
         write(temporary)

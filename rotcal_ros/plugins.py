@@ -14,6 +14,8 @@ from rotcal_ros.errors import ConfigurationError
 
 METHODS: Final = "rotcal_ros.methods"
 CONTROLLERS: Final = "rotcal_ros.controllers"
+_LONGEST: Final = 80
+"""Characters of a name that is compared with those that are known."""
 
 
 @cache
@@ -35,7 +37,7 @@ def load(group: str, name: str, what: str) -> Any:
     """
     found = _found(group)
     if name not in found:
-        raise ConfigurationError(f"unknown {what} {name!r}{nearest(name, found)}")
+        raise ConfigurationError(f"unknown {what} {name!r:.80}{nearest(name, found)}")
     try:
         return found[name].load()
     except ImportError as error:
@@ -44,7 +46,7 @@ def load(group: str, name: str, what: str) -> Any:
 
 def nearest(name: str, known: Any) -> str:
     """Return a hint at the name that was probably meant, or at all that are known."""
-    near = difflib.get_close_matches(name, list(known), n=1)
+    near = difflib.get_close_matches(name[:_LONGEST], list(known), n=1)
     if near:
         return f"; did you mean {near[0]!r}?"
     return f"; known: {', '.join(known) or 'none'}"

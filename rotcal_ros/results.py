@@ -18,9 +18,9 @@ import numpy as np
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.circumstances import SIMULATED, Circumstances
 from rotcal_ros.components import COMPONENTS
-from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.in_force import UNKNOWN, check_in_force
-from rotcal_ros.protection import Effect, Protection, ordered, unprotected
+from rotcal_ros.errors import DataError
+from rotcal_ros.in_force import UNKNOWN
+from rotcal_ros.protection import Effect, Protection, unprotected
 from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
@@ -259,36 +259,9 @@ class Result:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Result:
         """Rebuild a result from :meth:`to_dict`; raises DataError when it is not one."""
-        if not isinstance(data, Mapping) or data.get("schema") != SCHEMA:
-            raise DataError(f"not a rotcal result of schema {SCHEMA}: no matching 'schema' entry")
-        try:
-            runs = _runs(data.get("details"))
-            return cls(
-                method=data["method"],
-                angles=_floats(data["angles_rad"]),
-                deviations=_float_map(data["deviations"]),
-                std=_float_map(data["std"]),
-                covariance=_float_map(data.get("covariance", {})),
-                sigma0=float(data["sigma0"]),
-                dof=int(data["dof"]),
-                n_observations=int(data["n_observations"]),
-                rejected=tuple(Rejection(r["index"], r["why"]) for r in data["rejected"]),
-                verdict=data["verdict"],
-                warnings=tuple(data["warnings"]),
-                protections=ordered(Protection(**p) for p in data.get("protections", ())),
-                adjacent_deviations=_optional(data.get("adjacent_deviations_rad")),
-                adjacent_std=_optional(data.get("adjacent_std_rad")),
-                residuals=_residuals(data.get("residuals")),
-                details={k: v for k, v in data["details"].items() if not (runs and k == RUNS)},
-                runs=runs,
-                directions=_directions(data.get("directions", {})),
-                measured_on=check_in_force(data.get("measured_on", UNKNOWN)),
-                circumstances=Circumstances.from_dict(data.get("circumstances", {})),
-            )
-        except KeyError as error:
-            raise DataError(f"no whole rotcal result: the entry {error} is missing") from error
-        except (AttributeError, ConfigurationError, TypeError, ValueError) as error:
-            raise DataError(f"damaged rotcal result: {error}") from error
+        from rotcal_ros.result_file import result_from
+
+        return result_from(data)
 
 
 def _require_numbers(name: str, angles: Floats, values: Floats) -> None:
@@ -323,52 +296,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return value
-
-
-def _floats(values: Any) -> Floats:
-    return np.asarray(values, dtype=np.float64)
-
-
-def _optional(values: Any) -> Floats | None:
-    return None if values is None else _floats(values)
-
-
-def _float_map(values: Mapping[str, Any]) -> dict[str, Floats]:
-    return {name: _floats(column) for name, column in values.items()}
-
-
-def _runs(details: Any) -> RepeatedRuns | None:
-    data = details.get(RUNS) if isinstance(details, Mapping) else None
-    if not isinstance(data, Mapping) or "targets" not in data:
-        return None
-    return RepeatedRuns(
-        targets=_floats(data["targets"]),
-        forward=_optional(data.get("forward")),
-        reverse=_optional(data.get("reverse")),
-        repeatability_std=data.get("repeatability_std"),
-    )
-
-
-def _directions(data: Mapping[str, Mapping[str, Any]]) -> dict[str, Directions]:
-    columns = [field.name for field in fields(Directions)]
-    return {
-        name: Directions(**{c: _floats(both[FILE_NAMES.get(c, c)]) for c in columns})
-        for name, both in data.items()
-    }
-
-
-def _residuals(data: Mapping[str, Any] | None) -> Residuals | None:
-    if data is None:
-        return None
-    kinds: dict[str, type] = {"table_position": np.int64, "target": np.int64, "used": np.bool_}
-    columns = [
-        field.name for field in fields(Residuals) if field.name not in ("std", "coordinates")
-    ]
-    return Residuals(
-        **{
-            name: np.asarray(data[FILE_NAMES.get(name, name)], kinds.get(name, np.float64))
-            for name in columns
-        },
-        std=_optional(data.get("std")),
-        coordinates=int(data.get("coordinates", 1)),
-    )

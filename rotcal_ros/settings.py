@@ -22,6 +22,9 @@ T = TypeVar("T")
 
 _EXPONENT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 """A number as people write it: without point, or sign of the exponent, YAML 1.1 reads a text."""
+_NO_TEXT = re.compile("[\0\ud800-\udfff]")
+"""What no message of ROS and no file in UTF-8 can hold; all else is escaped where it is shown."""
+_LARGEST = 1 << 63
 _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
@@ -86,13 +89,13 @@ def load(cls: type[T], values: Mapping[str, Any] | None, where: str) -> T:
     """
     values = {} if values is None else values
     if not isinstance(values, Mapping):
-        raise ConfigurationError(f"{where}: expected a group of settings, found {values!r}")
+        raise ConfigurationError(f"{where}: expected a group of settings, found {values!r:.80}")
     hints = typing.get_type_hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in values:
         if name not in fields:
             hint = nearest(str(name), fields)
-            raise ConfigurationError(f"{where}: unknown setting {name!r}{hint}")
+            raise ConfigurationError(f"{where}: unknown setting {name!r:.80}{hint}")
     loaded: dict[str, Any] = {}
     for name, field in fields.items():
         if name in values:
@@ -157,16 +160,18 @@ def _checked(value: Any, declared: Declaration, place: str) -> Any:
     if not declared.is_list:
         return _scalar(value, declared, place)
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise ConfigurationError(f"{place}: expected a list, found {value!r}")
+        raise ConfigurationError(f"{place}: expected a list, found {value!r:.80}")
     if declared.length not in (None, len(value)):
         raise ConfigurationError(
-            f"{place}: expected {declared.length} values, found {len(value)}: {value!r}"
+            f"{place}: expected {declared.length} values, found {len(value)}: {value!r:.80}"
         )
     return tuple(_scalar(v, declared, f"{place}[{i}]") for i, v in enumerate(value))
 
 
 def _scalar(value: Any, declared: Declaration, place: str) -> Any:
     kind, info = declared.kind, declared.info
+    if isinstance(value, int) and abs(value) > _LARGEST:
+        raise ConfigurationError(f"{place}: a number of more than 64 bits ({info.description})")
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     if kind is float and isinstance(value, str) and _EXPONENT.fullmatch(value):
@@ -174,8 +179,10 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
     fits = isinstance(value, kind) and not (kind is int and isinstance(value, bool))
     if not fits:
         raise ConfigurationError(
-            f"{place}: expected {kind.__name__} ({info.description}), found {value!r}"
+            f"{place}: expected {kind.__name__} ({info.description}), found {value!r:.80}"
         )
+    if kind is str and _NO_TEXT.search(value):
+        raise ConfigurationError(f"{place}: no text: {value!r:.60} holds NUL or half a character")
     if kind is float and not math.isfinite(value):
         raise ConfigurationError(f"{place}: expected a finite number, found {value!r}")
     low, high = info.minimum, info.maximum
@@ -186,7 +193,9 @@ def _scalar(value: Any, declared: Declaration, place: str) -> Any:
         )
     if info.choices and value not in info.choices:
         hint = nearest(str(value), info.choices)
-        raise ConfigurationError(f"{place}: {value!r} is none of {', '.join(info.choices)}{hint}")
+        raise ConfigurationError(
+            f"{place}: {value!r:.80} is none of {', '.join(info.choices)}{hint}"
+        )
     return value
 
 

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import csv
 import hashlib
-from collections.abc import Mapping, Sequence
+import io
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Final
 
 from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.untrusted import open_plain, plain_file, read_bytes, read_text, why
 
 Header = tuple[str, ...]
 
@@ -104,9 +106,9 @@ def is_table(path: Path) -> bool:
     Raises BagError for a spreadsheet, whatever it is called.
     """
     ending = path.suffix.lower()
-    if ending in _OTHERS or not path.is_file():
+    if ending in _OTHERS or not plain_file(path):
         return ending == ".csv"
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         begin = file.read(_LOOK)
     if ending in _SPREADSHEETS or (ending in _TEXTS and begin.startswith(_OFFICE)):
         raise BagError(
@@ -124,18 +126,18 @@ def is_table(path: Path) -> bool:
 def read_table(path: Path) -> Table:
     """Read a table file; raises BagError when that is not possible."""
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, "utf-8-sig")
     except UnicodeDecodeError as error:
         raise BagError(
             f"cannot read the table {path}: it is no text in UTF-8: save it as CSV UTF-8 ({error})"
         ) from error
     except OSError as error:
-        raise BagError(f"cannot read the table {path}: {error}") from error
+        raise BagError(f"cannot read the table {path}: {why(error)}") from error
     lines = [
         (number, tuple(cell.strip() for cell in cells))
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.lstrip().startswith("#")
-        for cells in csv.reader([line])
+        for cells in csv_rows(line, f"{path}, row {number}")
     ]
     header = lines[0][1] if lines else ()
     for separator, name in _SEPARATORS.items():
@@ -145,6 +147,15 @@ def read_table(path: Path) -> Table:
                 "columns, and points in the numbers"
             )
     return Table(path, header, tuple(lines[1:]))
+
+
+def csv_rows(text: str, name: str) -> Iterator[list[str]]:
+    """Yield the cells of every row of CSV; DataError, with ``name`` and the line, for no CSV."""
+    reader = csv.reader(io.StringIO(text))
+    try:
+        yield from reader
+    except csv.Error as error:
+        raise DataError(f"{name}, line {reader.line_num}: no row of a table: {error}") from error
 
 
 def require_header(table: Table, headers: Sequence[Header]) -> None:
@@ -158,4 +169,4 @@ def require_header(table: Table, headers: Sequence[Header]) -> None:
 
 def hashes(*files: Path) -> dict[str, str]:
     """Return the SHA-256 of files by their names."""
-    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+    return {file.name: hashlib.sha256(read_bytes(file)).hexdigest() for file in files}

@@ -10,9 +10,11 @@ from __future__ import annotations
 import errno
 import io
 import json
+import math
 import os
 import stat
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -52,6 +54,8 @@ def plain_file(path: Path) -> bool:
 
 def open_plain(path: Path) -> BinaryIO:
     """Open a plain file for reading; never waits for a writer. OSError for anything else."""
+    if "\0" in str(path):
+        raise OSError(errno.EINVAL, "no file has a NUL in its name", str(path))
     _require_plain(path, path.stat())
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
     try:
@@ -62,16 +66,13 @@ def open_plain(path: Path) -> BinaryIO:
         raise
 
 
-def require_replaceable(path: Path) -> None:
-    """Raise OSError where something other than a plain file has the name of a new file.
+def require_plain(path: Path) -> None:
+    """Raise OSError where ``path`` leads to anything but a plain file; nothing there is fine.
 
-    A file that is put in the place of a device takes the device away from the whole machine.
+    Whoever puts a file in the place of a device takes the device away from the whole machine.
     """
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        return
-    _require_plain(path, status)
+    with suppress(FileNotFoundError):
+        _require_plain(path, path.stat())
 
 
 def read_bytes(path: Path, largest: int = LARGEST_FILE) -> bytes:
@@ -101,8 +102,10 @@ def why(error: Exception) -> str:
     return str(error)
 
 
-def load_json(text: str | bytes) -> Any:
+def load_json(text: str | bytes, *, finite: bool = True) -> Any:
     """Return the value that a JSON text states; ValueError for any other text.
+
+    With ``finite`` False the text may have NaN, as our own files between processes do.
 
     >>> load_json("[" * 100 + "]" * 100)
     Traceback (most recent call last):
@@ -110,7 +113,8 @@ def load_json(text: str | bytes) -> Any:
     ValueError: more than 64 levels of lists and groups in each other
     """
     try:
-        value = json.loads(text)
+        number = _finite if finite else float
+        value = json.loads(text, parse_constant=number, parse_float=number)
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
     except UnicodeDecodeError as error:
@@ -153,6 +157,13 @@ def _require_plain(path: Path, status: os.stat_result) -> None:
     kind = next((name for test, name in _KINDS if test(status.st_mode)), "something else")
     number = errno.EISDIR if kind == "a folder" else errno.EINVAL
     raise NotAFileError(number, f"it is {kind}, expected a file", str(path))
+
+
+def _finite(text: str) -> float:
+    """Return a number of JSON, which knows neither NaN nor infinity; ValueError for those."""
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text:.20} is no finite number")
+    return number
 
 
 def _loader(yaml: Any) -> Any:

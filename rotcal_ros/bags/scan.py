@@ -13,6 +13,8 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.dropout_reader import DropoutReader
 from rotcal_ros.bags.verdict import FileVerdict, TopicCount
+from rotcal_ros.errors import BagError
+from rotcal_ros.untrusted import require_plain, why
 
 Item = Block | Attachment | Metadata
 """What stands in a file: messages and what is beside them."""
@@ -28,6 +30,11 @@ class Scan(ABC):
     """
 
     def __init__(self, path: Path) -> None:
+        """Begin nothing yet; BagError where ``path`` is a pipe or a device, which may block."""
+        try:
+            require_plain(path)
+        except OSError as error:
+            raise BagError(f"cannot read {path}: {why(error)}") from error
         self.path = path
         self.position = 0
         self.channels: dict[int, ChannelDefinition] = {}

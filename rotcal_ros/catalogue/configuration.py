@@ -30,6 +30,7 @@ from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
 from rotcal_ros.plugins import nearest
 from rotcal_ros.settings import declarations, load, to_mapping
+from rotcal_ros.untrusted import load_yaml, read_text, why
 
 SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "cell": CellSettings,
@@ -114,9 +115,9 @@ def configuration_text(path: Path) -> str:
     Raises ConfigurationError when one of them cannot be read.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read the configuration {path}: {error}") from error
+        raise ConfigurationError(f"cannot read the configuration {path}: {why(error)}") from error
     return with_contents(text, str(path), path.parent, _plan_files)
 
 
@@ -137,7 +138,7 @@ def parse_configuration(
         if group not in GROUPS:
             hint = _without_its_group(method, str(group))
             hint = hint or nearest(str(group), ("method", *GROUPS))
-            raise ConfigurationError(f"{source}: unknown group {group!r}{hint}")
+            raise ConfigurationError(f"{source}: unknown group {group!r:.80}{hint}")
     given = frozenset(values) & frozenset(groups)
     loaded: dict[str, Any] = {
         group: load(cls, values[group] if group in given else None, f"{source}: {group}")
@@ -246,10 +247,7 @@ def _plan_files(method: str) -> Mapping[str, PlanFile]:
 
 def _parameters(text: str, source: str) -> tuple[str, dict[str, Any]]:
     """Return the name of the method and the raw groups of a configuration."""
-    try:
-        document = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"{source}: not valid YAML: {error}") from error
+    document = load_yaml(text, source)
     try:
         values = dict(document["/**"]["ros__parameters"])
         method = values.pop("method")
@@ -258,7 +256,7 @@ def _parameters(text: str, source: str) -> tuple[str, dict[str, Any]]:
             f"{source}: expected a ROS 2 parameter file with '/**: ros__parameters: method: ...'"
         ) from None
     if not isinstance(method, str):
-        raise ConfigurationError(f"{source}: method must be a name, found {method!r}")
+        raise ConfigurationError(f"{source}: method must be a name, found {method!r:.80}")
     return method, values
 
 
@@ -273,7 +271,4 @@ def _change(parameters: dict[str, Any], change: str) -> None:
         place = place.setdefault(group, {})
         if not isinstance(place, dict):
             raise ConfigurationError(f"--set {change}: {group} is a value, not a group")
-    try:
-        place[last] = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"--set {change}: not a YAML value: {error}") from error
+    place[last] = load_yaml(text, f"--set {change}")

@@ -10,11 +10,13 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import Final
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.records import record
+from rotcal_ros.untrusted import load_json
 
 ATTEMPTS_PER_RUN: Final = 1_000_000
 """More attempts than a person has patience for; 4000 runs fit the messages' 32 bits."""
@@ -44,13 +46,9 @@ class Continuation:
     def from_json(cls, text: str) -> Continuation:
         """Read the text of :meth:`to_json`; raises DataError when it is something else."""
         try:
-            data = json.loads(text, object_hook=_with_tuples)
-            observations = tuple(
-                Observation(**o | {"kind": PointKind(o["kind"])}) for o in data.pop("observations")
-            )
-            return cls(**data, observations=observations)
-        except (KeyError, TypeError, ValueError) as error:
-            raise DataError(f"not a continuation of an interrupted plan: {error!r}") from error
+            return record(cls, load_json(text, finite=False))
+        except ValueError as error:
+            raise DataError(f"not a continuation of an interrupted plan: {error}") from error
 
 
 def continued(
@@ -101,7 +99,3 @@ def _spread(values: Sequence[int], count: int) -> tuple[int, ...]:
         return (values[-1],)
     places = (round(k * (len(values) - 1) / (count - 1)) for k in range(count))
     return tuple(values[place] for place in places)
-
-
-def _with_tuples(data: dict[str, Any]) -> dict[str, Any]:
-    return {name: tuple(v) if isinstance(v, list) else v for name, v in data.items()}

@@ -15,6 +15,7 @@ from textwrap import fill
 import yaml
 
 from rotcal_ros.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.untrusted import load_yaml
 
 Numbers = Sequence[float] | Sequence[int]
 
@@ -70,8 +71,9 @@ def _in_yaml(name: str, numbers: Numbers, indent: int) -> str:
 def _plan(text: str) -> tuple[str, list[tuple[yaml.Node, yaml.Node]]]:
     """Return the method and the entries of the group ``plan``; none where they cannot be found."""
     try:
+        load_yaml(text, "")  # only what is within bounds is gone through node by node
         node = yaml.compose(text, Loader=yaml.SafeLoader)
-    except yaml.YAMLError:
+    except (ConfigurationError, yaml.YAMLError):
         return "", []
     for name in ("/**", "ros__parameters"):
         node = _entry(node, name)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
 from rotcal_ros.catalogue.configuration import (
     Configuration,
     dump_configuration,
@@ -14,6 +12,7 @@ from rotcal_ros.catalogue.configuration import (
 )
 from rotcal_ros.catalogue.method import find_method, method_names
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.untrusted import load_yaml, read_text, why
 
 
 def read_setup(path: Path) -> Configuration:
@@ -23,11 +22,9 @@ def read_setup(path: Path) -> Configuration:
     entries mean, as the ball plate does with those of a plate. Raises ConfigurationError.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = load_yaml(read_text(path), str(path))
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read the set-up {path}: {error}") from error
-    except yaml.YAMLError as error:
-        raise ConfigurationError(f"{path}: not valid YAML: {error}") from error
+        raise ConfigurationError(f"cannot read the set-up {path}: {why(error)}") from error
     name = document.get("method") if isinstance(document, dict) else None
     short_setup = find_method(name).short_setup if name in method_names() else None
     if name is None or short_setup is None:

@@ -7,6 +7,8 @@ from typing import Any, Final
 
 from lxml.builder import ElementMaker
 
+from rotcal_ros.escapes import printable, printable_lines
+
 DCC_NAMESPACE: Final = "https://ptb.de/dcc"
 SI_NAMESPACE: Final = "https://ptb.de/si"
 PREFIXES: Final = {"dcc": DCC_NAMESPACE, "si": SI_NAMESPACE}
@@ -17,13 +19,13 @@ LANGUAGE: Final = "en"
 
 def text(tag: str, *paragraphs: str, **attributes: str) -> Any:
     """Return an element with localised text."""
-    contents = [DCC.content(paragraph, lang=LANGUAGE) for paragraph in paragraphs]
+    contents = [DCC.content(printable_lines(p), lang=LANGUAGE) for p in paragraphs]
     return DCC(tag, *contents, **attributes)
 
 
 def leaf(tag: str, value: str) -> Any:
     """Return an element with one word or number; runs of blanks become one, as the schema asks."""
-    return DCC(tag, " ".join(value.split()))
+    return DCC(tag, printable(" ".join(value.split())))
 
 
 def present(*elements: Any) -> list[Any]:

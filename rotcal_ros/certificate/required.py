@@ -32,9 +32,10 @@ def require(result: Result) -> None:
     if missing:
         lines = "\n".join(f"  {name}: {why}" for name, why in missing.items())
         raise ConfigurationError(
-            f"a calibration certificate needs more than this result tells:\n{lines}\n"
-            "Give it in the configuration, or with --setup or --set for a bag that was recorded "
-            "before: the group identity changes no number"
+            "a calibration certificate needs more than this result tells, see below: give it in "
+            "the configuration, or with --setup or --set for a bag that was recorded before (the "
+            "group identity changes no number)",
+            lines,
         )
     if result.verdict != "ok":
         raise DataError(

@@ -14,7 +14,7 @@ from rotcal_ros.bags.reading_limits import ReadingLimits
 from rotcal_ros.circumstances import NOTHING_MEASURED
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.reading_options import limits_option
-from rotcal_ros.report.terminal.console import progress, say
+from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.recordings.dropouts import PlacedDropout
@@ -71,13 +71,13 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
         })  # fmt: skip
     else:
         for verdict in verdicts:
-            click.echo(f"{verdict.path}: {verdict.messages} messages, {verdict.sentence()}")
+            tell(f"{verdict.path}: {verdict.messages} messages, {verdict.sentence()}")
             for name, topic in verdict.topics.items():
                 if topic.lost:
-                    click.echo(f"  {name}: {topic.lost} lost, {topic.messages} read")
+                    tell(f"  {name}: {topic.lost} lost, {topic.messages} read")
         _tell(dropouts)
         for sentence in (*filter(None, [mixed]), *session.sentences()):
-            click.echo(sentence)
+            tell(sentence)
     whole = all(verdict.state == "complete" for verdict in verdicts)
     return 0 if whole and session.sound and not mixed else 1
 
@@ -99,9 +99,9 @@ def reindex(bag: Path, as_json: bool) -> int:
         )
     else:
         kept = f"; the old one is {outcome.old.name}" if outcome.old else ""
-        click.echo(f"{outcome.path}: {outcome.messages} messages{kept}")
+        tell(f"{outcome.path}: {outcome.messages} messages{kept}")
         for sentence in outcome.session.missing:
-            click.echo(sentence)
+            tell(sentence)
     return 1 if outcome.session.missing else 0
 
 
@@ -137,7 +137,7 @@ def choices(bag: Path, as_json: bool) -> int:
         return 1 if differing else 0
     for row in rows:
         what = "stop" if row["step"] is None else f"step {row['step']}"
-        click.echo(f"run {row['run']} {row['number']:5} {what}: {row['reason']}")
+        tell(f"run {row['run']} {row['number']:5} {what}: {row['reason']}")
     for text in differing:
         say(text)
     return 1 if differing else 0
@@ -173,9 +173,9 @@ def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool)
         )
     else:
         for verdict in outcome.before:
-            click.echo(f"{verdict.path}: {verdict.sentence()}")
+            tell(f"{verdict.path}: {verdict.sentence()}")
         saved = sum(verdict.messages for verdict in outcome.after)
-        click.echo(f"{saved} messages saved in {folder.absolute()}")
+        tell(f"{saved} messages saved in {folder.absolute()}")
     return 0
 
 
@@ -192,20 +192,20 @@ def _print(summary: dict[str, Any]) -> None:
     from rotcal_ros.bags.verdict import losses_in_words
 
     for file in summary["files"]:
-        click.echo(f"{file['path']}")
-        click.echo(f"  {file['size'] / 1e6:.3f} MB, {file['messages']} messages, ", nl=False)
-        click.echo(file["verdict"] if file["offset"] is None else file["sentence"])
+        tell(f"{file['path']}")
+        sentence = file["verdict"] if file["offset"] is None else file["sentence"]
+        tell(f"  {file['size'] / 1e6:.3f} MB, {file['messages']} messages, {sentence}")
     if summary["start_ns"] is not None:
         start = datetime.fromtimestamp(summary["start_ns"] / 1e9, timezone.utc)
-        click.echo(f"begin     {start:%Y-%m-%d %H:%M:%S} UTC")
-        click.echo(f"duration  {summary['duration_s']:.3f} s")
+        tell(f"begin     {start:%Y-%m-%d %H:%M:%S} UTC")
+        tell(f"duration  {summary['duration_s']:.3f} s")
     if summary["simulated"]:
-        click.echo(NOTHING_MEASURED)
+        tell(NOTHING_MEASURED)
     for name in ("method", "item", "plan_id"):
         if summary[name]:
-            click.echo(f"{name:9} {summary[name]}")
+            tell(f"{name:9} {summary[name]}")
     if summary["attachments"]:
-        click.echo(f"attached  {', '.join(summary['attachments'])}")
+        tell(f"attached  {', '.join(summary['attachments'])}")
     for sentence in losses_in_words(summary["losses_recorded"]):
         say(sentence)
     for sentence in chain.from_iterable(
@@ -215,4 +215,4 @@ def _print(summary: dict[str, Any]) -> None:
     width = max((len(name) for name in summary["topics"]), default=0)
     for name, topic in summary["topics"].items():
         lost = f", {topic['lost']} lost" if topic["lost"] else ""
-        click.echo(f"  {name:{width}}  {topic['messages']:>10}  {topic['type']}{lost}")
+        tell(f"  {name:{width}}  {topic['messages']:>10}  {topic['type']}{lost}")

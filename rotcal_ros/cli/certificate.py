@@ -30,6 +30,7 @@ def write_certificate(
     from rotcal_ros.catalogue import find_method, method_names
     from rotcal_ros.files import write_atomically
     from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.untrusted import read_bytes
 
     try:
         from rotcal_ros.certificate.document import certificate
@@ -47,7 +48,7 @@ def write_certificate(
     title = find_method(result.method).title if result.method in method_names() else result.method
     data = certificate(result, title, datetime.now(timezone.utc).date())
     if key is not None and x509 is not None:
-        data = signed(data, key.read_bytes(), x509.read_bytes())
+        data = signed(data, read_bytes(key), read_bytes(x509))
     write_atomically(output, data.decode())
     say(f"certificate: {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeVar
 import click
 
 from rotcal_ros.files import write_atomically
-from rotcal_ros.report.terminal.console import say
+from rotcal_ros.report.terminal.console import say, tell
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -48,7 +48,7 @@ def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
 def print_line(text: str) -> None:
     """Print a line, if there is anything to say."""
     if text:
-        click.echo(text)
+        tell(text)
 
 
 def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
@@ -67,7 +67,7 @@ def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
             parts.append(f"{outcome['seconds']:.0f} s")
         print_verdict(outcome["verdict_line"], ", ".join(parts))
         for name, path in outcome.get("files", {}).items():
-            click.echo(f"{name + ':':<14}{path}")
+            tell(f"{name + ':':<14}{path}")
         print_line(outcome.get("goal_line", ""))
     return VERDICT_EXIT_CODES[outcome["verdict"]]
 
@@ -77,4 +77,4 @@ def print_verdict(verdict_line: str, text: str) -> None:
     colour = "green" if verdict_line == "ok" else "yellow"
     if not verdict_line.startswith("ok"):
         colour = "red"
-    click.secho(f"verdict {verdict_line}: {text}", fg=colour)
+    tell(f"verdict {verdict_line}: {text}", colour=colour)

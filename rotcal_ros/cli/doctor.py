@@ -19,6 +19,7 @@ import click
 
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.escapes import printable
 from rotcal_ros.middleware import middleware
 from rotcal_ros.sessions.domains import free_domain
 
@@ -60,7 +61,7 @@ def command(output: Path, machine_ini: Path | None, as_json: bool) -> int:
         if not as_json:
             mark = click.style("✓", "green") if check.ok else click.style("✗", "red")
             advice = "" if check.ok else f"; {check.advice}"
-            click.echo(f"{mark} {check.name}: {check.found}{advice}")
+            click.echo(f"{mark} {printable(f'{check.name}: {check.found}{advice}')}")
     good = all(check.ok for check in done)
     if as_json:
         print_json({"ok": good, "checks": [asdict(check) for check in done]})

@@ -14,7 +14,7 @@ from rotcal_ros.cli.completion import formats
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.input_options import setup_options
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.report.terminal.console import say
+from rotcal_ros.report.terminal.console import say, tell
 from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
@@ -202,7 +202,7 @@ def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:
     if as_json:
         print_json({"files": files, **facts})
     else:
-        click.echo("\n".join(files))
+        tell(*files)
 
 
 def _show_export(export: ExportFiles, paths: Iterable[Path], as_json: bool) -> None:

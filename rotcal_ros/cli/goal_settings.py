@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.untrusted import load_yaml, read_text, why
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.configuration import Configuration
@@ -20,8 +21,6 @@ def goal_settings(
 
     Raises ConfigurationError, with the place, for those that there are not.
     """
-    import yaml
-
     from rotcal_ros.planning.tracer_design.settings import TracerDesignSettings
     from rotcal_ros.settings import load
 
@@ -32,23 +31,16 @@ def goal_settings(
         name, equals, value = change.partition("=")
         if not equals:
             raise ConfigurationError(f"{change}: expected NAME=VALUE")
-        try:
-            values[name.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise ConfigurationError(f"{change}: the value cannot be read: {error}") from error
+        values[name.strip()] = load_yaml(value, change)
     return load(TracerDesignSettings, values, "goal" if goal is None else str(goal))
 
 
 def _of_file(goal: Path) -> dict[str, Any]:
     """Return the settings by name that the file of a goal holds."""
-    import yaml
-
     try:
-        values = yaml.safe_load(goal.read_text())
-    except OSError as error:
-        raise ConfigurationError(f"cannot read the goal {goal}: {error.strerror}") from error
-    except (ValueError, yaml.YAMLError) as error:
-        raise ConfigurationError(f"{goal}: no settings by name: {error}") from error
+        values = load_yaml(read_text(goal), str(goal))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"cannot read the goal {goal}: {why(error)}") from error
     if not isinstance(values, dict | None):
         raise ConfigurationError(f"{goal}: expected lines of NAME: VALUE, found {values!r:.60}")
     if values and "/**" in values:

@@ -13,6 +13,7 @@ import click
 from rotcal_ros import __version__
 from rotcal_ros.cli.console import INTERRUPTED
 from rotcal_ros.errors import RotcalError
+from rotcal_ros.escapes import printable
 
 UNREADABLE: Final = 2
 BROKEN_PIPE: Final = 141
@@ -138,7 +139,7 @@ def _compute_in_one_thread() -> None:
 def _explain(error: Exception) -> int:
     """Print one red line for ``error`` and return its exit code."""
     if isinstance(error, RotcalError):
-        _complain(str(error))
+        _complain(str(error), *error.log.splitlines())
         return error.exit_code
     if isinstance(error, OSError) and error.strerror:
         _complain(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)
@@ -147,8 +148,9 @@ def _explain(error: Exception) -> int:
     return UNREADABLE
 
 
-def _complain(text: str) -> None:
-    click.secho(f"rotcal: {text}", fg="red", err=True)
+def _complain(text: str, *log: str) -> None:
+    for line in (f"rotcal: {text}", *log):
+        click.secho(printable(line), fg="red", err=True)
 
 
 if __name__ == "__main__":

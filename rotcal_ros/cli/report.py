@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -86,7 +86,7 @@ def command(
         raise BagError(f"{output} would lie inside the bag {bag}; name a file beside it with -o")
     if output.exists():
         raise BagError(f"{output} exists and is not overwritten; name another file with -o")
-    injected = None if truth is None else json.loads(truth.read_text(encoding="utf-8"))
+    injected = None if truth is None else _truth(truth)
     given = Input(source, setup, targets, changes)
     if source.suffix == ".json":
         result = write_result(read_source(source, given), output, injected)
@@ -94,6 +94,19 @@ def command(
         result = write_measured(given.read(), output, injected)
     say(f"report: {output.absolute()}")
     return VERDICT_EXIT_CODES[result.verdict]
+
+
+def _truth(path: Path) -> dict[str, Any]:
+    """Return what a simulation injected; BagError when the file does not say."""
+    from rotcal_ros.untrusted import load_json, read_bytes, why
+
+    try:
+        truth = load_json(read_bytes(path))
+    except (OSError, ValueError) as error:
+        raise BagError(f"cannot read {path}: {why(error)}") from error
+    if not isinstance(truth, dict):
+        raise BagError(f"{path} is no truth.json of a simulation: expected a group of entries")
+    return truth
 
 
 def page_beside(source: Path) -> Path:

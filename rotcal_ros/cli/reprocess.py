@@ -10,7 +10,7 @@ import click
 
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
-from rotcal_ros.report.terminal.console import progress, say
+from rotcal_ros.report.terminal.console import progress, say, tell
 from rotcal_ros.session_folder import OVERVIEW, RESULTS_TABLE
 
 if TYPE_CHECKING:
@@ -76,8 +76,8 @@ def command(
             f"{len(outcomes)} bags: {len(outcomes) - len(bad)} solved ({repeated} of them "
             f"before), {len(bad)} without a result"
         )
-        click.echo(f"table:        {table}")
-        click.echo(f"overview:     {overview}")
+        tell(f"table:        {table}")
+        tell(f"overview:     {overview}")
     return int(bool(bad))
 
 

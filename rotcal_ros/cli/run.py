@@ -10,6 +10,7 @@ import click
 
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_outcome
+from rotcal_ros.report.terminal.console import tell
 
 
 @click.command()
@@ -84,7 +85,7 @@ def command(
     session = replace(session, shown_by=("page",) * page + ("scene",) * scene)
     viewers = Viewers(session, at_once=yes)
     if detach and not go_to_background(session.run_log):
-        click.echo(f"it runs in the background; to see it: {session.attach_command}")
+        tell(f"it runs in the background; to see it: {session.attach_command}")
         return 0
     with lasting_output(session.run_log), viewers:
         outcome = calibrate(session, viewers, at_once=yes)

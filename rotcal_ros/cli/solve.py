@@ -12,7 +12,7 @@ import click
 from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
 from rotcal_ros.cli.input_options import set_option, setup_options
 from rotcal_ros.errors import DataError
-from rotcal_ros.report.terminal.console import progress, say
+from rotcal_ros.report.terminal.console import progress, say, tell
 
 if TYPE_CHECKING:
     from rotcal_ros.catalogue.method import Measurements
@@ -131,5 +131,5 @@ def _show_evaluations(
     if as_json:
         print_json(data)
     else:
-        click.echo("\n".join(in_words(evaluations)))
+        tell(*in_words(evaluations))
     return max(VERDICT_EXIT_CODES[evaluation.result.verdict] for evaluation in evaluations)

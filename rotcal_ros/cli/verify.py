@@ -17,6 +17,7 @@ from rotcal_ros.cli.console import (
     print_line,
     print_verdict,
 )
+from rotcal_ros.report.terminal.console import tell
 from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -103,10 +104,10 @@ def _verify(folder: Path, as_json: bool) -> int:
     if as_json:
         click.echo((folder / VERIFICATION).read_text(encoding="utf-8"), nl=False)
     else:
-        click.echo(f"result:        {session.result}")
-        click.echo(f"compensation:  {session.compensation} ({', '.join(written)})")
-        click.echo(f"verification:  {folder / VERIFICATION}")
-        click.echo(f"report:        {session.report}")
+        tell(f"result:        {session.result}")
+        tell(f"compensation:  {session.compensation} ({', '.join(written)})")
+        tell(f"verification:  {folder / VERIFICATION}")
+        tell(f"report:        {session.report}")
         _print(verification)
         print_line(goal_line(session))
     return VERDICT_EXIT_CODES[verification.verdict]

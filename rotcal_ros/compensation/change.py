@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Final
 
@@ -16,6 +15,7 @@ from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.errors import ControllerError, RotcalError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
+from rotcal_ros.untrusted import load_json
 
 GRID_STEP: Final = 0.25 * DEGREE
 """Angles (rad) at which two corrections are compared."""
@@ -49,7 +49,7 @@ def _spans(files: Mapping[str, str]) -> list[tuple[float, float]]:
 
 def _span(provenance: str) -> tuple[float, float] | None:
     try:
-        side = json.loads(provenance)
+        side = load_json(provenance)
         return side[FIRST_ANGLE_DEG] * DEGREE, side[LAST_ANGLE_DEG] * DEGREE
     except (ValueError, TypeError, KeyError):
         return None  # written by hand, or before the span was noted

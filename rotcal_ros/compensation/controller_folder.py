@@ -20,6 +20,7 @@ from rotcal_ros.compensation.controller_store import ENCODING, answered
 from rotcal_ros.compensation.writing import check_file_name
 from rotcal_ros.errors import ControllerError
 from rotcal_ros.files import make_folder, sync_folder, write_atomically
+from rotcal_ros.untrusted import read_bytes, read_text
 
 T = TypeVar("T")
 
@@ -121,7 +122,7 @@ class ControllerFolder:
     def _own(self, state: Path) -> None:
         """Refuse a journal of another controller: its old tables would go to the wrong machine."""
         path = state / OWNER
-        noted = path.read_text(encoding="utf-8") if path.exists() else ""
+        noted = read_text(path) if path.exists() else ""
         if noted == self._owner:
             return
         if noted or (state / journal.FILE).exists():
@@ -134,7 +135,7 @@ class ControllerFolder:
     def _read(self, names: list[str]) -> dict[str, str]:
         self.folder.stat()  # a folder that is gone is not an empty one
         paths = {name: self.folder / name for name in names}
-        return {n: p.read_bytes().decode(ENCODING) for n, p in paths.items() if _is_file(p)}
+        return {n: read_bytes(p).decode(ENCODING) for n, p in paths.items() if _is_file(p)}
 
     def _write(self, files: Mapping[str, str | None]) -> None:
         for name in files:

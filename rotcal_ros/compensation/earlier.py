@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held import HeldTable, held_table
 from rotcal_ros.compensation.writing import PROVENANCE, check_file_name
 from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.untrusted import load_json, read_text, why
 
 
 def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
@@ -21,19 +21,21 @@ def read_earlier(folder: Path, controller_name: str, axis: str) -> HeldTable:
     for path in sorted(folder.glob(f"*{PROVENANCE}")):
         text = _text(path)
         try:
-            side = json.loads(text)
+            side = load_json(text)
             if (side["controller"], side["axis"]) == (controller_name, axis):
-                found[path.name] = (text, side)
-        except (ValueError, TypeError, KeyError) as error:
-            raise BagError(f"{path} is no side file of a table: {error!r}") from error
+                found[path.name] = (text, dict(side["settings"]), dict(side["files_sha256"]))
+        except KeyError as error:
+            raise BagError(f"{path} is no side file of a table: no entry {error}") from error
+        except (ValueError, TypeError) as error:
+            raise BagError(f"{path} is no side file of a table: {error}") from error
     if len(found) != 1:
         raise ConfigurationError(
             f"{folder} holds {len(found)} tables of axis {axis} for {controller_name}, expected "
             f"one: name the folder with the files of the table in force and its *{PROVENANCE}"
         )
-    (name, (text, side)), *_ = found.items()
-    files = {n: _checked(folder / check_file_name(n), h) for n, h in side["files_sha256"].items()}
-    return held_table(make_controller(controller_name, side["settings"]), {**files, name: text})
+    (name, (text, settings, hashes)), *_ = found.items()
+    files = {n: _checked(folder / check_file_name(n), h) for n, h in hashes.items()}
+    return held_table(make_controller(controller_name, settings), {**files, name: text})
 
 
 def _checked(path: Path, sha256: str) -> str:
@@ -47,6 +49,6 @@ def _checked(path: Path, sha256: str) -> str:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"cannot read {path}: {error}") from error
+        raise BagError(f"cannot read {path}: {why(error)}") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -17,6 +16,7 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.in_force import NONE
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
+from rotcal_ros.untrusted import load_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
     """
     side = [text for name, text in files.items() if name.endswith(PROVENANCE)]
     try:
-        known = json.loads(side[0])
+        known = load_json(side[0])
         angles = np.array(known["row_angles_deg"], dtype=np.float64) * DEGREE
         period = TURN if known["closed"] else 0.0
         reference = float(known["reference_angle_deg"]) * DEGREE

@@ -7,11 +7,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.errors import ControllerError
 from rotcal_ros.files import append_line
+from rotcal_ros.records import record
+from rotcal_ros.untrusted import load_json, read_text, why
 
 Action = Literal["applying", "applied", "restoring", "restored", "rolled_back"]
 BEGUN: Final = ("applying", "restoring")
@@ -50,6 +52,19 @@ def texts_of(files: Contents) -> dict[str, str]:
     return {name: text for name, text in files.items() if text is not None}
 
 
+def _entry(data: Any) -> Entry:
+    entry = record(Entry, data)
+    if Path(entry.backup).name != entry.backup:
+        raise ValueError(f"the backup {entry.backup!r} is no folder beside the journal")
+    return entry
+
+
+def _contents(data: Any) -> dict[str, str | None]:
+    if isinstance(data, dict) and all(isinstance(v, str | None) for v in data.values()):
+        return data
+    raise ValueError("expected the texts of files by their names")
+
+
 class Journal:
     """The journal of one controller in ``folder``, complete on disk after every event."""
 
@@ -61,13 +76,13 @@ class Journal:
         path = self.folder / FILE
         if not path.exists():
             return []
-        *lines, _ = path.read_text(encoding="utf-8").split("\n")
         try:
-            return [Entry(**json.loads(line)) for line in lines]
-        except (ValueError, TypeError) as error:
+            *lines, _ = read_text(path).split("\n")
+            return [_entry(load_json(line)) for line in lines]
+        except (OSError, ValueError) as error:
             raise ControllerError(
-                f"{path} is damaged: {error}; what was applied last is not known, move the file "
-                "away after looking at the controller"
+                f"{path} is damaged: {why(error)}; what was applied last is not known, move the "
+                "file away after looking at the controller"
             ) from error
 
     def note(self, entry: Entry) -> None:
@@ -92,10 +107,11 @@ class Journal:
         """Return what :meth:`keep` kept under ``name``."""
         path = self.folder / name / CONTENTS
         try:
-            files: dict[str, str | None] = json.loads(path.read_text(encoding="utf-8"))
+            return _contents(load_json(read_text(path)))
         except (OSError, ValueError) as error:
-            raise ControllerError(f"the old table in {path} cannot be read: {error}") from error
-        return files
+            raise ControllerError(
+                f"the old table in {path} cannot be read: {why(error)}"
+            ) from error
 
     def kept_before(self, entry: Entry) -> dict[str, str | None]:
         """Return what was there before ``entry``; ControllerError when it was changed since."""

@@ -10,6 +10,7 @@ import numpy as np
 from rotcal_ros.compensation.linuxcnc import load
 from rotcal_ros.compensation.linuxcnc_ini import ENCODING, Ini
 from rotcal_ros.compensation.linuxcnc_machine import Joint, joints_with_tables
+from rotcal_ros.untrusted import read_bytes
 
 LARGEST_TRIM_DEG = 1.0
 """Nobody compensates more; trims read as positions give angles of the whole travel."""
@@ -32,7 +33,7 @@ def _complaints(joint: Joint, table: Path) -> Iterator[str]:
     if (count := joint.ini.count(joint.section)) > 1:
         yield f"{count} sections [{joint.section}]: LinuxCNC ignores all but the first"
     try:
-        text = table.read_bytes().decode(ENCODING)
+        text = read_bytes(table).decode(ENCODING)
     except OSError as error:
         yield f"{table}: {error.strerror}: LinuxCNC does not start"
         return

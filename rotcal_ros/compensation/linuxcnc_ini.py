@@ -10,10 +10,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Final
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.untrusted import read_bytes
 
 ENCODING: Final = "latin-1"
 """Takes every byte, so that the copy differs in nothing but the new lines."""
@@ -37,7 +39,7 @@ class Ini:
     def read(cls, path: Path) -> Ini:
         """Read the file; ConfigurationError when there is none."""
         try:
-            return cls(path, path.read_bytes().decode(ENCODING))
+            return cls(path, read_bytes(path).decode(ENCODING))
         except OSError as error:
             raise ConfigurationError(
                 f"cannot read the machine's ini file {path}: {error.strerror}"
@@ -65,7 +67,9 @@ class Ini:
             raise ConfigurationError(
                 f"{self.path}: [{section}] {key} = {text!r}, expected a number"
             )
-        return float(match[0])
+        if not isfinite(number := float(match[0])):
+            raise ConfigurationError(f"{self.path}: [{section}] {key} = {text!r:.60} is too large")
+        return number
 
     def count(self, section: str) -> int:
         """Return how many sections there are of that name."""

@@ -23,6 +23,9 @@ DEGREE_WORDS: Final = ("deg", "degree")
 UNLIMITED_DEG: Final = 1e99
 SAME_DEG: Final = 1e-6
 
+MOST_JOINTS: Final = 16
+"""EMCMOT_MAX_JOINTS of LinuxCNC."""
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -141,8 +144,12 @@ class Joint:
 
 
 def joints_with_tables(ini: Ini) -> list[Joint]:
-    """Return all joints that load a table."""
+    """Return the joints that load a table; ConfigurationError for more than there can be."""
     count = int(ini.number("KINS", "JOINTS", 1))
+    if count > MOST_JOINTS:
+        raise ConfigurationError(
+            f"{ini.path}: [KINS] JOINTS = {count}, LinuxCNC has {MOST_JOINTS} at most"
+        )
     letters = _coordinates(ini)
     joints = [Joint(ini, n, letters[n] if n < len(letters) else "") for n in range(count)]
     return [joint for joint in joints if joint.table_path is not None]

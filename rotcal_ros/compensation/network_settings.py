@@ -10,6 +10,7 @@ from typing import Final
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import setting
+from rotcal_ros.untrusted import read_text, why
 
 OTHERS: Final = 0o077
 """Rights of group and others on a file."""
@@ -83,9 +84,9 @@ def secret(source: str, where: str) -> str:
     try:
         if path.stat().st_mode & OTHERS:
             raise ConfigurationError(f"{where}: others may read {path}: chmod 600 {path}")
-        return path.read_text(encoding="utf-8").rstrip("\r\n")
-    except OSError as error:
-        raise ConfigurationError(f"{where}: cannot read {path}: {error.strerror}") from error
+        return read_text(path).rstrip("\r\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{where}: cannot read {path}: {why(error)}") from error
 
 
 def _check_source(source: str, where: str) -> tuple[str, str]:

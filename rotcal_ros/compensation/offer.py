@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime, timezone
@@ -17,6 +16,7 @@ from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, write_files
 from rotcal_ros.errors import DataError
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.untrusted import load_json, read_bytes
 
 MAX_STD_RATIO: Final = 3.0
 """Standard uncertainty over the largest correction, from which on a table is not believed."""
@@ -118,7 +118,7 @@ def _same(name: str, found: str | None, wanted: str | None) -> bool:
     if found is None or wanted is None or not name.endswith(PROVENANCE):
         return found is not None and found == wanted
     try:
-        sides = [json.loads(text) for text in (found, wanted)]
+        sides = [load_json(text) for text in (found, wanted)]
         return bool(sides[0] == {**sides[1], WRITTEN: sides[0][WRITTEN]})
     except (ValueError, TypeError, KeyError):
         return False
@@ -128,4 +128,4 @@ def _text(path: Path) -> str | None:
     """Return the text of a plain file, None for anything else."""
     if path.is_symlink() or not path.is_file():
         return None
-    return path.read_bytes().decode("latin-1")
+    return read_bytes(path).decode("latin-1")

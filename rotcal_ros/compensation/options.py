@@ -6,9 +6,8 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-import yaml
-
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.untrusted import load_yaml
 
 
 def parse_options(texts: Iterable[str]) -> dict[str, Any]:
@@ -23,10 +22,7 @@ def parse_options(texts: Iterable[str]) -> dict[str, Any]:
             raise ConfigurationError(f"controller setting {text!r}: expected NAME=VALUE")
         if name.strip() in options:
             raise ConfigurationError(f"controller setting {name.strip()!r} is given twice")
-        try:
-            options[name.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise ConfigurationError(f"controller setting {text!r}: not a value") from error
+        options[name.strip()] = load_yaml(value, f"controller setting {text!r}")
     return options
 
 

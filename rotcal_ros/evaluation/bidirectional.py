@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import replace
 from typing import Final
@@ -14,6 +12,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.results import Result
+from rotcal_ros.tables import csv_rows
 from rotcal_ros.units import ARCSEC, DEGREE
 
 HEADER: Final = ("angle_deg", "run", "direction", "deviation_arcsec")
@@ -28,7 +27,7 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
     DataError names what is missing, double or no number.
     """
     found: dict[tuple[float, str, str], float] = {}
-    reader = csv.reader(io.StringIO(text))
+    reader = csv_rows(text, name)
     head = tuple(cell.strip() for cell in next(reader, []))
     if head != HEADER:
         raise BagError(f"{name}: the columns are {', '.join(head)}, expected {', '.join(HEADER)}")

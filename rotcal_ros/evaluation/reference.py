@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import replace
 from typing import Final
@@ -14,6 +12,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.curves.measured import MeasuredCurve, period_of
 from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.tables import csv_rows
 from rotcal_ros.units import ARCSEC, DEGREE
 
 COLUMNS: Final = ("angle_deg", "deviation_arcsec", "u_arcsec")
@@ -27,7 +26,7 @@ def read_reference(text: str, name: str, std: float | None = None) -> MeasuredCu
     360 deg repeats the one at 0 and must equal it within 4 standard uncertainties. Raises BagError
     for other columns, DataError with the line that is wrong and where nobody states u.
     """
-    reader = csv.reader(io.StringIO(text))
+    reader = csv_rows(text, name)
     head = tuple(cell.strip() for cell in next(reader, []))
     if head not in (COLUMNS, COLUMNS[:2]):
         raise BagError(

@@ -10,6 +10,7 @@ import re
 from html import escape
 from typing import Final
 
+from rotcal_ros.escapes import printable
 from rotcal_ros.figures import style
 
 PROPERTIES: Final = {
@@ -30,7 +31,7 @@ _COLOUR: Final = re.compile("|".join(PROPERTIES))
 
 def inline(svg: str, name: str) -> str:
     """Return ``svg`` named for screen readers, with the colours of the page that it stands in."""
-    attributes = f'<svg role="img" aria-label="{escape(name)}" '
+    attributes = f'<svg role="img" aria-label="{escape(printable(name))}" '
     coloured = _COLOUR.sub(lambda found: _property(found[0]), svg)
     return coloured.replace("<svg ", attributes, 1)
 

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import functools
 import io
+import warnings
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, ParamSpec
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.escapes import printable_lines, shortened
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
     from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
 
 P = ParamSpec("P")
 
@@ -37,6 +40,9 @@ MOST_TICKS: Final = 13
 FEWER_TICKS: Final = 5
 """Where panels stand side by side."""
 NOT_VALID: Final = "not valid: U is not stated"
+
+LONGEST_NAME: Final = 120
+"""Characters in a figure; longer names lose their middle."""
 
 _RC: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",
@@ -96,10 +102,23 @@ def svg(ax: Axes) -> str:
     if entries:
         columns = min(len(entries), LEGEND_COLUMNS)
         figure.legend(entries.values(), entries, loc="outside upper left", ncols=columns)
+    _make_plain(figure)
     stream = io.StringIO()
-    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    text = stream.getvalue()
+    with warnings.catch_warnings():
+        # A box stands for a sign that the font lacks, and long names stand over each other.
+        warnings.filterwarnings("ignore", "Glyph .* missing|constrained_layout not applied")
+        figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
+    text = printable_lines(stream.getvalue())  # ticks get their names while they are drawn
     return text[text.index("<svg") :]
+
+
+def _make_plain(figure: Figure) -> None:
+    """Take names for what they are: no formulas, no controls, and not wider than the figure."""
+    from matplotlib.text import Text
+
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+        text.set_text(shortened(printable_lines(text.get_text()), LONGEST_NAME))
 
 
 def angle_axis(ax: Axes, angles_deg: Floats, label: str = "commanded table angle / °") -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from rotcal_ros.catalogue.configuration import configuration_text
 from rotcal_ros.errors import DataError
 from rotcal_ros.planning.plan import PAUSED
 from rotcal_ros.results import Result
+from rotcal_ros.untrusted import load_json, read_text, why
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +90,9 @@ class Outcome:
         if not self.result_file:
             raise DataError(f"the calibration has no result: {self.error_msg}")
         try:
-            text = Path(self.result_file).read_text(encoding="utf-8")
-        except OSError as error:
-            raise DataError(f"cannot read the result {self.result_file}: {error}") from error
-        return Result.from_dict(json.loads(text))
+            return Result.from_dict(load_json(read_text(Path(self.result_file))))
+        except (OSError, ValueError) as error:
+            raise DataError(f"cannot read the result {self.result_file}: {why(error)}") from error
 
 
 def text_of(configuration: Path | str | Configuration) -> str:

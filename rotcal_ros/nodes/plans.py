@@ -25,6 +25,7 @@ from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.parameters import read_settings
 from rotcal_ros.plugins import nearest
 from rotcal_ros.settings import to_mapping
+from rotcal_ros.untrusted import read_text, why
 
 ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner")
 """Groups that are parameters of the planner even if it was not given them."""
@@ -101,6 +102,6 @@ def read_continuation(node: Node) -> Continuation | None:
     if not path:
         return None
     try:
-        return Continuation.from_json(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"cannot read the continuation {path}: {error}") from error
+        return Continuation.from_json(read_text(Path(path)))
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"cannot read the continuation {path}: {why(error)}") from error

@@ -19,6 +19,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from rotcal_ros.compensation.secret import Secret
+from rotcal_ros.escapes import printable_data
 from rotcal_ros.page.board import Board
 from rotcal_ros.page.guard import Guard
 from rotcal_ros.page.state import State, changes
@@ -111,7 +112,7 @@ async def _events(board: Board, token: str) -> AsyncIterator[dict[str, str]]:
 
 
 def _event(name: str, data: dict[str, Any]) -> dict[str, str]:
-    return {"event": name, "data": json.dumps(data, allow_nan=False)}
+    return {"event": name, "data": json.dumps(printable_data(data), allow_nan=False)}
 
 
 async def _asked(request: Request, *names: str) -> tuple[str, ...] | None:

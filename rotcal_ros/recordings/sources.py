@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -21,6 +20,8 @@ from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.results import Result
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.tables import is_table
+from rotcal_ros.untrusted import load_json, read_bytes, why
+from rotcal_ros.untrusted import read_text as text_of_file
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,8 @@ def read_source(path: Path, given: Input | None = None) -> Source:
             f"{path} is a result already: set-up, targets and changes belong to a bag or a table"
         )
     try:
-        data = path.read_bytes()
-        result = Result.from_dict(json.loads(data))
+        data = read_bytes(path)
+        result = Result.from_dict(load_json(data))
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:
@@ -86,9 +87,9 @@ def read_repeated_runs(path: Path) -> BidirectionalRuns:
 def read_text(path: Path) -> str:
     """Return the text of ``path``, a byte order mark left out; raises BagError."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return text_of_file(path, "utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise BagError(f"cannot read {path}: {error}") from error
+        raise BagError(f"cannot read {path}: {why(error)}") from error
 
 
 def read_measured(

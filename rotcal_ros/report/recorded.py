@@ -15,6 +15,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.catalogue.measurements import PlannedMeasurements
 from rotcal_ros.catalogue.method import Measurements
+from rotcal_ros.errors import DataError
 from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.sources import Source
@@ -87,7 +88,14 @@ def write_result(source: Source, page: Path, truth: Mapping[str, Any] | None = N
         truth=truth,
         issued=_today(),
     )
-    write_atomically(page, render_report(report))
+    try:
+        text = render_report(report)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise DataError(
+            f"the details of the result are not what {result.method} writes, or truth.json is not "
+            f"of this table ({error}): take result.json as it was written, or report its bag"
+        ) from error
+    write_atomically(page, text)
     return result
 
 

@@ -8,6 +8,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from rotcal_ros import __version__
+from rotcal_ros.escapes import printable_lines
 from rotcal_ros.figures.inline import inline
 
 
@@ -17,11 +18,17 @@ def render(template: str, **values: Any) -> str:
         loader=PackageLoader("rotcal_ros.report", "templates"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_visible,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters |= {"drawn": _drawn, "quoted": _quoted}
     return environment.get_template(f"{template}.html.j2").render(values, version=__version__)
+
+
+def _visible(value: Any) -> Any:
+    """Return a value with its texts printable; what is markup already stays."""
+    return printable_lines(value) if type(value) is str else value
 
 
 def _drawn(svg: str, name: str) -> Markup:

@@ -18,6 +18,7 @@ from rotcal_ros.report.terminal.console import progress_bar, say
 from rotcal_ros.session_folder import MEETING_POINT, SessionFolder
 from rotcal_ros.sessions.display import NO_MACHINE, Display
 from rotcal_ros.sessions.person import Person
+from rotcal_ros.untrusted import NotAFileError, load_json, read_text
 
 GREETING_TIMEOUT_S: Final = 10.0
 _POLL_S: Final = 0.2
@@ -136,10 +137,9 @@ def _connect(connection: socket.socket, folder: SessionFolder) -> None:
 
 def _address(folder: SessionFolder) -> str:
     """Return the address of the socket; FileNotFoundError where there is none."""
-    text = folder.meeting_point.read_text(encoding="utf-8")
     try:
-        return str(json.loads(text)["socket"])
-    except (ValueError, TypeError, KeyError):
+        return str(load_json(read_text(folder.meeting_point))["socket"])
+    except (ValueError, TypeError, KeyError, NotAFileError):
         raise ConfigurationError(f"{folder.meeting_point} names no socket: remove it") from None
 
 

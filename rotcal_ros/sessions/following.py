@@ -167,7 +167,7 @@ def _check(nodes: RunningSession, begun: bool, silence_s: float) -> None:
     if ended and not begun:
         name, code = next(iter(ended.items()))
         raise ConfigurationError(
-            f"node {name} ended at its start (exit code {code}):\n{nodes.log_tail(name)}"
+            f"node {name} ended at its start (exit code {code})", nodes.log_tail(name)
         )
     if silence_s > SILENCE_TIMEOUT_S:
         raise DataError(f"the client has said nothing for {silence_s:.0f} s: it hangs")
@@ -181,8 +181,8 @@ def _ending(nodes: RunningSession, event: dict[str, Any], begun: bool) -> dict[s
         _check(nodes, begun, 0.0)
         tail = nodes.log_tail(CLIENT)
         if not begun:  # the nodes fail for the same reason, but may take longer to say so
-            raise ConfigurationError(f"node client ended at its start:\n{tail}")
-        raise DataError(f"the client ended without a result\n{tail}".rstrip())
+            raise ConfigurationError("node client ended at its start", tail)
+        raise DataError("the client ended without a result", tail)
     return event
 
 

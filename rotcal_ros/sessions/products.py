@@ -24,6 +24,7 @@ from rotcal_ros.report.terminal.console import say
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions.session import Session
 from rotcal_ros.simulation import SimulatedCell
+from rotcal_ros.untrusted import load_json, read_text
 
 FORMATS: Final = ("csv", "linuxcnc")
 """Controller files that need no settings of the user's machine."""
@@ -63,7 +64,7 @@ def write_products(
 
 def goal_line(folder: SessionFolder) -> str:
     """Return in one line how a session stands to its goal; empty where it had none."""
-    if read_policy(folder.configuration.read_text(encoding="utf-8")) != UNTIL_GOAL:
+    if read_policy(read_text(folder.configuration)) != UNTIL_GOAL:
         return ""
     recording = read_recording(folder.bag, "observations")
     standing = recording.goal_standing(read_source(folder.result).result)
@@ -96,7 +97,7 @@ def write_report(folder: SessionFolder, extra: Sequence[tuple[str, str]] = ()) -
     if folder.report.exists():
         raise BagError(f"{folder.report} exists already and nothing is overwritten")
     recording = read_recording(folder.bag)
-    truth = json.loads(folder.truth.read_text("utf-8")) if folder.truth.exists() else None
+    truth = load_json(read_text(folder.truth)) if folder.truth.exists() else None
     result = write_recorded(recording, folder.report, truth, extra)
     live = recording.with_warnings(read_source(folder.result).result)
     if result.to_json() != live.to_json():

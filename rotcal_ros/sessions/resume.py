@@ -21,6 +21,7 @@ from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions.disk_space import require_space
 from rotcal_ros.sessions.session import Session, checked_calibration
+from rotcal_ros.untrusted import read_text
 
 LOCK_TIMEOUT_S: Final = 40.0
 """Nodes whose ``rotcal run`` was killed end by themselves, and close their bag, within this."""
@@ -71,7 +72,7 @@ def _check_folder(folder: SessionFolder, calibration: Calibration) -> None:
         raise ConfigurationError(
             f"the calibration in {folder.path} is finished: its {folder.result.name} is there"
         )
-    if known.read_text(encoding="utf-8") != calibration.configuration.text:
+    if read_text(known) != calibration.configuration.text:
         raise ConfigurationError(
             f"{calibration.configuration.source} differs from {known}: an interrupted plan is "
             f"continued as it was begun; use 'rotcal run {known} --resume {folder.path}'"

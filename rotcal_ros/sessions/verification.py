@@ -27,6 +27,7 @@ from rotcal_ros.evaluation.verification import Verification, positioning
 from rotcal_ros.files import write_atomically
 from rotcal_ros.in_force import NONE
 from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.records import record
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.results import Result
 from rotcal_ros.session_folder import REQUEST, VERIFICATION, SessionFolder
@@ -38,6 +39,7 @@ from rotcal_ros.sessions.session import Session, checked_calibration, prepare_se
 from rotcal_ros.sessions.viewers import Viewers
 from rotcal_ros.simulation.positioning import true_runs
 from rotcal_ros.units import DEGREE
+from rotcal_ros.untrusted import load_json, read_text, why
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
 APPLIED: Final = "csv"
@@ -160,16 +162,15 @@ def verify(folder: Path) -> tuple[Verification, tuple[str, ...]] | None:
 
 def _read_request(folder: Path) -> Request:
     try:
-        data = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
-        lists = {name: tuple(data[name]) for name in ("check", "controllers")}
-        return Request(**{**data, **lists})
-    except OSError:
+        data = load_json(read_text(folder / REQUEST))
+        return record(Request, data)
+    except FileNotFoundError:
         raise ConfigurationError(
             f"{folder} holds no verification: its {REQUEST} is missing; begin one with 'rotcal "
             "verify CONFIG', or go on with a single measurement: rotcal run CONFIG --resume"
         ) from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigurationError(f"{folder / REQUEST} is damaged: {error}") from error
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"{folder / REQUEST} is damaged: {why(error)}") from error
 
 
 def _outcome(rounds: dict[str, Measured], stated: float) -> Verification:
@@ -239,7 +240,7 @@ def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
     left = {}
     for name, export in exports.items():
         for file, text in of_the_controller(export.files).items():
-            if (folder / file).is_file() and (folder / file).read_text("latin-1") != text:
+            if (folder / file).is_file() and read_text(folder / file, "latin-1") != text:
                 raise DataError(f"{folder / file} was changed since it was written")
         there = {file: text for file, text in export.files.items() if (folder / file).exists()}
         rest = {file: text for file, text in export.files.items() if file not in there}

@@ -1,6 +1,7 @@
 """What is left of an interrupted plan."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -77,3 +78,10 @@ def test_the_last_accepted_attempt_of_each_run_counts():
     later = observed(3, ATTEMPTS_PER_RUN, run=1)
     refused = observed(4, 2 * ATTEMPTS_PER_RUN, accepted=False, run=2)
     assert last_accepted([later, first, second, refused]) == {(0, 3): second, (1, 3): later}
+
+
+def test_an_angle_that_nobody_measured_survives_the_file():
+    one = replace(observed(0), table_angle_measured=math.nan)
+    left = Continuation("0" * 64, 1, 0, (), (0,), (one,))
+    (again,) = Continuation.from_json(left.to_json()).observations
+    assert math.isnan(again.table_angle_measured)

@@ -65,7 +65,7 @@ def test_the_plain_minimum_warns():
         (("--set", "sigma=3"), "unknown setting 'sigma'"),
         (("--set", "error_motion_std_m=1.0e-6", *SMALL), "no number of lengths helps"),
         (("missing.yaml",), "cannot read the goal missing.yaml: No such file"),
-        (("--set", "keep_out_m=[1, 2"), "the value cannot be read"),
+        (("--set", "keep_out_m=[1, 2"), "keep_out_m=[1, 2: not valid YAML"),
         (("--set", "keep_out_m=[1, -1, 0, -1, 1, 2]"), "is no box"),
         (("--set", "keep_out_m=[-1, -1, 0, 1, 1, 2]"), "no target is left"),
         (("--set", "keep_out_m=[-0.1, -0.1, 0, 0.1, 0.1, 2]"), "the tracer itself may stand in"),
@@ -88,7 +88,7 @@ def test_refusals(arguments, text):
     [
         ("/**: {ros__parameters: {method: tracer_multistation}}", "'rotcal plan tracer --like'"),
         ("- 1.2", "expected lines of NAME: VALUE"),
-        ("need_arcsec: [1.2", "no settings by name"),
+        ("need_arcsec: [1.2", "not valid YAML"),
     ],
 )
 def test_files_that_hold_no_goal_are_refused(tmp_path, text, message):

@@ -42,7 +42,7 @@ def test_changes_reach_their_settings(tmp_path):
         ("plan.table_positions=1", "out of range"),
         ("plan.tabel_positions=9", "did you mean 'table_positions'"),
         ("plan.box_points.x=9", "box_points is a value"),
-        ("plan.box_points=[1", "not a YAML value"),
+        ("plan.box_points=[1", "not valid YAML"),
         ("planer.max_attempts=2", "unknown group 'planer'; did you mean 'planner'"),
         ("table_positions=12", "unknown group 'table_positions'; .*plan.table_positions"),
         ("writer.sync_interval_s=1", "unknown group 'writer'; .*recorder.writer"),

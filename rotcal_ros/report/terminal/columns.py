@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any, Final
 
-import click
-
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.escapes import printable, table_cell
 from rotcal_ros.gum_numbers import value, value_with_uncertainty
+from rotcal_ros.report.terminal.console import tell
 
 BORDER: Final = 1
 PADDING: Final = 3
@@ -55,7 +55,7 @@ class Column:
 
     def least_width(self) -> int:
         """Return the width (characters) below which the column would be cut."""
-        texts = [self.heading, *self.shown()]
+        texts = [printable(self.heading), *self.shown()]
         if self.is_text():
             texts = [word for text in texts for word in text.split()]
         return max(map(len, texts), default=0)
@@ -97,21 +97,21 @@ def print_tables(tables: Sequence[Titled], key: str = "") -> None:
         plain = [pair for column in table.columns for pair in column.plain()]
         first = [key] if key else []
         if number == 0:
-            writer.writerow([*first, *(heading for heading, _ in plain)])
+            writer.writerow([*first, *(table_cell(heading) for heading, _ in plain)])
         for row in zip(*(cells for _, cells in plain), strict=True):
-            writer.writerow([*([table.key] if key else []), *map(_exact, row)])
+            writer.writerow([*([table_cell(table.key)] if key else []), *map(_exact, row)])
 
 
 def print_words(*texts: str) -> None:
     """Print lines for people, broken at blanks at a terminal; on standard error in a pipe."""
     if not for_people():
         for text in texts:
-            click.echo(text, err=True)
+            tell(text, err=True)
         return
     width = shutil.get_terminal_size().columns
     for text in texts:
-        lines = wrap(text, width, break_long_words=False, break_on_hyphens=False)
-        click.echo("\n".join(lines))
+        lines = wrap(printable(text), width, break_long_words=False, break_on_hyphens=False)
+        tell(*lines or [""])
 
 
 def stacked(columns: Sequence[Column], width: int) -> list[list[Column]]:
@@ -137,7 +137,9 @@ def _print_stacked(table: Titled) -> None:
 
     width = shutil.get_terminal_size().columns
     # What does not fit even alone is left to the terminal, which breaks lines and cuts nothing.
-    console = Console(highlight=False, width=max(width, _widest(table.columns)))
+    console = Console(
+        highlight=False, markup=False, emoji=False, width=max(width, _widest(table.columns))
+    )
     if table.title:
         print_words(table.title)
     for group in stacked(table.columns, width):
@@ -145,7 +147,7 @@ def _print_stacked(table: Titled) -> None:
         for column in group:
             text = column.is_text()
             drawn.add_column(
-                column.heading, justify="left" if text else "right", no_wrap=not text,
+                printable(column.heading), justify="left" if text else "right", no_wrap=not text,
                 min_width=column.least_width(),
             )  # fmt: skip
         for row in zip(*(column.shown() for column in group), strict=True):
@@ -162,11 +164,13 @@ def _widest(columns: Sequence[Column]) -> int:
 def _shown(cell: Any, digits: str) -> str:
     if cell is None:
         return ""
-    return cell if isinstance(cell, str) else format(cell, digits)
+    return printable(cell) if isinstance(cell, str) else format(cell, digits)
 
 
 def _exact(cell: Any) -> Any:
-    """Return a cell of CSV: numbers with all their digits."""
+    """Return a cell of CSV: numbers with all their digits, texts that are no formulas."""
+    if isinstance(cell, str):
+        return table_cell(cell)
     return float(cell) if hasattr(cell, "dtype") and cell.dtype.kind == "f" else cell
 
 

@@ -8,6 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+import click
+
+from rotcal_ros.escapes import printable
+
 if TYPE_CHECKING:
     from rich.progress import Progress
 
@@ -15,7 +19,13 @@ if TYPE_CHECKING:
 def say(text: str) -> None:
     """Print a line for people on standard error; above a progress bar where one is shown."""
     # Not click.echo: it writes past what rich puts in the place of standard error meanwhile.
-    sys.stderr.write(f"{text}\n")
+    sys.stderr.write(f"{printable(text)}\n")
+
+
+def tell(*lines: str, colour: str = "", err: bool = False) -> None:
+    """Print lines on standard output (``err``: error), whatever names of others are in them."""
+    for line in lines:
+        click.echo(click.style(printable(line), colour) if colour else printable(line), err=err)
 
 
 def progress_bar(*, time_left: bool = True) -> Progress:
@@ -31,7 +41,7 @@ def progress_bar(*, time_left: bool = True) -> Progress:
 
     console = Console(stderr=True)
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         *([TimeLeft()] if time_left else []),

@@ -1,0 +1,72 @@
+"""Fuzzed by themselves: bags, read and repaired, and read by others."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Mapping
+from pathlib import Path
+
+from properties import LieError, suppress_rotcal
+
+
+def read_bag(path: Path) -> None:
+    from rotcal_ros.bags.reader import bag_files, check_files
+    from rotcal_ros.recordings.replay import read_recording
+    from rotcal_ros.recordings.summary import describe
+
+    with suppress_rotcal():
+        json.dumps(describe(path).to_dict())
+    with suppress_rotcal():
+        read_recording(path)
+    (verdict,) = check_files(bag_files(path))
+    verdict.sentence()
+    if verdict.state == "complete":
+        _compare(path, {n: t.messages for n, t in verdict.topics.items() if t.messages})
+
+
+def _compare(path: Path, counts: Mapping[str, int]) -> None:
+    """Raise LieError unless an independent reader finds the same messages in a sound file."""
+    try:
+        found = _by_mcap(path) if path.suffix == ".mcap" else _by_sqlite(path)
+    except Exception as error:
+        raise LieError(f"called complete, but read elsewhere: {error!r}") from error
+    if found != counts:
+        raise LieError(f"called complete with {dict(counts)}, elsewhere {found}")
+
+
+def _by_mcap(path: Path) -> dict[str, int]:
+    from mcap.reader import NonSeekingReader
+
+    found: dict[str, int] = {}
+    with path.open("rb") as file:
+        reader = NonSeekingReader(file, validate_crcs=True)
+        for _, channel, _ in reader.iter_messages(log_time_order=False):
+            found[channel.topic] = found.get(channel.topic, 0) + 1
+    return found
+
+
+def _by_sqlite(path: Path) -> dict[str, int]:
+    connection = sqlite3.connect(f"file:{path}?mode=ro&immutable=1", uri=True)
+    try:
+        (sound,) = connection.execute("PRAGMA integrity_check").fetchone()
+        if sound != "ok":
+            raise LieError(f"integrity_check: {sound:.80}")
+        rows = connection.execute(
+            "SELECT name, count(*) FROM messages JOIN topics ON topic_id = topics.id GROUP BY name"
+        )
+        return dict(rows.fetchall())
+    finally:
+        connection.close()
+
+
+def repair_bag(path: Path) -> None:
+    from rotcal_ros.bags.repair import repair
+
+    folder = path.parent / "repaired"
+    try:
+        outcome = repair(path, folder)
+        assert all(verdict.state == "complete" for verdict in outcome.after)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
