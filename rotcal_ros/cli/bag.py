@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from rotcal_ros.circumstances import NOTHING_MEASURED
+from rotcal_ros.cli.bag_parquet import command as parquet
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress, say
 
@@ -16,6 +17,9 @@ from rotcal_ros.report.terminal.console import progress, say
 @click.group()
 def command() -> None:
     """Check, repair and describe recorded bags."""
+
+
+command.add_command(parquet)
 
 
 @command.command()

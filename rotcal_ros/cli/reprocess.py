@@ -153,7 +153,8 @@ def _print_json(table: Path, overview: Path) -> None:
 
     with asked(table) as connection:
         bags = sorted(
-            bags_by_table(connection), key=lambda b: (b.start_ns is None, b.start_ns or 0, b.source)
+            bags_by_table(connection),
+            key=lambda b: (b.start_ns is None, b.start_ns or 0, b.source),
         )
     rows = [
         {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -67,8 +68,9 @@ class ResultsDataset:
 
     def add(self, outcome: Outcome) -> None:
         """Take the outcome of a bag; it is on the medium within PATIENCE_S and ROWS."""
-        self._seen.add(_digest(outcome.source))
-        identity = _digest(outcome.source, outcome.key)
+        source = readable(outcome.source)
+        self._seen.add(_digest(source))
+        identity = _digest(source, outcome.key)
         if not outcome.error and identity in self._known:
             self._confirmed.add(identity)
             return
@@ -109,11 +111,18 @@ class ResultsDataset:
             return
         import pyarrow.compute as compute
 
-        table = table.filter(compute.invert(compute.is_in(table["source"], _arrow()[0].array(stale))))
+        table = table.filter(
+            compute.invert(compute.is_in(table["source"], _arrow()[0].array(stale)))
+        )
         if table.num_rows:
             _write(table, path)
         else:
             path.unlink()
+
+
+def readable(source: str) -> str:
+    """Return a path as text, bytes that are no UTF-8 escaped."""
+    return source.encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
 def parts(folder: Path) -> list[Path]:
@@ -143,10 +152,11 @@ def _bags_of(table: Any) -> list[tuple[str, str, str | None]]:
 def _batch(outcome: Outcome) -> Any:
     """Return the rows of one bag."""
     pa, _ = _arrow()
+    outcome = replace(outcome, source=readable(outcome.source))
     result = outcome.deviations()
     common: dict[str, Any] = {
         "source": outcome.source,
-        "table": outcome.table,
+        "table": outcome.table or outcome.source.rpartition("/")[0].rpartition("/")[2],
         "key": outcome.key,
         "session": outcome.session,
         "start": outcome.start_ns,
@@ -210,7 +220,9 @@ def _schema() -> Any:
 
 
 def _digest(*texts: str) -> bytes:
-    return hashlib.blake2b("\0".join(texts).encode(errors="surrogateescape"), digest_size=16).digest()
+    return hashlib.blake2b(
+        "\0".join(texts).encode(errors="surrogateescape"), digest_size=16
+    ).digest()
 
 
 def _arrow() -> tuple[Any, Any]:

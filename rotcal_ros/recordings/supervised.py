@@ -7,9 +7,10 @@ import pickle
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.recordings.kept import Outcome
@@ -17,6 +18,13 @@ from rotcal_ros.recordings.many import Job
 
 Work = Callable[[Job], Outcome]
 TRIES: Final = 2
+"""Deaths of its worker that are held against a bag."""
+FROM_OUTSIDE: Final = 5
+"""Deaths in all, when somebody else may have ended the worker."""
+_OUTSIDE: Final = ("SIGKILL", "SIGTERM", "SIGHUP")
+_OOM_COUNTERS: Final = ("/sys/fs/cgroup/memory.events", "/proc/vmstat")
+MEMORY: Final = ", out of memory"
+_START_S: Final = 120.0
 _GRACE_S: Final = 30.0
 """How much longer than its supervisor a process waits for itself, in case that has died."""
 
@@ -25,7 +33,8 @@ class Supervised:
     """Does jobs one by one in a process that is started again when it dies.
 
     A job that kills it twice, or takes longer than ``time_limit_s``, becomes an outcome that
-    says so. One thread calls :meth:`do`; :meth:`close` may come from another.
+    says so. That somebody else ends the process is not held against the job, up to
+    ``FROM_OUTSIDE`` times. One thread calls :meth:`do`; :meth:`close` may come from another.
     """
 
     def __init__(self, work: Work, time_limit_s: float) -> None:
@@ -37,17 +46,18 @@ class Supervised:
 
     def do(self, job: Job) -> Outcome:
         """Return what became of ``job``."""
-        died = []
-        while len(died) < TRIES and not self._closed:
-            connection = self._connection or self._start()
+        died: list[str] = []
+        while not (_blamed(died) or self._closed):
+            out_of_memory = _oom_kills()
             try:
+                connection = self._connection or self._start()
                 connection.send((self._work, job, self._time_limit_s + _GRACE_S))
                 if not connection.poll(self._time_limit_s):
                     self._end()
                     return Outcome(job.source, "", error=self._too_long())
                 outcome: Outcome = connection.recv()
             except (EOFError, OSError, pickle.UnpicklingError):
-                died.append(self._end())
+                died.append(self._end() + (MEMORY if _oom_kills() > out_of_memory else ""))
             else:
                 return outcome
         if self._closed:
@@ -70,6 +80,9 @@ class Supervised:
         if self._closed:  # meanwhile
             self._process.kill()
         self._connection = ours
+        if not ours.poll(_START_S):
+            raise EOFError("it does not start")
+        ours.recv()
         return ours
 
     def _end(self) -> str:
@@ -96,16 +109,31 @@ class Supervised:
         )
 
 
-def _times(died: list[str]) -> str:
-    ways = " and ".join(dict.fromkeys(died))
-    hint = "; SIGKILL is how the system ends what needs too much memory"
-    return f"{len(died)} times ({ways}{hint if 'SIGKILL' in died else ''})"
+def _blamed(died: Sequence[str]) -> bool:
+    """Return whether a job died often enough for it not to be chance."""
+    own = [way for way in died if way not in _OUTSIDE]
+    return len(own) >= TRIES or len(died) >= FROM_OUTSIDE
+
+
+def _times(died: Sequence[str]) -> str:
+    return f"{len(died)} times ({', '.join(dict.fromkeys(died))})"
+
+
+def _oom_kills() -> int:
+    """Return how many processes the system has ended for want of memory."""
+    found = 0
+    for name in _OOM_COUNTERS:
+        with contextlib.suppress(OSError, ValueError):
+            counters = (line.split() for line in Path(name).read_text().splitlines())
+            found += sum(int(value) for counter, value in counters if counter == "oom_kill")
+    return found
 
 
 def _serve(connection: Connection[Any, Any]) -> None:
     """Do jobs until nobody asks any more; the terminal's Ctrl-C is the supervisor's matter."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(EOFError, OSError):
+        connection.send("ready")
         while True:
             work, job, patience_s = connection.recv()
             signal.setitimer(signal.ITIMER_REAL, patience_s)  # SIGALRM ends whatever hangs

@@ -21,6 +21,8 @@ TIME_LIMIT_S: Final = 3600.0
 _WAITING: Final = 4
 """Jobs for each worker that are handed out at a time: enough to keep it busy, no more."""
 _SCHEDULER_GONE_S: Final = 10.0
+_TRIES: Final = 5
+"""How often Dask may give up a bag because its workers died."""
 
 
 def on_all_cores(
@@ -103,19 +105,27 @@ def _through(
 ) -> Iterator[Outcome]:
     """Hand out jobs a few at a time and yield their outcomes."""
     finished: SimpleQueue[Any] = SimpleQueue()
-    sources: dict[Any, str] = {}
+    handed: dict[Any, tuple[Job, int]] = {}
+
+    def hand_out(job: Job, tries: int) -> None:
+        future = client.submit(supervised, job, time_limit_s, work, pure=False)
+        handed[future] = (job, tries)
+        future.add_done_callback(finished.put)
+
     while True:
-        wanted = _WAITING * max(2, len(client.nthreads())) - len(sources)
+        wanted = _WAITING * max(2, len(client.nthreads())) - len(handed)
         for job in islice(jobs, max(0, wanted)):
-            future = client.submit(supervised, job, time_limit_s, work, pure=False)
-            sources[future] = job.source
-            future.add_done_callback(finished.put)
-        if not sources:
+            hand_out(job, 1)
+        if not handed:
             return
         for future in _next(client, finished, scheduler):
             if future.status in ("cancelled", "lost"):
                 raise _gone(scheduler)
-            yield _outcome(future, sources.pop(future))
+            job, tries = handed.pop(future)
+            if future.status == "error" and _lost(future) and tries < _TRIES:
+                hand_out(job, tries + 1)
+            else:
+                yield _outcome(future, job.source)
 
 
 def _next(client: Any, finished: SimpleQueue[Any], scheduler: str) -> Iterator[Any]:
@@ -150,12 +160,17 @@ def supervised(job: Job, time_limit_s: float, work: Work) -> Outcome:
     return member.do(job)
 
 
+def _lost(future: Any) -> bool:
+    """Return whether Dask gave a bag up because workers died; a bag cannot kill one itself."""
+    return type(future.exception()).__name__ == "KilledWorker"
+
+
 def _outcome(future: Any, source: str) -> Outcome:
     """Return what a finished future holds; its workers may have died under it."""
     error = future.exception()
     if error is None:
         outcome: Outcome = future.result()
         return outcome
-    if type(error).__name__ == "KilledWorker":
+    if _lost(future):
         return Outcome(source, "", error="set aside: the cluster lost every worker that had it")
     return Outcome(source, "", error=f"the cluster could not do it: {error!r}")

@@ -33,7 +33,8 @@ ranked AS (
     FROM each WINDOW twins AS (
         PARTITION BY CASE WHEN session = '' OR error IS NOT NULL THEN source ELSE session END
         ORDER BY n DESC, length(warnings), source))
-SELECT * REPLACE (coalesce(tbl, '') AS tbl), CASE WHEN best = source THEN '' ELSE best END AS twin_of
+SELECT * REPLACE (coalesce(tbl, '') AS tbl),
+       CASE WHEN best = source THEN '' ELSE best END AS twin_of
 FROM ranked
 """
 _SPANS: Final = f"""

@@ -155,9 +155,13 @@ def _shown(bag: Bag) -> dict[str, Any]:
     notes += [bag.alarm] if bag.alarm else []
     notes += [text for text in bag.warnings if text not in notes]
     return {
-        "source": bag.source, "start": bag.begin, "standing": bag.standing, "span": ", ".join(spans),
-        "verdict": _verdict(bag), "notes": notes,
-    }  # fmt: skip
+        "source": bag.source,
+        "start": bag.begin,
+        "standing": bag.standing,
+        "span": ", ".join(spans),
+        "verdict": _verdict(bag),
+        "notes": notes,
+    }
 
 
 def _verdict(bag: Bag) -> str:

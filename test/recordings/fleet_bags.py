@@ -11,7 +11,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.decode import _definitions
+from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.layout import work_out_layout
 from rotcal_ros.bags.reader import bag_files, read_blocks
@@ -41,7 +41,7 @@ def recorded() -> tuple[tuple[Message, ...], bytes]:
             channel = scan.channels[int(block.headers["channel"][row])]
             data, noisy = block.payload(row), None
             if channel.topic.endswith(names.PROBE_POINT):
-                layout = work_out_layout(data, channel.type_name, _definitions(channel))
+                layout = work_out_layout(data, channel.type_name, Decoder(channel).definitions)
                 noisy = layout.fields["position"][1]
             messages.append(Message(channel, int(block.headers["log_time"][row]), data, noisy))
     return tuple(messages), text
