@@ -53,7 +53,8 @@ def cluster(folder: Path):
     log = (folder / "dask.log").open("w")
     python = [sys.executable, "-m"]
     scheduler = subprocess.Popen(
-        [*python, "distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(file), *local],
+        [*python, "distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(file),
+         *local],
         stdout=log, stderr=log,
     )  # fmt: skip
     while not file.exists():
@@ -138,7 +139,8 @@ def lost(output: Path, configuration, compare: int) -> dict:
     """Compare the dataset with bags solved alone, undisturbed; count what is not there."""
     with asked(output / "results.parquet") as connection:
         counted = connection.execute(
-            "SELECT count(*), count(*) FILTER (error IS NOT NULL), count(DISTINCT source) FROM bags"
+            "SELECT count(*), count(*) FILTER (error IS NOT NULL), count(DISTINCT source) "
+            "FROM bags"
         ).fetchone()
         sources = [row[0] for row in connection.execute("SELECT source FROM bags").fetchall()]
         chosen = random.Random(2).sample(sorted(sources), min(compare, len(sources)))

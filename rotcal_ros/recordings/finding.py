@@ -126,7 +126,7 @@ class _Search:
         base = Path(*_before_magic(Path(pattern).parts))
         matches = _compiled(pattern)
         walk = _Search()
-        yield from sorted(str(p) for p in walk.below(base) if matches.fullmatch(str(p)))
+        yield from sorted(str(p) for p in walk.below(base) if matches.fullmatch(f"{p}/"))
 
     def below(self, folder: Path) -> Iterator[Path]:
         """Yield everything below a folder that can be entered."""
@@ -173,7 +173,10 @@ def _before_magic(parts: Sequence[str]) -> Iterator[str]:
 
 
 def _compiled(pattern: str) -> re.Pattern[str]:
-    """Return a glob as a regular expression in which * stays within a name and ** does not."""
+    """Return a glob as a regular expression for paths that end in a slash.
+
+    A * stays within a name, a ** does not.
+    """
     names = []
     for part in Path(pattern).parts:
         if part == "**":
@@ -181,5 +184,6 @@ def _compiled(pattern: str) -> re.Pattern[str]:
         elif part == "/":
             names.append("/")
         else:
-            names.append(translate(part).replace(".*", "[^/]*") + "/")
-    return re.compile("".join(names).removesuffix("/").replace(r"\Z", "").replace(r"\z", ""))
+            inside = translate(part).replace(".*", "[^/]*")
+            names.append(re.sub(r"\\[Zz]$", "", inside) + "/")
+    return re.compile("".join(names))

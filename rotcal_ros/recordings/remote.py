@@ -29,10 +29,13 @@ def remote_bags(source: str) -> Iterator[str]:
     """
     filesystem, path = _filesystem(source)
     try:
+        filesystem.info(_fixed(path))  # patterns keep quiet about a place that does not answer
         places = sorted(filesystem.glob(path)) if glob.has_magic(path) else [path]
         for place in places:
             for bag in _below(filesystem, place):
                 yield _url(source, bag)
+    except FileNotFoundError:
+        return
     except OSError as error:
         raise BagError(f"cannot read {source}: {error}") from error
 
@@ -88,13 +91,20 @@ def local(source: str) -> Iterator[Path]:
 
 
 def _below(filesystem: Any, place: str) -> Iterator[str]:
-    if PurePosixPath(place).suffix.lower() in SUFFIXES and filesystem.isfile(place):
+    if _is_storage(place) and filesystem.info(place)["type"] == "file":
         yield place
         return
     files = sorted(filter(_is_storage, filesystem.find(place)))
     folders = dict.fromkeys(str(PurePosixPath(file).parent) for file in files)
     outer = [f for f in folders if not any(str(up) in folders for up in PurePosixPath(f).parents)]
     yield from outer
+
+
+def _fixed(path: str) -> str:
+    """Return the path down to its first name with a pattern."""
+    names = path.split("/")
+    plain = next((i for i, name in enumerate(names) if glob.has_magic(name)), len(names))
+    return "/".join(names[:plain])
 
 
 def _is_storage(path: str) -> bool:

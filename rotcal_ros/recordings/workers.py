@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 import time
@@ -21,6 +22,8 @@ TIME_LIMIT_S: Final = 3600.0
 _WAITING: Final = 4
 """Jobs for each worker that are handed out at a time: enough to keep it busy, no more."""
 _SCHEDULER_GONE_S: Final = 10.0
+_CENSUS_S: Final = 10.0
+"""How often the workers of a cluster are counted."""
 _TRIES: Final = 5
 """How often Dask may give up a bag because its workers died."""
 
@@ -86,6 +89,7 @@ def on_cluster(
     """
     try:
         from distributed import Client
+        from distributed.comm import CommClosedError
     except ImportError as error:
         raise ConfigurationError(
             "a cluster needs dask.distributed: pip install 'rotcal_ros[many]'"
@@ -94,8 +98,11 @@ def on_cluster(
         client = Client(scheduler, timeout="20s", set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"no Dask scheduler answers at {scheduler}: {error}") from error
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its tracebacks
     try:
         yield from _through(client, iter(jobs), scheduler, time_limit_s, work)
+    except CommClosedError as error:
+        raise _gone(scheduler) from error
     finally:
         client.close(timeout=2)
 
@@ -106,6 +113,7 @@ def _through(
     """Hand out jobs a few at a time and yield their outcomes."""
     finished: SimpleQueue[Any] = SimpleQueue()
     handed: dict[Any, tuple[Job, int]] = {}
+    size, asked = 0, -_CENSUS_S
 
     def hand_out(job: Job, tries: int) -> None:
         future = client.submit(supervised, job, time_limit_s, work, pure=False)
@@ -113,8 +121,9 @@ def _through(
         future.add_done_callback(finished.put)
 
     while True:
-        wanted = _WAITING * max(2, len(client.nthreads())) - len(handed)
-        for job in islice(jobs, max(0, wanted)):
+        if time.monotonic() > asked + _CENSUS_S:  # a question to the scheduler
+            size, asked = max(2, sum(client.nthreads().values())), time.monotonic()
+        for job in islice(jobs, max(0, _WAITING * size - len(handed))):
             hand_out(job, 1)
         if not handed:
             return

@@ -6,6 +6,7 @@ import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -51,29 +52,33 @@ def configuration_text() -> str:
     return recorded()[1].decode()
 
 
-def write_bag(folder: Path, seed: int, day: int | None = None) -> Path:
-    """Write the bag of one session into the new ``folder``."""
+def write_bag(folder: Path, seed: int, files: int = 1) -> Path:
+    """Write the bag of one session into the new ``folder``, as one file or several."""
     folder.mkdir(parents=True)
-    messages, text = recorded()
-    shift_ns = (seed if day is None else day) * DAY_NS
-    noise = iter(np.random.default_rng(seed).normal(0.0, NOISE_M, (len(messages), 3)))
-    with (folder / "bag_0.mcap").open("wb") as file:
-        writer = Writer(file, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2")
-        numbers: dict[ChannelDefinition, int] = {}
-        writer.add_attachment(0, 0, names.CONFIGURATION, "application/yaml", text)
-        for m in messages:
-            if m.channel not in numbers:
-                c = m.channel
-                schema = writer.register_schema(c.type_name, c.encoding, c.definition.encode())
-                numbers[c] = writer.register_channel(c.topic, "cdr", schema)
-            when = m.log_time + shift_ns
-            data = _shifted(m.data, shift_ns // 10**9)
-            if m.noisy is not None:
-                data = _noisy(data, m.noisy, next(noise))
-            writer.add_message(numbers[m.channel], when, data, when)
-        writer.finish()
+    messages, _ = recorded()
+    noise = np.random.default_rng(seed).normal(0.0, NOISE_M, (len(messages), 3))
+    for number, rows in enumerate(np.array_split(np.arange(len(messages)), files)):
+        with (folder / f"bag_{number}.mcap").open("wb") as file:
+            _write(file, [(messages[row], noise[row]) for row in rows], seed * DAY_NS)
     return folder
+
+
+def _write(file: BinaryIO, messages: list[tuple[Message, np.ndarray]], shift_ns: int) -> None:
+    writer = Writer(file, compression=CompressionType.ZSTD)
+    writer.start(profile="ros2")
+    numbers: dict[ChannelDefinition, int] = {}
+    writer.add_attachment(0, 0, names.CONFIGURATION, "application/yaml", recorded()[1])
+    for m, noise in messages:
+        if m.channel not in numbers:
+            c = m.channel
+            schema = writer.register_schema(c.type_name, c.encoding, c.definition.encode())
+            numbers[c] = writer.register_channel(c.topic, "cdr", schema)
+        when = m.log_time + shift_ns
+        data = _shifted(m.data, shift_ns // 10**9)
+        if m.noisy is not None:
+            data = _noisy(data, m.noisy, noise)
+        writer.add_message(numbers[m.channel], when, data, when)
+    writer.finish()
 
 
 def write_fleet(folder: Path, bags: int, tables: int, first: int = 0) -> Iterator[Path]:

@@ -27,7 +27,9 @@ def outcome(name, key="k", ecc=(0.0, 1e-6, 3e-6)):
         dof=3,
         n_observations=9,
     )
-    return Outcome(f"/bags/table/{name}", key, start_ns=1_700_000_000 * 10**9, result=result.to_dict())
+    return Outcome(
+        f"/bags/table/{name}", key, start_ns=1_700_000_000 * 10**9, result=result.to_dict()
+    )
 
 
 def rows(folder):

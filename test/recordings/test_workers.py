@@ -11,12 +11,12 @@ from pathlib import Path
 import psutil
 import pytest
 
-HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
 import deadly_work
 
 from rotcal_ros.recordings.many import Job
 from rotcal_ros.recordings.workers import on_all_cores
+
+HERE = Path(__file__).parent
 
 
 @pytest.fixture(autouse=True)
