@@ -12,6 +12,7 @@ import click
 
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.files import readable
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.session_folder import OVERVIEW, RESULTS_TABLE
 
@@ -118,7 +119,7 @@ class _Tally:
         self.healed += outcome.healed
         self.bad += bool(outcome.error)
         if outcome.error.startswith("set aside"):
-            self.aside.append(f"{outcome.source}: {outcome.error}")
+            self.aside.append(readable(f"{outcome.source}: {outcome.error}"))
 
 
 def _followed(running: Iterator[Outcome], total: int, dataset: ResultsDataset) -> _Tally:
@@ -130,7 +131,7 @@ def _followed(running: Iterator[Outcome], total: int, dataset: ResultsDataset) -
             tally.count(outcome)
             shown(tally.bags, total)
             if outcome.error:
-                say(f"{outcome.source}: {outcome.error}")
+                say(readable(f"{outcome.source}: {outcome.error}"))
     return tally
 
 

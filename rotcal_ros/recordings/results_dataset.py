@@ -14,7 +14,7 @@ from uuid import uuid4
 import numpy as np
 
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.files import FolderLock, replace_atomically
+from rotcal_ros.files import FolderLock, readable, replace_atomically
 from rotcal_ros.recordings.kept import Outcome
 
 ROWS: Final = 50_000
@@ -118,11 +118,6 @@ class ResultsDataset:
             _write(table, path)
         else:
             path.unlink()
-
-
-def readable(source: str) -> str:
-    """Return a path as text, bytes that are no UTF-8 escaped."""
-    return source.encode(errors="surrogateescape").decode(errors="backslashreplace")
 
 
 def parts(folder: Path) -> list[Path]:

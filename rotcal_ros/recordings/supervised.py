@@ -87,8 +87,8 @@ class Supervised:
 
     def _end(self) -> str:
         """Make sure that the process is gone; return how it went, in words."""
-        assert self._process is not None
-        assert self._connection is not None
+        if self._process is None or self._connection is None:
+            return "it cannot be started"
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(0.5)  # it may be dying on its own
         self._process.kill()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.recordings.results_dataset import parts
 
 ENOUGH: Final = 5
@@ -120,9 +120,11 @@ def asked(folder: Path) -> Iterator[Any]:
         raise ConfigurationError(
             "the overview needs DuckDB: pip install 'rotcal_ros[many]'"
         ) from error
+    files = [str(path) for path in parts(folder)]
+    if not files:
+        raise BagError(f"{folder} holds no results yet")
     with duckdb.connect(config={"memory_limit": _MEMORY, "threads": 2}) as connection:
         connection.execute("SET preserve_insertion_order = false")
-        files = [str(path) for path in parts(folder)]
         connection.read_parquet(files).create_view("rows")
         connection.execute(_BAGS)
         connection.execute(_SPANS)

@@ -37,6 +37,10 @@ def rows(folder):
 
 
 def write(folder, *outcomes):
+    return write_all(folder, outcomes)
+
+
+def write_all(folder, outcomes):
     with ResultsDataset(folder) as dataset:
         for one in outcomes:
             dataset.add(one)
@@ -69,10 +73,13 @@ def test_a_second_call_adds_what_is_new_and_drops_what_no_longer_holds(tmp_path)
 
 def test_an_interrupted_call_keeps_what_it_did_and_what_was_there(tmp_path):
     write(tmp_path, outcome("a"), outcome("b"))
-    with pytest.raises(KeyboardInterrupt), ResultsDataset(tmp_path) as dataset:
-        dataset.add(outcome("b", key="changed"))
-        dataset.add(outcome("c"))
+
+    def until_interrupted():
+        yield from (outcome("b", key="changed"), outcome("c"))
         raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_all(tmp_path, until_interrupted())
     found = {(r["source"][-1], r["key"]) for r in rows(tmp_path)}
     assert found == {("a", "k"), ("b", "changed"), ("c", "k")}
 

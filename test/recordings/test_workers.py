@@ -1,17 +1,13 @@
 """Workers that die, hang or are killed: each costs one try of one bag, and nothing else."""
 
 import os
-import signal
 import subprocess
 import sys
-import threading
-import time
 from pathlib import Path
 
+import deadly_work
 import psutil
 import pytest
-
-import deadly_work
 
 from rotcal_ros.recordings.many import Job
 from rotcal_ros.recordings.workers import on_all_cores

@@ -6,10 +6,10 @@ import re
 import numpy as np
 import pytest
 
-pa = pytest.importorskip("pyarrow")
+pytest.importorskip("pyarrow")
 pytest.importorskip("duckdb")
+import pyarrow as pa
 import pyarrow.parquet as parquet
-
 from browser import launched
 
 from rotcal_ros.recordings.results_dataset import _schema
