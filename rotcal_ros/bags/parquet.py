@@ -150,8 +150,9 @@ def _type(kind: Nodetype, detail: Any, definitions: Mapping[str, Any]) -> Any:
         if detail in TIMES:
             return pa.int64()
         fields = definitions[detail][1]
-        return pa.struct([(name, _type(*inner, definitions)) for name, inner in fields])
-    return pa.list_(_type(*detail[0], definitions))
+        return pa.struct([(name, _type(k, d, definitions)) for name, (k, d) in fields])
+    kind, detail = detail[0]
+    return pa.list_(_type(kind, detail, definitions))
 
 
 def _flat(
@@ -172,10 +173,11 @@ def _value(value: Any, kind: Nodetype, detail: Any, definitions: Mapping[str, An
         if detail in TIMES:
             return value.sec * 1_000_000_000 + value.nanosec
         return {
-            name: _value(getattr(value, name), *inner, definitions)
-            for name, inner in definitions[detail][1]
+            name: _value(getattr(value, name), k, d, definitions)
+            for name, (k, d) in definitions[detail][1]
         }
-    return [_value(element, *detail[0], definitions) for element in value]
+    kind, detail = detail[0]
+    return [_value(element, kind, detail, definitions) for element in value]
 
 
 def _file_name(topic: str, taken: set[Path]) -> str:

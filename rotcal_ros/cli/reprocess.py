@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -122,7 +122,7 @@ class _Tally:
             self.aside.append(readable(f"{outcome.source}: {outcome.error}"))
 
 
-def _followed(running: Iterator[Outcome], total: int, dataset: ResultsDataset) -> _Tally:
+def _followed(running: Iterable[Outcome], total: int, dataset: ResultsDataset) -> _Tally:
     """Keep the outcomes as they come, under a progress bar; show bad bags at once."""
     tally = _Tally()
     with progress("solving") as shown:

@@ -66,7 +66,7 @@ def remote_state(source: str, tail_bytes: int, *, whole: bool) -> Iterator[bytes
         size = int(facts["size"])
         known = [facts.get(name) for name in ("ETag", "mtime", "LastModified", "created")]
         yield f"{size} {[str(fact) for fact in known]}".encode()
-        yield filesystem.cat_file(path, start=max(0, size - tail_bytes), end=size)
+        yield filesystem.cat_file(path, start=max(0, size - tail_bytes) or None)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from itertools import islice
 from queue import Empty, SimpleQueue
@@ -33,7 +33,7 @@ def on_all_cores(
     workers: int | None = None,
     time_limit_s: float = TIME_LIMIT_S,
     work: Work = solve_bag,
-) -> Iterator[Outcome]:
+) -> Generator[Outcome, None, None]:
     """Yield the outcomes as they come; ``workers`` processes, by default one for each core.
 
     A process that dies is started again and its job tried once more; a job that kills two, or
@@ -80,7 +80,7 @@ def on_cluster(
     scheduler: str,
     time_limit_s: float = TIME_LIMIT_S,
     work: Work = solve_bag,
-) -> Iterator[Outcome]:
+) -> Generator[Outcome, None, None]:
     """Yield the outcomes as the workers of the Dask ``scheduler`` (tcp://...) deliver them.
 
     The workers need rotcal_ros installed and the bags and the cache at the same paths. They may
