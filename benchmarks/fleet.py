@@ -70,7 +70,9 @@ def cluster(folder: Path):
         for process in (workers, scheduler):
             process.terminate()
         for process in (workers, scheduler):
-            process.wait(60)
+            with suppress(subprocess.TimeoutExpired):  # of a nanny without its worker
+                process.wait(20)
+            process.kill()
 
 
 class Disturbance(threading.Thread):
@@ -120,13 +122,14 @@ def disturbed(arguments: argparse.Namespace, bags: Path, setup: Path, output: Pa
         disturbance.ended.set()
         disturbance.join()
     done = memory[-1][1]
-    half = [m for m in memory if m[1] > 0.1 * done]
+    half = [m for m in memory if m[1] > memory[0][1] + 0.1 * (done - memory[0][1])]
     slope = statistics.linear_regression([m[1] for m in half], [m[2] for m in half]).slope
     return {
         "exit_code": verb.returncode,
         "seconds": round(memory[-1][0], 1),
         "bags_done": done,
-        "bags_per_s": round(done / memory[-1][0], 3),
+        "bags_done_before": memory[0][1],
+        "bags_per_s": round((done - memory[0][1]) / memory[-1][0], 3),
         "kills": disturbance.kills,
         "parent_mb_first": round(half[0][2], 1),
         "parent_mb_last": round(half[-1][2], 1),

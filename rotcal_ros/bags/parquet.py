@@ -66,7 +66,7 @@ def write_topics(
                 assert block is not None
                 streams[key].add(block.select(block.headers["channel"] == number))
     sync_folder(folder)
-    return tuple(stream.told() for stream in streams.values())
+    return tuple(stream.summary() for stream in streams.values())
 
 
 class _Stream:
@@ -119,7 +119,7 @@ class _Stream:
                 fields = dict(_flat(message, self._channel.type_name, decoder.definitions))
                 yield {LOG_TIME: _time(log), PUBLISH_TIME: _time(publish), **fields}
 
-    def told(self) -> TopicFile:
+    def summary(self) -> TopicFile:
         broken = self._decoder.broken if self._decoder else self._messages
         if self._writer is None:
             return TopicFile(self._channel.topic, None, 0, self._messages, self._why)
