@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 RESULTS_TABLE: Final = "results.parquet"
-"""The results of many bags, beside their OVERVIEW."""
+"""The results of many bags, a folder of parts beside their OVERVIEW."""
 OVERVIEW: Final = "overview.html"
 VERIFICATION: Final = "verification.json"
 """The figures of two sessions, before and after compensation, beside their folders."""

@@ -49,7 +49,7 @@ class Decoder:
     def __init__(self, channel: ChannelDefinition) -> None:
         self.channel = channel
         self.broken = 0
-        self._store, self._definitions = message_types(channel)
+        self._store, self.definitions = message_types(channel)
         self._layouts: dict[int, list[tuple[Layout, Bytes]]] = {}
 
     def message(self, data: bytes) -> Any | None:
@@ -60,7 +60,7 @@ class Decoder:
         with suppress(Exception):
             return self._store.deserialize_cdr(data, self.channel.type_name)
         with suppress(Exception):  # some serialisers, as rclpy's, leave unused bytes at the end
-            end = work_out_layout(data, self.channel.type_name, self._definitions).end
+            end = work_out_layout(data, self.channel.type_name, self.definitions).end
             return self._store.deserialize_cdr(data[:end], self.channel.type_name)
         self.broken += 1
         return None
@@ -92,7 +92,7 @@ class Decoder:
             if layout.fits(message[np.newaxis], template)[0]:
                 return layout, template
         try:
-            layout = work_out_layout(message.tobytes(), self.channel.type_name, self._definitions)
+            layout = work_out_layout(message.tobytes(), self.channel.type_name, self.definitions)
         except DamagedRecord:
             return None
         if len(known) >= _MAX_LAYOUTS:

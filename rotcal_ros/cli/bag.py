@@ -12,6 +12,7 @@ import click
 
 from rotcal_ros.bags.reading_limits import ReadingLimits
 from rotcal_ros.circumstances import NOTHING_MEASURED
+from rotcal_ros.cli.bag_parquet import command as parquet
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.cli.reading_options import limits_option
 from rotcal_ros.report.terminal.console import progress, say, tell
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 @click.group()
 def command() -> None:
     """Check, repair and describe recorded bags."""
+
+
+command.add_command(parquet)
 
 
 @command.command()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
+from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +16,8 @@ from rotcal_ros.report.terminal.console import progress, say, tell
 from rotcal_ros.session_folder import OVERVIEW, RESULTS_TABLE
 
 if TYPE_CHECKING:
-    from rotcal_ros.recordings.many import Job, Outcome
+    from rotcal_ros.recordings.kept import Outcome
+    from rotcal_ros.recordings.results_dataset import ResultsDataset
 
 
 @click.command()
@@ -36,6 +39,20 @@ if TYPE_CHECKING:
 )
 @click.option("--workers", type=click.IntRange(min=1), help="Processes; default: all cores.")
 @click.option("--scheduler", metavar="tcp://...", help="Use the workers of a Dask cluster.")
+@click.option(
+    "--time-limit",
+    "time_limit_s",
+    type=click.FloatRange(min=1.0),
+    default=3600.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="A bag that takes longer is ended and set aside.",
+)
+@click.option(
+    "--verify-bytes",
+    is_flag=True,
+    help="Know a bag by all its bytes, not by size, time and end: reads every bag whole.",
+)
 @json_option
 def command(
     sources: tuple[str, ...],
@@ -43,64 +60,113 @@ def command(
     output: Path,
     workers: int | None,
     scheduler: str | None,
+    time_limit_s: float,
+    verify_bytes: bool,
     as_json: bool,
 ) -> int:
     """Solve every bag that the arguments name, and show the trend of each table over time.
 
     Bags may be local or remote (s3://..., through fsspec). What was solved before with the same
-    content and configuration is not solved again. One bad bag does not stop the rest; the exit
-    code is then 1.
+    content and configuration is not solved again, and results are kept as they come: what ends
+    this verb costs only the bags in hand. One bad bag does not stop the rest; the exit code is
+    then 1.
     """
     from rotcal_ros.catalogue.configuration import read_configuration
-    from rotcal_ros.recordings.many import Job, find_bags
-    from rotcal_ros.recordings.workers import on_all_cores, on_cluster
-    from rotcal_ros.report.many import in_time, write_overview, write_table
+    from rotcal_ros.recordings.finding import find_bags
+    from rotcal_ros.recordings.many import Job
+    from rotcal_ros.recordings.results_dataset import ResultsDataset
+    from rotcal_ros.recordings.workers import on_all_cores, on_cluster, usable_cores
+    from rotcal_ros.report.overview import write_overview
 
     configuration = read_configuration(setup)
     bags = find_bags(sources)
     cache = (output / "cache").absolute()
     cache.mkdir(parents=True, exist_ok=True)
-    jobs = [Job(bag, configuration, str(cache)) for bag in bags]
-    running = on_cluster(jobs, scheduler) if scheduler else on_all_cores(jobs, workers)
-    outcomes = in_time(_followed(running, jobs))
+    jobs = (Job(bag, configuration, str(cache), verify_bytes) for bag in bags)
     table, overview = output.absolute() / RESULTS_TABLE, output.absolute() / OVERVIEW
-    write_table(outcomes, table)
-    write_overview(outcomes, configuration.text, overview)
-    bad = [outcome for outcome in outcomes if outcome.error]
+    with ResultsDataset(table) as dataset:
+        if dataset.broken:
+            say(f"{dataset.broken} parts of {table} were broken: they are written again")
+        if scheduler:
+            running = on_cluster(jobs, scheduler, time_limit_s)
+        else:
+            workers = min(workers or usable_cores(), len(bags))
+            running = on_all_cores(jobs, workers, time_limit_s)
+        with closing(running):
+            tally = _followed(running, len(bags), dataset)
+    write_overview(table, configuration.text, overview)
     if as_json:
-        bags_done = [_summary(outcome) for outcome in outcomes]
-        print_json({"bags": bags_done, "table": str(table), "overview": str(overview)})
+        _print_json(table, overview)
     else:
-        repeated = sum(outcome.cached for outcome in outcomes)
-        click.echo(
-            f"{len(outcomes)} bags: {len(outcomes) - len(bad)} solved ({repeated} of them "
-            f"before), {len(bad)} without a result"
-        )
-        tell(f"table:        {table}")
-        tell(f"overview:     {overview}")
-    return int(bool(bad))
+        _print(tally, table, overview)
+    return int(bool(tally.bad))
 
 
-def _followed(running: Iterator[Outcome], jobs: list[Job]) -> list[Outcome]:
-    """Collect the outcomes under a progress bar; show bad bags at once."""
-    outcomes = []
+@dataclass
+class _Tally:
+    """How many bags came out how; ``aside`` are those that no worker survived or finished."""
+
+    bags: int = 0
+    repeated: int = 0
+    healed: int = 0
+    bad: int = 0
+    aside: list[str] = field(default_factory=list)
+
+    def count(self, outcome: Outcome) -> None:
+        self.bags += 1
+        self.repeated += outcome.cached
+        self.healed += outcome.healed
+        self.bad += bool(outcome.error)
+        if outcome.error.startswith("set aside"):
+            self.aside.append(f"{outcome.source}: {outcome.error}")
+
+
+def _followed(running: Iterable[Outcome], total: int, dataset: ResultsDataset) -> _Tally:
+    """Keep the outcomes as they come, under a progress bar; show bad bags at once."""
+    tally = _Tally()
     with progress("solving") as shown:
         for outcome in running:
-            outcomes.append(outcome)
-            shown(len(outcomes), len(jobs))
+            dataset.add(outcome)
+            tally.count(outcome)
+            shown(tally.bags, total)
             if outcome.error:
                 say(f"{outcome.source}: {outcome.error}")
-    return outcomes
+    return tally
 
 
-def _summary(outcome: Outcome) -> dict[str, object]:
-    result = outcome.deviations()
-    return {
-        "source": outcome.source,
-        "table": outcome.table,
-        "verdict": result.verdict if result else None,
-        "verdict_line": result.verdict_line if result else None,
-        "warnings": list(result.warnings) if result else [],
-        "error": outcome.error,
-        "cached": outcome.cached,
-    }
+def _print(tally: _Tally, table: Path, overview: Path) -> None:
+    tell(
+        f"{tally.bags} bags: {tally.bags - tally.bad} solved ({tally.repeated} of them before), "
+        f"{tally.bad} without a result"
+    )
+    if tally.healed:
+        tell(f"{tally.healed} kept results were broken: computed again")
+    for text in tally.aside:
+        tell(text)
+    tell(f"table:        {table}")
+    tell(f"overview:     {overview}")
+
+
+def _print_json(table: Path, overview: Path) -> None:
+    """Print one object per bag, as the dataset has it, in order of recording."""
+    from rotcal_ros.report.fleet_queries import asked, bags_by_table
+
+    with asked(table) as connection:
+        bags = sorted(
+            bags_by_table(connection),
+            key=lambda b: (b.start_ns is None, b.start_ns or 0, b.source),
+        )
+    rows = [
+        {
+            "source": bag.source,
+            "table": bag.table,
+            "verdict": bag.verdict,
+            "verdict_line": bag.line,
+            "warnings": list(bag.warnings),
+            "error": bag.error,
+            "twin_of": bag.twin_of,
+            "alarm": bag.alarm,
+        }
+        for bag in bags
+    ]
+    print_json({"bags": rows, "table": str(table), "overview": str(overview)})

@@ -2,32 +2,72 @@
 
 from __future__ import annotations
 
-import multiprocessing
+import logging
 import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import Any
+import threading
+import time
+from collections.abc import Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from itertools import islice
+from queue import Empty, SimpleQueue
+from typing import Any, Final
 
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.recordings.many import Job, Outcome, solve_bag
+from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.recordings.kept import Outcome
+from rotcal_ros.recordings.many import Job, solve_bag
+from rotcal_ros.recordings.supervised import Supervised, Work
+
+TIME_LIMIT_S: Final = 3600.0
+"""How long a bag may take by default."""
+_WAITING: Final = 4
+"""Jobs for each worker that are handed out at a time: enough to keep it busy, no more."""
+_SCHEDULER_GONE_S: Final = 10.0
+_CENSUS_S: Final = 10.0
+"""How often the workers of a cluster are counted."""
+_TRIES: Final = 5
+"""How often Dask may give up a bag because its workers died."""
 
 
-def on_all_cores(jobs: Sequence[Job], workers: int | None = None) -> Iterator[Outcome]:
+def on_all_cores(
+    jobs: Iterable[Job],
+    workers: int | None = None,
+    time_limit_s: float = TIME_LIMIT_S,
+    work: Work = solve_bag,
+) -> Generator[Outcome, None, None]:
     """Yield the outcomes as they come; ``workers`` processes, by default one for each core.
 
-    A job whose process dies (out of memory) becomes an outcome with that error.
+    A process that dies is started again and its job tried once more; a job that kills two, or
+    takes longer than ``time_limit_s``, becomes an outcome with that error.
     """
-    workers = min(workers or usable_cores(), max(1, len(jobs)))
-    if workers == 1:
-        yield from map(solve_bag, jobs)
-        return
-    # Forked from a server without threads: as fast as fork, as safe as spawn.
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["rotcal_ros.recordings.many"])
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = {pool.submit(solve_bag, job): job.source for job in jobs}
-        for future in as_completed(futures):
-            yield _outcome(future, futures[future])
+    workers = workers or usable_cores()
+    remaining = iter(jobs)
+    crew = [Supervised(work, time_limit_s) for _ in range(workers)]
+    idle: SimpleQueue[Supervised] = SimpleQueue()
+    for member in crew:
+        idle.put(member)
+
+    def done(job: Job) -> Outcome:
+        member = idle.get()
+        try:
+            return member.do(job)
+        finally:
+            idle.put(member)
+
+    with ThreadPoolExecutor(workers) as threads:
+        try:
+            running: set[Future[Outcome]] = set()
+            while True:
+                wanted = _WAITING * workers - len(running)
+                running |= {threads.submit(done, job) for job in islice(remaining, wanted)}
+                if not running:
+                    return
+                finished, running = wait(running, return_when=FIRST_COMPLETED)
+                yield from (future.result() for future in finished)
+        finally:
+            for future in running:
+                future.cancel()
+            for member in crew:
+                member.close()
 
 
 def usable_cores() -> int:
@@ -35,30 +75,111 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def on_cluster(jobs: Sequence[Job], scheduler: str) -> Iterator[Outcome]:
+def on_cluster(
+    jobs: Iterable[Job],
+    scheduler: str,
+    time_limit_s: float = TIME_LIMIT_S,
+    work: Work = solve_bag,
+) -> Generator[Outcome, None, None]:
     """Yield the outcomes as the workers of the Dask ``scheduler`` (tcp://...) deliver them.
 
-    The workers need rotcal_ros installed and the bags and the cache at the same paths.
+    The workers need rotcal_ros installed and the bags and the cache at the same paths. They may
+    die, come and go; each solves its bags in a process of its own, as :func:`on_all_cores` does.
+    Raises ConfigurationError when no scheduler answers, BagError when it goes away.
     """
     try:
         from distributed import Client
-        from distributed import as_completed as completed
+        from distributed.comm import CommClosedError
     except ImportError as error:
         raise ConfigurationError(
             "a cluster needs dask.distributed: pip install 'rotcal_ros[many]'"
         ) from error
     try:
-        client = Client(scheduler, timeout="20s")
-    except OSError as error:
+        client = Client(scheduler, timeout="20s", set_as_default=False)
+    except (OSError, ValueError) as error:
         raise ConfigurationError(f"no Dask scheduler answers at {scheduler}: {error}") from error
-    with client:
-        futures = client.map(solve_bag, jobs, pure=False)
-        source_of = {future.key: job.source for future, job in zip(futures, jobs, strict=True)}
-        for future in completed(futures):
-            yield _outcome(future, source_of[future.key])
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its tracebacks
+    try:
+        yield from _through(client, iter(jobs), scheduler, time_limit_s, work)
+    except CommClosedError as error:
+        raise _gone(scheduler) from error
+    finally:
+        client.close(timeout=2)
+
+
+def _through(
+    client: Any, jobs: Iterator[Job], scheduler: str, time_limit_s: float, work: Work
+) -> Iterator[Outcome]:
+    """Hand out jobs a few at a time and yield their outcomes."""
+    finished: SimpleQueue[Any] = SimpleQueue()
+    handed: dict[Any, tuple[Job, int]] = {}
+    size, asked = 0, -_CENSUS_S
+
+    def hand_out(job: Job, tries: int) -> None:
+        future = client.submit(supervised, job, time_limit_s, work, pure=False)
+        handed[future] = (job, tries)
+        future.add_done_callback(finished.put)
+
+    while True:
+        if time.monotonic() > asked + _CENSUS_S:  # a question to the scheduler
+            size, asked = max(2, sum(client.nthreads().values())), time.monotonic()
+        for job in islice(jobs, max(0, _WAITING * size - len(handed))):
+            hand_out(job, 1)
+        if not handed:
+            return
+        for future in _next(client, finished, scheduler):
+            if future.status in ("cancelled", "lost"):
+                raise _gone(scheduler)
+            job, tries = handed.pop(future)
+            if future.status == "error" and _lost(future) and tries < _TRIES:
+                hand_out(job, tries + 1)
+            else:
+                yield _outcome(future, job.source)
+
+
+def _next(client: Any, finished: SimpleQueue[Any], scheduler: str) -> Iterator[Any]:
+    """Yield the futures that are done, at least one; raises BagError without a scheduler."""
+    seen = time.monotonic()
+    while True:
+        try:
+            yield finished.get(timeout=1.0)
+            break
+        except Empty:
+            if client.status == "running":
+                seen = time.monotonic()
+            elif time.monotonic() > seen + _SCHEDULER_GONE_S:
+                raise _gone(scheduler) from None
+    while not finished.empty():
+        yield finished.get()
+
+
+def _gone(scheduler: str) -> BagError:
+    return BagError(
+        f"the Dask scheduler {scheduler} went away; what was solved is kept: the same call goes on"
+    )
+
+
+_of_thread = threading.local()
+
+
+def supervised(job: Job, time_limit_s: float, work: Work) -> Outcome:
+    """Do a job in the process of its own that this thread of a worker keeps for that."""
+    known: dict[Any, Supervised] = _of_thread.__dict__.setdefault("crew", {})
+    member = known.setdefault((work, time_limit_s), Supervised(work, time_limit_s))
+    return member.do(job)
+
+
+def _lost(future: Any) -> bool:
+    """Return whether Dask gave a bag up because workers died; a bag cannot kill one itself."""
+    return type(future.exception()).__name__ == "KilledWorker"
 
 
 def _outcome(future: Any, source: str) -> Outcome:
-    """Return what a finished future holds; the process or the worker may have died."""
+    """Return what a finished future holds; its workers may have died under it."""
     error = future.exception()
-    return Outcome(source, "", error=repr(error)) if error else future.result()
+    if error is None:
+        outcome: Outcome = future.result()
+        return outcome
+    if _lost(future):
+        return Outcome(source, "", error="set aside: the cluster lost every worker that had it")
+    return Outcome(source, "", error=f"the cluster could not do it: {error!r}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -14,6 +15,13 @@ from rotcal_ros.figures.inline import inline
 
 def render(template: str, **values: Any) -> str:
     """Return the page, every value escaped; a name that the template lacks a value for raises."""
+    template_file = _environment().get_template(f"{template}.html.j2")
+    return template_file.render(values, version=__version__)
+
+
+@cache
+def _environment() -> Environment:
+    """Return what compiles each template once."""
     environment = Environment(
         loader=PackageLoader("rotcal_ros.report", "templates"),
         autoescape=True,
@@ -23,7 +31,7 @@ def render(template: str, **values: Any) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"drawn": _drawn, "quoted": _quoted}
-    return environment.get_template(f"{template}.html.j2").render(values, version=__version__)
+    return environment
 
 
 def _visible(value: Any) -> Any:

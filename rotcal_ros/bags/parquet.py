@@ -1,0 +1,203 @@
+"""The raw streams of a bag as Parquet: one file per topic, one row per message."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rosbags.interfaces import Nodetype
+
+from rotcal_ros.bags.blocks import Block
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
+from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.files import sync_folder
+
+TIMES: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+LOG_TIME: Final = "log_time_ns"
+PUBLISH_TIME: Final = "publish_time_ns"
+_ARROW: Final = {
+    "bool": "bool_", "byte": "uint8", "char": "uint8", "octet": "uint8", "string": "string",
+    "wstring": "string", "float32": "float32", "float64": "float64",
+    **{f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)},
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TopicFile:
+    """What was written of a topic; ``broken`` messages could not be decoded, ``why`` says more."""
+
+    topic: str
+    path: Path | None
+    messages: int
+    broken: int
+    why: str = ""
+
+
+def write_topics(
+    path: Path, folder: Path, progress: Progress | None = None
+) -> tuple[TopicFile, ...]:
+    """Write every topic of the bag at ``path`` into the new ``folder``.
+
+    Columns are the fields of the message under their dotted names, times and durations as int64
+    ns, lists as lists; before them stand log and publish time (int64 ns). A topic whose messages
+    are of no type that can be read is told, not written. Raises BagError when the bag cannot be
+    read or ``folder`` exists.
+    """
+    files = bag_files(path)
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise BagError(f"{folder} exists: name a new folder") from None
+    streams: dict[tuple[str, str], _Stream] = {}
+    with ExitStack() as open_files:
+        for scan, block in read_blocks(files, progress):
+            for number in block.counts() if block is not None else ():
+                channel = scan.channels[number]
+                key = (channel.topic, channel.type_name)
+                if key not in streams:
+                    target = folder / _file_name(channel.topic, {s.path for s in streams.values()})
+                    streams[key] = open_files.enter_context(_Stream(channel, target))
+                assert block is not None
+                streams[key].add(block.select(block.headers["channel"] == number))
+    sync_folder(folder)
+    return tuple(stream.summary() for stream in streams.values())
+
+
+class _Stream:
+    """The file of one topic; a context manager."""
+
+    def __init__(self, channel: ChannelDefinition, path: Path) -> None:
+        self.path = path
+        self._channel = channel
+        self._messages = 0
+        self._why = ""
+        self._writer: Any = None
+        self._decoder: Decoder | None = None
+        try:
+            self._decoder = Decoder(channel)
+            fields = _columns(channel.type_name, self._decoder.definitions)
+        except (BagError, KeyError, RecursionError) as error:
+            self._why = str(error) if isinstance(error, BagError) else "its definition is broken"
+            return
+        pa, parquet = _arrow()
+        times = [(LOG_TIME, pa.int64()), (PUBLISH_TIME, pa.int64())]
+        self._schema = pa.schema([*times, *fields])
+        self._writer = parquet.ParquetWriter(
+            path, self._schema, compression="zstd", write_page_checksum=True
+        )
+
+    def __enter__(self) -> _Stream:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def add(self, block: Block) -> None:
+        """Write the messages of a block as one group of rows."""
+        if self._writer is None or self._decoder is None:
+            self._messages += len(block)
+            return
+        pa, _ = _arrow()
+        rows = list(self._rows(block, self._decoder))
+        self._messages += len(rows)
+        if rows:
+            self._writer.write_table(pa.Table.from_pylist(rows, self._schema))
+
+    def _rows(self, block: Block, decoder: Decoder) -> Iterator[dict[str, Any]]:
+        for index, (log, publish) in enumerate(
+            block.headers[["log_time", "publish_time"]].tolist()
+        ):
+            message = decoder.message(block.payload(index))
+            if message is not None:
+                fields = dict(_flat(message, self._channel.type_name, decoder.definitions))
+                yield {LOG_TIME: _time(log), PUBLISH_TIME: _time(publish), **fields}
+
+    def summary(self) -> TopicFile:
+        broken = self._decoder.broken if self._decoder else self._messages
+        if self._writer is None:
+            return TopicFile(self._channel.topic, None, 0, self._messages, self._why)
+        return TopicFile(self._channel.topic, self.path, self._messages, broken)
+
+
+def _time(time_ns: int) -> int | None:
+    """Return a time as int64 can hold it; None for one beyond the year 2262."""
+    return time_ns if time_ns < 1 << 63 else None
+
+
+def _columns(type_name: str, definitions: Mapping[str, Any], prefix: str = "") -> list[Any]:
+    """Return (name, Arrow type) of the fields of a message, nested ones under dotted names."""
+    columns = []
+    for name, (kind, detail) in definitions[type_name][1]:
+        if kind == Nodetype.NAME and detail not in TIMES:
+            columns += _columns(detail, definitions, f"{prefix}{name}.")
+        else:
+            columns.append((f"{prefix}{name}", _type(kind, detail, definitions)))
+    return columns
+
+
+def _type(kind: Nodetype, detail: Any, definitions: Mapping[str, Any]) -> Any:
+    pa, _ = _arrow()
+    if kind == Nodetype.BASE:
+        return getattr(pa, _ARROW[detail[0]])()
+    if kind == Nodetype.NAME:
+        if detail in TIMES:
+            return pa.int64()
+        fields = definitions[detail][1]
+        return pa.struct([(name, _type(k, d, definitions)) for name, (k, d) in fields])
+    kind, detail = detail[0]
+    return pa.list_(_type(kind, detail, definitions))
+
+
+def _flat(
+    message: Any, type_name: str, definitions: Mapping[str, Any], prefix: str = ""
+) -> Iterator[tuple[str, Any]]:
+    for name, (kind, detail) in definitions[type_name][1]:
+        value = getattr(message, name)
+        if kind == Nodetype.NAME and detail not in TIMES:
+            yield from _flat(value, detail, definitions, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", _value(value, kind, detail, definitions)
+
+
+def _value(value: Any, kind: Nodetype, detail: Any, definitions: Mapping[str, Any]) -> Any:
+    if kind == Nodetype.BASE:
+        return value
+    if kind == Nodetype.NAME:
+        if detail in TIMES:
+            return value.sec * 1_000_000_000 + value.nanosec
+        return {
+            name: _value(getattr(value, name), k, d, definitions)
+            for name, (k, d) in definitions[detail][1]
+        }
+    kind, detail = detail[0]
+    return [_value(element, kind, detail, definitions) for element in value]
+
+
+def _file_name(topic: str, taken: set[Path]) -> str:
+    """Return a name for the file of a topic; two topics never share one."""
+    stem = re.sub(r"[^A-Za-z0-9_-]+", "_", topic.strip("/"))[:100] or "topic"
+    names = {path.name for path in taken}
+    number = next(n for n in range(len(names) + 1) if f"{_numbered(stem, n)}.parquet" not in names)
+    return f"{_numbered(stem, number)}.parquet"
+
+
+def _numbered(stem: str, number: int) -> str:
+    return f"{stem}_{number}" if number else stem
+
+
+def _arrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise ConfigurationError(
+            "Parquet needs pyarrow: pip install 'rotcal_ros[many]'"
+        ) from error
+    return pa, parquet

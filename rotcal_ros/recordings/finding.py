@@ -1,0 +1,189 @@
+"""Which bags are meant: in folders, globs, lists and remote places, each of them once."""
+
+from __future__ import annotations
+
+import glob
+import re
+from collections.abc import Iterator, Sequence
+from fnmatch import translate
+from pathlib import Path
+
+from rotcal_ros.bags.reader import SUFFIXES, bag_files
+from rotcal_ros.errors import BagError
+from rotcal_ros.recordings.remote import is_remote, remote_bags
+
+Inodes = frozenset[tuple[int, int]]
+
+
+def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
+    """Return the bags that ``sources`` name: bags, folders of bags, globs, and lists of these.
+
+    A list is a text file (``.txt``) with one bag per line, relative to itself; empty lines and
+    those that begin with # are left out. URLs (``s3://...``) go through fsspec and are a file, a
+    pattern with *, or a prefix, which is read like a folder. What several paths or links lead to
+    is taken once, under the first; a session stands for each of its files.
+
+    Raises BagError when a source names nothing.
+    """
+    found = _Found()
+    for source in sources:
+        named = False
+        for bag in _Search().bags_of(source):
+            named = True
+            found.add(bag)
+        if not named:
+            raise BagError(f"{source} names no bag: expected bags, a folder, a glob or a list")
+    return found.bags()
+
+
+class _Found:
+    """Bags in the order in which they were named, without those that are known already."""
+
+    def __init__(self) -> None:
+        self._inodes: dict[str, Inodes] = {}
+        self._owner: dict[tuple[int, int], str] = {}
+
+    def add(self, bag: str) -> None:
+        """Take a bag unless its files are known; it takes the place of single files of it."""
+        if bag in self._inodes:
+            return
+        inodes = _inodes(bag)
+        owners = {self._owner[number] for number in inodes if number in self._owner}
+        if any(inodes <= self._inodes[owner] for owner in owners):
+            return
+        for owner in owners:
+            if self._inodes[owner] < inodes:
+                del self._inodes[owner]
+        self._inodes[bag] = inodes
+        self._owner |= dict.fromkeys(inodes, bag)
+
+    def bags(self) -> tuple[str, ...]:
+        return tuple(self._inodes)
+
+
+def _inodes(bag: str) -> Inodes:
+    """Return what is the same under all paths of a bag: device and number of its files."""
+    if is_remote(bag):
+        return frozenset()
+    try:
+        return frozenset((s.st_dev, s.st_ino) for s in map(Path.stat, bag_files(Path(bag))))
+    except (BagError, OSError):
+        return frozenset()
+
+
+class _Search:
+    """One way through folders and lists that enters none of them twice, so that loops end."""
+
+    def __init__(self) -> None:
+        self._entered: set[tuple[int, int]] = set()
+
+    def bags_of(self, source: str) -> Iterator[str]:
+        path = Path(source)
+        if is_remote(source):
+            yield from remote_bags(source)
+        elif path.suffix == ".txt" and path.is_file():
+            yield from self._listed(path)
+        elif path.is_dir():
+            yield from self._in_folder(path)
+        elif path.suffix.lower() in SUFFIXES and path.is_file():
+            yield _plain(path)
+        elif glob.has_magic(source):
+            for name in self._matching(source):
+                yield from self.bags_of(name)
+
+    def _listed(self, path: Path) -> Iterator[str]:
+        if not self._enter(path):
+            return
+        try:
+            lines = path.read_text(encoding="utf-8-sig").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise BagError(f"cannot read the list {path}: {error}") from error
+        for line in map(str.strip, lines):
+            if line and not line.startswith("#"):
+                yield from self.bags_of(line if is_remote(line) else str(path.parent / line))
+
+    def _in_folder(self, path: Path) -> Iterator[str]:
+        """Yield the folder itself when it is a bag, else the bags in it, however deep."""
+        if not self._enter(path):
+            return
+        try:
+            inside = sorted(path.iterdir())
+        except OSError:
+            yield _plain(path)  # named as a bag that cannot be read
+            return
+        if any(file.suffix.lower() in SUFFIXES for file in inside):
+            yield _plain(path)
+            return
+        for folder in inside:
+            if _is_folder(folder):
+                yield from self._in_folder(folder)
+
+    def _matching(self, pattern: str) -> Iterator[str]:
+        """Yield what a glob matches, sorted; ``**`` follows no loop of links."""
+        if "**" not in pattern:
+            yield from sorted(glob.glob(pattern))  # noqa: PTH207  absolute globs too
+            return
+        base = Path(*_before_magic(Path(pattern).parts))
+        matches = _compiled(pattern)
+        walk = _Search()
+        yield from sorted(str(p) for p in walk.below(base) if matches.fullmatch(f"{p}/"))
+
+    def below(self, folder: Path) -> Iterator[Path]:
+        """Yield everything below a folder that can be entered."""
+        if not self._enter(folder):
+            return
+        try:
+            inside = sorted(folder.iterdir())
+        except OSError:
+            return
+        for path in inside:
+            yield path
+            if _is_folder(path):
+                yield from self.below(path)
+
+    def _enter(self, path: Path) -> bool:
+        """Return whether this is the first time here."""
+        try:
+            status = path.stat()
+        except OSError:
+            return False
+        number = (status.st_dev, status.st_ino)
+        first = number not in self._entered
+        self._entered.add(number)
+        return first
+
+
+def _plain(path: Path) -> str:
+    """Return an absolute path; ``..`` stays, it may lead through a link."""
+    return str(path.absolute())
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # a link to itself, on Python before 3.12
+        return False
+
+
+def _before_magic(parts: Sequence[str]) -> Iterator[str]:
+    for part in parts:
+        if glob.has_magic(part):
+            return
+        yield part
+
+
+def _compiled(pattern: str) -> re.Pattern[str]:
+    """Return a glob as a regular expression for paths that end in a slash.
+
+    A * stays within a name, a ** does not.
+    """
+    names = []
+    for part in Path(pattern).parts:
+        if part == "**":
+            names.append("(?:[^/]+/)*")
+        elif part == "/":
+            names.append("/")
+        else:
+            inside = translate(part).replace(".*", "[^/]*")
+            names.append(re.sub(r"\\[Zz]$", "", inside) + "/")
+    return re.compile("".join(names))

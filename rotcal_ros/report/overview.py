@@ -1,0 +1,173 @@
+"""The overview of many bags: pages of plain HTML that stay small however many bags there are."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from rotcal_ros.components import COMPONENTS, unit_of
+from rotcal_ros.files import write_atomically
+from rotcal_ros.report import trend
+from rotcal_ros.report.fleet_queries import Bag, asked, bags_by_table
+from rotcal_ros.report.template import render
+
+PAGE: Final = 200
+"""Rows of a page."""
+FOLDER: Final = "overview"
+Row = TypeVar("Row")
+
+
+@dataclass
+class TableRow:
+    """One rotary table: its bags that count, the newest of them, and how many have an alarm."""
+
+    name: str
+    page: str
+    bags: int = 0
+    bad: int = 0
+    alarms: int = 0
+    last: Bag | None = None
+
+
+@dataclass
+class Counts:
+    """What stands at the top of the overview."""
+
+    bags: int = 0
+    bad: int = 0
+    twins: int = 0
+    alarms: list[tuple[Bag, str]] = field(default_factory=list)
+    tables: list[TableRow] = field(default_factory=list)
+
+
+def write_overview(dataset: Path, configuration_text: str, path: Path) -> Counts:
+    """Write the page at ``path`` and those it leads to, in a folder beside it; return the counts.
+
+    One page for each table with its trend and its bags, pages of alarms, and a search.
+    """
+    counts = Counts()
+    folder = path.parent / FOLDER
+    new = path.parent / f".{FOLDER}-new"
+    shutil.rmtree(new, ignore_errors=True)
+    new.mkdir()
+    with asked(dataset) as connection, (new / "bags.js").open("w", encoding="utf-8") as index:
+        index.write("const BAGS = [\n")
+        for number, (name, bags) in enumerate(
+            groupby(bags_by_table(connection), key=lambda bag: bag.table)
+        ):
+            _write_table(new, number, name, list(bags), counts, index)
+        index.write("];\n")
+    _write_pages(new, "alarms", "Alarms", "alarms", counts.alarms)
+    _write_pages(new, "tables", "Tables", "tables", counts.tables)
+    shutil.rmtree(folder, ignore_errors=True)
+    new.rename(folder)
+    text = render(
+        "overview",
+        counts=counts,
+        alarms=counts.alarms[:PAGE],
+        tables=counts.tables[:PAGE],
+        folder=FOLDER,
+        configuration_text=configuration_text,
+    )
+    write_atomically(path, text)
+    return counts
+
+
+def _write_table(
+    folder: Path, number: int, name: str, bags: Sequence[Bag], counts: Counts, index: Any
+) -> None:
+    """Write the pages of one table and its lines of the search; count it."""
+    stem = f"table-{number}"
+    row = TableRow(name, f"{stem}-1.html")
+    figures = list(_figures(bags))
+    for page, total, some in _paged(bags):
+        file = f"{stem}-{page}.html"
+        for bag in some:
+            _count(counts, row, bag, file)
+            line = [bag.source, name, bag.begin, bag.standing, _verdict(bag), file]
+            index.write(_script(line) + ",\n")
+        text = render(
+            "overview_table", title=name or "no table", rows=[_shown(bag) for bag in some],
+            figures=figures if page == 1 else [], page=page, total=total, stem=stem,
+        )  # fmt: skip
+        (folder / file).write_text(text, encoding="utf-8")
+    counts.tables.append(row)
+
+
+def _count(counts: Counts, row: TableRow, bag: Bag, file: str) -> None:
+    counts.bags += 1
+    if bag.twin_of:
+        counts.twins += 1
+        return
+    row.bags += 1
+    row.bad += bool(bag.error)
+    counts.bad += bool(bag.error)
+    if bag.alarm:
+        row.alarms += 1
+        counts.alarms.append((bag, file))
+    if bag.start_ns is not None:
+        row.last = bag
+
+
+def _write_pages(folder: Path, stem: str, title: str, kind: str, rows: Sequence[Any]) -> None:
+    for page, total, some in _paged(rows):
+        text = render(
+            "overview_list", title=title, kind=kind, rows=some, page=page, total=total, stem=stem
+        )
+        (folder / f"{stem}-{page}.html").write_text(text, encoding="utf-8")
+
+
+def _paged(rows: Sequence[Row]) -> Iterator[tuple[int, int, Sequence[Row]]]:
+    """Yield (page from 1, pages in all, its rows)."""
+    total = max(1, -(-len(rows) // PAGE))
+    for page in range(total):
+        yield page + 1, total, rows[page * PAGE : (page + 1) * PAGE]
+
+
+def _figures(bags: Iterable[Bag]) -> Iterator[tuple[str, str]]:
+    """Yield (component, drawing) of the range over time, for what was measured twice."""
+    points: dict[str, list[trend.Point]] = {}
+    for bag in bags:
+        if bag.start_ns is None or bag.twin_of:
+            continue
+        for span in bag.spans:
+            factor, _ = unit_of(span.component)
+            points.setdefault(span.component, []).append(
+                trend.Point(bag.start_ns, span.range / factor, span.u / factor, span.jumps)
+            )
+    for name in COMPONENTS:
+        if len(points.get(name, ())) > 1:
+            yield name, trend.drawn(points[name], f"{name}, range / {unit_of(name)[1]}")
+
+
+def _shown(bag: Bag) -> dict[str, Any]:
+    """Return what a row of a table's page shows."""
+    spans = []
+    for span in bag.spans:
+        factor, unit = unit_of(span.component)
+        spans.append(f"{span.component} {span.range / factor:.3g} {unit}")
+    notes = [f"the same session as {bag.twin_of}"] if bag.twin_of else []
+    notes += [bag.alarm] if bag.alarm else []
+    notes += [text for text in bag.warnings if text not in notes]
+    return {
+        "source": bag.source,
+        "start": bag.begin,
+        "standing": bag.standing,
+        "span": ", ".join(spans),
+        "verdict": _verdict(bag),
+        "notes": notes,
+    }
+
+
+def _verdict(bag: Bag) -> str:
+    return bag.line or "no result"
+
+
+def _script(values: Sequence[str]) -> str:
+    """Return JSON that may stand in a script: no tag can begin in it."""
+    return json.dumps(values).replace("<", "\\u003c")
