@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Final
@@ -86,6 +86,12 @@ class Listener:
         self._incompatible.clear()
         for topic in self.topics.values():
             topic.losses.forget()
+
+    def reached_ns(self, names_in_order: Iterable[str]) -> int | None:
+        """Return the newest stamp of the first of these topics that is heard; None: none is."""
+        heard = (self.topics[name] for name in names_in_order if name in self.topics)
+        stream = next(heard, None)
+        return None if stream is None else stream.latest_stamp_ns()
 
     def drain(self) -> None:
         """Take what has arrived and is still waiting."""

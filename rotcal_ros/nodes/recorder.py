@@ -81,12 +81,7 @@ class RecorderNode(CellNode):
 
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
         if self._recording is not None:
-            now_ns = time.time_ns()
-            times = (
-                (d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch
-            )
-            items = [(data, received, sent or received) for data, received, sent in times]
-            messages = Messages(topic.channel, items)
+            messages = Messages.taken(topic.channel, batch)
             if not self._recording.put(messages):
                 self._dropouts.refused(messages)
         if topic.channel.topic == self._observation_topic:
@@ -99,9 +94,7 @@ class RecorderNode(CellNode):
         """Queue a receipt once the readings of its window have arrived here too."""
         if self._recording is None:
             return
-        topics = self._listener.topics
-        stream = next((topics[name] for name in self._windowed if name in topics), None)
-        reached_ns = None if stream is None else stream.latest_stamp_ns()
+        reached_ns = self._listener.reached_ns(self._windowed)
         if not self._pending:
             self._pending.reach(reached_ns or 0)
             return

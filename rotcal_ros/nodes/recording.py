@@ -18,6 +18,7 @@ from typing import Final
 from rotcal_ros.bags import names
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
+from rotcal_ros.nodes.draining import Batch
 from rotcal_ros.nodes.memory import end_without_memory
 
 _TURN_S: Final = 0.1
@@ -40,6 +41,15 @@ class Messages:
 
     channel: Channel
     items: Sequence[tuple[bytes, int, int]]
+
+    @classmethod
+    def taken(cls, channel: Channel, batch: Batch) -> Messages:
+        """Return messages as they were taken from the middleware, which may know no times."""
+        now_ns = time.time_ns()
+        received = (
+            (d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch
+        )
+        return cls(channel, [(data, taken, sent or taken) for data, taken, sent in received])
 
     def size(self) -> int:
         """Return the number of payload bytes."""
@@ -143,7 +153,7 @@ class Recording:
                 self.error = str(error)
             except Exception as error:
                 end_without_memory(error, "bag writer")
-                self.error = f"unexpected failure of the bag writer: {error!r}"
+                self.error = f"the bag writer failed, which is a fault of rotcal_ros: {error!r}"
 
     def _sync(self, receipt: Receipt) -> None:
         self._writer.sync()
