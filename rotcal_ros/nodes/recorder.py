@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,9 +47,8 @@ class RecorderNode(CellNode):
         self.create_service(StartRecording, "start_recording", self._start)
         self.create_service(StopRecording, "stop_recording", self._stop)
         self._observation_topic = self.resolve_topic_name(names.OBSERVATION)
-        self._windowed = [
-            self.resolve_topic_name(name) for name in (names.TRACER_LENGTH, names.PROBE_POINT)
-        ]
+        windowed = (names.TRACER_LENGTH, names.PROBE_POINT)
+        self._windowed = [self.resolve_topic_name(name) for name in windowed]
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         self._listener = Listener(self, self._take, self._dropouts.note)
         self.every(GRAPH_PERIOD_S, self._note_losses)
@@ -99,7 +99,7 @@ class RecorderNode(CellNode):
             self._pending.reach(reached_ns or 0)
             return
         losses = self._all_losses().items()  # of the messages that a replay needs
-        lost = sum(count for where, count in losses if where.rpartition("/")[2] in names.ROLES)
+        lost = sum(n for where, n in losses if where.rpartition("/")[2] in names.ROLES)
         for receipt in self._pending.due(reached_ns, lost):
             self._dropouts.write()
             self._recording.confirm(receipt)
@@ -111,9 +111,7 @@ class RecorderNode(CellNode):
 
     def _confirm(self, receipt: Receipt, file: str) -> None:
         """Publish a receipt; called from the writer's thread."""
-        message = RecordedObservation(
-            step=receipt.step, attempt=receipt.attempt, lost=receipt.lost, file=file
-        )
+        message = RecordedObservation(**asdict(receipt), file=file)
         message.header.stamp = self.get_clock().now().to_msg()
         self._receipts.publish(message)
 
@@ -181,9 +179,8 @@ class RecorderNode(CellNode):
             self._close()
 
     def _report(self) -> tuple[str, dict[str, Any]]:
-        listener = self._listener
-        values: dict[str, Any] = {"topics": len(listener.topics), **listener.refused}
-        values |= self._all_losses() + self._silences.counts
+        counts = self._all_losses() + self._silences.counts
+        values = {"topics": len(self._listener.topics), **self._listener.refused, **counts}
         recording = self._recording
         if recording is not None and recording.error:
             return f"{RECORDING_FAILED}: {recording.error}", values

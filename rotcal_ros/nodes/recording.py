@@ -46,10 +46,8 @@ class Messages:
     def taken(cls, channel: Channel, batch: Batch) -> Messages:
         """Return messages as they were taken from the middleware, which may know no times."""
         now_ns = time.time_ns()
-        received = (
-            (d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch
-        )
-        return cls(channel, [(data, taken, sent or taken) for data, taken, sent in received])
+        times = ((d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch)
+        return cls(channel, [(data, taken, sent or taken) for data, taken, sent in times])
 
     def size(self) -> int:
         """Return the number of payload bytes."""
