@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -120,11 +121,21 @@ class BagWriter:
 
     def add_channel(self, wanted: ChannelDefinition) -> int:
         """Add a channel as another bag defines it, and return its id here."""
-        channel = self._guarded(lambda: self._file.register(wanted))
+        channel = self._guarded(lambda: self._file.register(self._as_before(wanted)))
         self._channels[channel.channel_id] = channel
         self._sequences[channel.channel_id] = 0
         self._unsynced += 1
         return channel.channel_id
+
+    def _as_before(self, wanted: ChannelDefinition) -> ChannelDefinition:
+        """Return a channel with the QoS that its topic has in the earlier files of the session.
+
+        There may be other publishers now, but a topic whose QoS differs from file to file is
+        another connection for rosbags, which then leaves out its messages.
+        """
+        known = (channel for file in self.files for channel in file.channels)
+        before = next((c for c in known if c.topic == wanted.topic), None)
+        return wanted if before is None else replace(wanted, offered_qos=before.offered_qos)
 
     def write(
         self,

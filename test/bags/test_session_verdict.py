@@ -18,9 +18,10 @@ from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.closing import InterruptedSession
-from rotcal_ros.bags.reader import bag_files, check_files
+from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.reindex import reindex
 from rotcal_ros.bags.repair import repair
+from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.rosbag2_reading import parse_description, read_description
 from rotcal_ros.bags.session_identity import require_one_session, session_of
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
@@ -317,3 +318,18 @@ def test_a_session_of_an_earlier_version_is_continued_as_one(tmp_path: Path) -> 
         put(writer, writer.channel("/a", "demo_msgs/msg/Blob", "uint8[] data\n"), 50)
     require_one_session(bag_files(folder))
     assert judged(folder).sound
+
+
+def test_a_topic_with_more_publishers_than_before_is_one_connection_for_others(
+    tmp_path: Path,
+) -> None:
+    folder, blob = tmp_path / "bag", ("/a", "demo_msgs/msg/Blob", "uint8[] data\n", "")
+    before, later = (qos_text([OfferedQos(depth=10)] * publishers) for publishers in (3, 5))
+    with BagWriter(folder, WriterSettings(min_free_bytes=0)) as writer:
+        put(writer, writer.channel(*blob, before), 0)
+    with BagWriter(
+        folder, WriterSettings(min_free_bytes=0), earlier=session_files(folder)
+    ) as more:
+        put(more, more.channel(*blob, later), 50)
+    with Reader(folder) as reader:
+        assert sum(1 for _ in reader.messages()) == reader.message_count > 0
