@@ -24,6 +24,7 @@ from rotcal_ros.bags.reader import bag_files, file_info, read_blocks
 from rotcal_ros.bags.rosbag2_metadata import FileInfo
 from rotcal_ros.bags.session_identity import file_head
 from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
 from rotcal_ros.files import replace_atomically, sync_folder
 
@@ -51,6 +52,11 @@ class InterruptedSession:
         scans = [scan for scan, block in read_blocks(files) if block is None]
         ends = tuple(end for scan in scans if (end := open_end(scan.verdict())) is not None)
         return cls(tuple(map(file_info, scans)), session, ends)
+
+    def close_before(self, writer: BagWriter) -> None:
+        """:meth:`close` for a writer that continues the session and watches its files."""
+        self.close(writer.path.name)
+        writer.expect_earlier()
 
     def close(self, continued_in: str = "") -> None:
         """Close the files that the interruption left open; call it with the right to write.

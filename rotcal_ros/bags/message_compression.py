@@ -17,6 +17,7 @@ import zstandard
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.mcap_records import MAX_RECORD, DamagedRecord
 from rotcal_ros.errors import BagError
+from rotcal_ros.untrusted import open_plain
 
 Unpack = Callable[[bytes], bytes]
 """Returns the message in compressed bytes; raises DamagedRecord."""
@@ -48,7 +49,7 @@ def decompressor(mode: str, compression: str) -> Unpack | None:
 def declared_compression(file: Path) -> tuple[str, str]:
     """Return mode and format that ``metadata.yaml`` beside a storage file states, or two ''."""
     try:
-        with (file.parent / METADATA_FILE).open("rb") as metadata:
+        with open_plain(file.parent / METADATA_FILE) as metadata:
             return stated_compression(metadata.read(_MAX_METADATA))
     except OSError:
         return "", ""

@@ -12,6 +12,7 @@ import zstandard
 
 from rotcal_ros.bags.reading_limits import ReadingLimits, refusal
 from rotcal_ros.errors import BagError
+from rotcal_ros.untrusted import open_plain
 
 PACKED: Final = ".zstd"
 """The ending of such a file, behind the one of its storage."""
@@ -25,7 +26,7 @@ def opened(path: Path, limits: ReadingLimits) -> Iterator[BinaryIO]:
     Raises OSError, and BagError where it cannot be unpacked or would become too large. What
     can be unpacked of a file that is cut off is given.
     """
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         if path.suffix.lower() != PACKED:
             yield file
             return

@@ -80,6 +80,12 @@ class BagWriter:
         topics = [channel.topic for channel in self._channels.values()]
         return {t: sum(file.counts.get(t, 0) for file in self.files) for t in topics}
 
+    def expect_earlier(self) -> None:
+        """Take the earlier files of the session as they are now for the right ones."""
+        for file in self.files:
+            if self._open_file is None or file is not self.files[-1]:
+                self._presence.expect(self.folder / file.name)
+
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Put ``data`` beside the messages, in this file and in every later one."""
         attached = Attached(name, media_type, data, time.time_ns())
@@ -204,8 +210,7 @@ class BagWriter:
         elif not self.folder.is_dir():
             raise BagError(f"cannot continue {self.folder}: there is no such folder")
         self._lock = FolderLock(self.folder)
-        for file in self.files:
-            self._presence.expect(self.folder / file.name)
+        self.expect_earlier()
         self._begin_file()
 
     def _make_folder(self) -> None:

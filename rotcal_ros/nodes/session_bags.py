@@ -36,7 +36,7 @@ class SessionBags:
         )
         if earlier is not None:
             try:
-                earlier.close(writer.path.name)
+                earlier.close_before(writer)
             except BagError:
                 writer.close()
                 raise

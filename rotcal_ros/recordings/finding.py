@@ -11,6 +11,7 @@ from pathlib import Path
 from rotcal_ros.bags.reader import SUFFIXES, bag_files
 from rotcal_ros.errors import BagError
 from rotcal_ros.recordings.remote import is_remote, remote_bags
+from rotcal_ros.untrusted import read_text
 
 Inodes = frozenset[tuple[int, int]]
 
@@ -95,7 +96,7 @@ class _Search:
         if not self._enter(path):
             return
         try:
-            lines = path.read_text(encoding="utf-8-sig").splitlines()
+            lines = read_text(path, "utf-8-sig").splitlines()
         except (OSError, UnicodeDecodeError) as error:
             raise BagError(f"cannot read the list {path}: {error}") from error
         for line in map(str.strip, lines):

@@ -51,7 +51,7 @@ def record(folder: Path, receipts: Any, how: dict[str, Any]) -> None:
         )
         writer = BagWriter(folder, settings, earlier=earlier.files if earlier else None)
         if earlier:
-            earlier.close(writer.path.name)
+            earlier.close_before(writer)
     except Exception as error:
         receipts.send(("error", str(error)))
         return

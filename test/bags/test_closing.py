@@ -143,7 +143,7 @@ def test_the_next_run_takes_the_identity_and_closes(tmp_path: Path) -> None:
     left = InterruptedSession.read(bag)
     assert first.read_bytes() == whole[:-300]  # nothing is done before the new file is there
     with BagWriter(bag, WriterSettings(min_free_bytes=0), earlier=left.files) as writer:
-        left.close(writer.path.name)
+        left.close_before(writer)
         writer.note(names.RUN, {"number": 1, "session": left.session})
     with Reader(bag) as reader:
         assert reader.message_count == left.files[0].messages

@@ -90,7 +90,7 @@ def write_resumed(folder: Path) -> None:
     writer._lock.release()  # as the system does when the process dies
     left = InterruptedSession.read(folder)
     with BagWriter(folder, WriterSettings(min_free_bytes=0), earlier=left.files) as again:
-        left.close(again.path.name)
+        left.close_before(again)
         again.note(names.RUN, {"number": 1, "session": left.session})
         channel = again.channel("/cell/other", "demo_msgs/msg/Blob", "uint8[] data\n")
         put(again, channel, 10)
@@ -312,7 +312,7 @@ def test_a_session_of_an_earlier_version_is_continued_as_one(tmp_path: Path) -> 
     folder = split(tmp_path / "bag", "")
     left = InterruptedSession.read(folder)
     with BagWriter(folder, WriterSettings(min_free_bytes=0), earlier=left.files) as writer:
-        left.close(writer.path.name)
+        left.close_before(writer)
         writer.note(names.RUN, {"number": 6, "session": left.session})
         writer.attach(names.CONFIGURATION, "application/yaml", CONFIGURATION.encode())
         put(writer, writer.channel("/a", "demo_msgs/msg/Blob", "uint8[] data\n"), 50)

@@ -133,7 +133,11 @@ def test_names_with_questions_and_hashes_in_them(path: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(b"", "it is empty"), (b"PK" * 4000, "no page of it holds a row"), (None, "is no file")],
+    [
+        (b"", "it is empty"),
+        (b"PK" * 4000, "no page of it holds a row"),
+        (None, "it is a folder, expected a file"),
+    ],
 )
 def test_what_is_no_database_is_refused(content: bytes | None, words: str, tmp_path: Path) -> None:
     path = tmp_path / "odd.db3"

@@ -134,7 +134,6 @@ def reading(path: Path, new: Path) -> list[list[str]]:
         ["export", result, "--to", "csv", "--add-to", x, "-o", str(new)],
         ["report", x, "-o", page],
         ["report", result, "--truth", x, "-o", page],
-        ["report", result, "--dcc", "--sign", x, "--certificate", x, "-o", page],
         ["compare", x, result],
         ["compare", result, x],
         ["compare", result, result, "--polygon", x],

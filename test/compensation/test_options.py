@@ -23,7 +23,7 @@ def test_values_are_what_they_look_like():
         (["turns"], "'turns': expected NAME=VALUE"),
         (["=3"], "'=3': expected NAME=VALUE"),
         (["turns=3", " turns=4"], "'turns' is given twice"),
-        (["turns=["], "not a value"),
+        (["turns=["], "not valid YAML"),
     ],
 )
 def test_other_texts_are_refused(texts, why):

@@ -42,6 +42,9 @@ CHECKED = {
 }
 
 
+RECAPTURED = "the observations captured again differ from those captured live"
+
+
 def carry_out(commands, arithmetic):
     """Return name -> exit code, output and error text of commands under an arithmetic."""
     paths = os.pathsep.join(filter(None, sys.path))
@@ -99,7 +102,7 @@ def test_an_old_recording_solves_to_the_same_result(outcomes, name):
     outcome, stored = outcomes[name], json.loads(stored_for(name))
     assert outcome["code"] == 0, outcome["error"]
     if EXACT:
-        assert outcome["error"] == ""  # captured again as it was live
+        assert RECAPTURED not in outcome["error"]
         assert known_then(outcome, stored) == stored
     else:
         assert_close(known_then(outcome, stored), stored)
@@ -107,8 +110,9 @@ def test_an_old_recording_solves_to_the_same_result(outcomes, name):
 
 def test_another_arithmetic_changes_the_last_digits_only():
     for name, outcome in carry_out(SOLVED, OTHER_ARITHMETIC).items():
-        stored = json.loads(stored_for(name))
-        assert_close(known_then(outcome, stored), stored, name)
+        stored, found = json.loads(stored_for(name)), json.loads(outcome["out"])
+        found["warnings"] = [text for text in found["warnings"] if text != RECAPTURED]
+        assert_close(only_known(found, stored), stored, name)
 
 
 @pytest.mark.parametrize("method", METHODS)
