@@ -117,17 +117,17 @@ def _missing(
     folder: Path, present: _Present, listed: Sequence[FileEntry]
 ) -> Iterator[tuple[str, str]]:
     """Yield (name, sentence) of every file that belongs to the session and was not read."""
-    said: dict[str, str] = {}
+    stated: dict[str, str] = {}
     for verdict in present.verdicts:
         for name in present.recorded[verdict.path.name]:
-            said.setdefault(name, f"it was there when {verdict.path.name} was recorded")
+            stated.setdefault(name, f"it was there when {verdict.path.name} was recorded")
         following = verdict.notes.get(names.CONTINUED, {}).get("in", "")
         if following and verdict.state != "truncated":  # else it died before it was opened
-            said[following] = f"the session went on in it after {verdict.path.name}"
+            stated[following] = f"the session went on in it after {verdict.path.name}"
     for entry in listed:
         about = entry.in_words()
-        said[entry.name] = f"{METADATA_FILE} lists it{f' with {about}' if about else ''}"
-    for name, why in said.items():
+        stated[entry.name] = f"{METADATA_FILE} lists it{f' with {about}' if about else ''}"
+    for name, why in stated.items():
         if name not in present.by_name:
             yield name, _sentence(folder, name, why)
 

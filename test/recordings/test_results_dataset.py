@@ -115,4 +115,4 @@ def test_two_calls_do_not_write_at_the_same_time(tmp_path):
 
 def test_a_name_that_is_no_text_is_escaped(tmp_path):
     write(tmp_path, outcome("caf\udce9"))
-    assert {r["source"] for r in rows(tmp_path)} == {"/bags/table/caf\\xe9"}
+    assert {r["source"] for r in rows(tmp_path)} == {"/bags/table/caf\\udce9"}
