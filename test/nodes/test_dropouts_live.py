@@ -18,7 +18,7 @@ pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
 
 TRACER = "/cell/tracer_length"
-HELD_S = 8.0
+HELD_S = (8, 16, 32)
 """More than a socket takes: its buffer may have room for 4 MB, some 5000 readings."""
 DEPTH = 50
 """Readings that the publisher keeps for a reader who does not answer: 0.05 s."""
@@ -43,20 +43,28 @@ def readings(bag):
     return np.array(numbers), np.array(times)
 
 
+def held_up(recorders, name, held_s):
+    """Return the bag of a recorder that was stopped for a while."""
+    recorders.start(name)
+    wait_until(lambda: recorders.receipts[name], "the recorder confirms")
+    confirmed = len(recorders.receipts[name])
+    recorders.processes.signal(name, signal.SIGSTOP)
+    time.sleep(held_s)  # the pause itself is the test's subject
+    recorders.processes.signal(name, signal.SIGCONT)
+    wait_until(lambda: len(recorders.receipts[name]) > confirmed + 20, "it goes on")
+    recorders.processes.signal(name, signal.SIGTERM)
+    wait_until(lambda: name in recorders.processes.ended(), "it has ended")
+    return recorders.file(name).parent
+
+
 def test_what_a_held_up_recorder_missed_stands_in_its_bag(recorders):
-    recorders.start("held")
-    wait_until(lambda: recorders.receipts["held"], "the recorder confirms")
-    confirmed = len(recorders.receipts["held"])
-    recorders.processes.signal("held", signal.SIGSTOP)
-    time.sleep(HELD_S)  # the pause itself is the test's subject
-    recorders.processes.signal("held", signal.SIGCONT)
-    wait_until(lambda: len(recorders.receipts["held"]) > confirmed + 20, "it goes on")
-    recorders.processes.signal("held", signal.SIGTERM)
-    wait_until(lambda: "held" in recorders.processes.ended(), "it has ended")
-    bag = recorders.file("held").parent
+    for held_s in HELD_S:  # on a busy machine the publisher is slower
+        bag = held_up(recorders, f"held_{held_s}", held_s)
+        numbers, times = readings(bag)
+        missing = np.diff(numbers) - 1
+        if missing.any():
+            break
     (verdict,) = check_files(bag_files(bag))
-    numbers, times = readings(bag)
-    missing = np.diff(numbers) - 1
     assert missing.sum() > 0
     told = [dropout for dropout in verdict.dropouts if dropout.topic == TRACER]
     assert {dropout.reason for dropout in told} <= {GAP, REPORTED}

@@ -56,7 +56,8 @@ def test_a_set_clock_hinders_no_calibration(cell, tmp_path, by_s, where):
     recording = read_recording(live.bag)
     text = (live.session / "result.json").read_text()
     assert recording.same_as_recorded
-    assert recording.solve().to_json() == text
+    again = recording.with_warnings(Result.from_dict(json.loads(text)))
+    assert recording.solve().to_json() == again.to_json()
     warned = [w for w in recording.warnings() if w.startswith(told)]
     assert len(warned) == ("recorder" in where)
 
