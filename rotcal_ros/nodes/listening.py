@@ -88,10 +88,9 @@ class Listener:
             topic.losses.forget()
 
     def reached_ns(self, names_in_order: Iterable[str]) -> int | None:
-        """Return the newest stamp of the first of these topics that is heard; None: none is."""
+        """Return the newest stamp of the first of these topics that came; None: none did."""
         heard = (self.topics[name] for name in names_in_order if name in self.topics)
-        stream = next(heard, None)
-        return None if stream is None else stream.latest_stamp_ns()
+        return next((topic.latest_stamp_ns() for topic in heard if topic.latest), None)
 
     def drain(self) -> None:
         """Take what has arrived and is still waiting."""

@@ -47,8 +47,8 @@ class RecorderNode(CellNode):
         self.create_service(StartRecording, "start_recording", self._start)
         self.create_service(StopRecording, "stop_recording", self._stop)
         self._observation_topic = self.resolve_topic_name(names.OBSERVATION)
-        windowed = (names.TRACER_LENGTH, names.PROBE_POINT)
-        self._windowed = [self.resolve_topic_name(name) for name in windowed]
+        needed = ((names.TRACER_LENGTH, names.PROBE_POINT), (names.JOINT_STATES,))
+        self._needed = [[self.resolve_topic_name(name) for name in either] for either in needed]
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         self._listener = Listener(self, self._take, self._dropouts.note)
         self.every(GRAPH_PERIOD_S, self._note_losses)
@@ -91,10 +91,11 @@ class RecorderNode(CellNode):
         self._settle_receipts()
 
     def _settle_receipts(self) -> None:
-        """Queue a receipt once the readings of its window have arrived here too."""
+        """Queue a receipt once the readings and the feedback of its window have arrived here."""
         if self._recording is None:
             return
-        reached_ns = self._listener.reached_ns(self._windowed)
+        came = map(self._listener.reached_ns, self._needed)
+        reached_ns = min((stamp for stamp in came if stamp is not None), default=None)
         if not self._pending:
             self._pending.reach(reached_ns or 0)
             return

@@ -1,5 +1,6 @@
 """A recorder that is held up misses messages, and the bag says when and how many."""
 
+import os
 import signal
 import time
 
@@ -57,6 +58,10 @@ def held_up(recorders, name, held_s):
     return recorders.file(name).parent
 
 
+@pytest.mark.skipif(
+    not os.environ.get("ROTCAL_LONG_TESTS"),
+    reason="by hand: whether anything is lost depends on the buffers and the load of the machine",
+)
 def test_what_a_held_up_recorder_missed_stands_in_its_bag(recorders):
     for held_s in HELD_S:  # on a busy machine the publisher is slower
         bag = held_up(recorders, f"held_{held_s}", held_s)
