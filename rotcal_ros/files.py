@@ -111,7 +111,7 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     with scratch_folder(path.parent) as scratch:
         temporary = scratch / path.name
         write(temporary)
-        _sync(temporary)
+        sync_file(temporary)
         disk.replace(temporary, path)
     sync_folder(path.parent)
 
@@ -134,11 +134,33 @@ def scratch_folder(parent: Path) -> Iterator[Path]:
             disk.remove_folder(folder)
 
 
-def write_durably(path: Path, text: str, encoding: str = "utf-8") -> None:
-    """Write ``text`` into a new file, line ends as they are; it is on the medium afterwards."""
+def write_durably(path: Path, content: str | bytes, encoding: str = "utf-8") -> None:
+    """Write ``content`` into a new file, line ends as they are; it is on the medium afterwards."""
     with closing(DurableFile(path)) as file:
-        file.write(text.encode(encoding))
+        file.write(content.encode(encoding) if isinstance(content, str) else content)
         file.sync()
+
+
+def replace_tail(path: Path, end: int, data: bytes) -> None:
+    """Put ``data`` in the place of all that stands from byte ``end`` on; on the medium afterwards.
+
+    Who dies meanwhile leaves a part of it; the bytes before ``end`` never change.
+    """
+    descriptor = disk.open_file(path, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
+    try:
+        disk.truncate(descriptor, end)
+        _write_whole(descriptor, data)
+        disk.sync(descriptor)
+    finally:
+        with suppress(OSError):  # what is synced is safe
+            disk.close(descriptor)
+
+
+def remove_durably(path: Path) -> None:
+    """Remove a file, if there is one; its name does not come back after a crash."""
+    if path.exists():
+        disk.remove(path)
+        sync_folder(path.parent)
 
 
 def append_line(path: Path, line: bytes) -> None:
@@ -176,7 +198,16 @@ def make_folder(path: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Make the names of new files in ``folder`` durable."""
-    _sync(folder)
+    sync_file(folder)
+
+
+def sync_file(path: Path) -> None:
+    """Return when what stands in a file is on the medium, whoever wrote it."""
+    descriptor = disk.open_file(path, os.O_RDONLY)
+    try:
+        disk.sync(descriptor)
+    finally:
+        disk.close(descriptor)
 
 
 def _write_whole(descriptor: int, data: bytes) -> None:
@@ -194,11 +225,3 @@ def _undone(descriptor: int, size: int) -> Iterator[None]:
         with suppress(OSError):
             disk.truncate(descriptor, size)
         raise
-
-
-def _sync(path: Path) -> None:
-    descriptor = disk.open_file(path, os.O_RDONLY)
-    try:
-        disk.sync(descriptor)
-    finally:
-        disk.close(descriptor)

@@ -9,7 +9,6 @@ next one needs to do it again.
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -26,7 +25,13 @@ from rotcal_ros.bags.session_identity import file_head
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.errors import BagError
-from rotcal_ros.files import replace_atomically, sync_folder
+from rotcal_ros.files import (
+    remove_durably,
+    replace_atomically,
+    replace_tail,
+    sync_file,
+    write_durably,
+)
 
 JOURNAL_SUFFIX: Final = ".closing"
 
@@ -95,19 +100,13 @@ class OpenEnd:
         if self.path.stat().st_size != self.size:
             raise BagError(f"{self.path} has changed since it was read; nothing was done to it")
         journal = _journal(self.path)
-        with self.path.open("rb") as file:
-            os.fsync(file.fileno())  # the journal must not outlive bytes that it counts on
+        sync_file(self.path)  # the journal must not outlive bytes that it counts on
         if not journal.exists():
             head = json.dumps({"end": self.end}).encode() + b"\n"
-            replace_atomically(journal, lambda path: path.write_bytes(head + self.torn))
+            replace_atomically(journal, lambda path: write_durably(path, head + self.torn))
         tail = self.contents.tail(self._record(continued_in), self.torn, LIBRARY)
-        with self.path.open("r+b") as file:
-            file.truncate(self.end)
-            file.seek(self.end)
-            file.write(tail)
-            file.flush()
-            os.fsync(file.fileno())
-        _remove(journal)
+        replace_tail(self.path, self.end, tail)
+        remove_durably(journal)
 
     def _record(self, continued_in: str) -> Metadata:
         return Metadata(
@@ -130,7 +129,7 @@ def open_end(verdict: FileVerdict) -> OpenEnd | None:
     journal = _journal(path)
     if verdict.state != "truncated":
         if verdict.state == "complete":
-            _remove(journal)
+            remove_durably(journal)
         return None
     begun = _begun(journal)
     with path.open("rb") as file:
@@ -150,9 +149,3 @@ def _begun(journal: Path) -> tuple[int, bytes] | None:
         return None
     head, _, torn = journal.read_bytes().partition(b"\n")
     return int(json.loads(head)["end"]), torn
-
-
-def _remove(journal: Path) -> None:
-    if journal.exists():
-        journal.unlink()
-        sync_folder(journal.parent)

@@ -85,7 +85,7 @@ class _Stream:
         except (BagError, KeyError, RecursionError) as error:
             self._why = str(error) if isinstance(error, BagError) else "its definition is broken"
             return
-        pa, parquet = _arrow()
+        pa, parquet = arrow()
         times = [(LOG_TIME, pa.int64()), (PUBLISH_TIME, pa.int64())]
         self._schema = pa.schema([*times, *fields])
         self._writer = parquet.ParquetWriter(
@@ -104,7 +104,7 @@ class _Stream:
         if self._writer is None or self._decoder is None:
             self._messages += len(block)
             return
-        pa, _ = _arrow()
+        pa, _ = arrow()
         rows = list(self._rows(block, self._decoder))
         self._messages += len(rows)
         if rows:
@@ -143,7 +143,7 @@ def _columns(type_name: str, definitions: Mapping[str, Any], prefix: str = "") -
 
 
 def _type(kind: Nodetype, detail: Any, definitions: Mapping[str, Any]) -> Any:
-    pa, _ = _arrow()
+    pa, _ = arrow()
     if kind == Nodetype.BASE:
         return getattr(pa, _ARROW[detail[0]])()
     if kind == Nodetype.NAME:
@@ -192,7 +192,8 @@ def _numbered(stem: str, number: int) -> str:
     return f"{stem}_{number}" if number else stem
 
 
-def _arrow() -> tuple[Any, Any]:
+def arrow() -> tuple[Any, Any]:
+    """Return pyarrow and its Parquet half; ConfigurationError where it is not installed."""
     try:
         import pyarrow as pa
         import pyarrow.parquet as parquet

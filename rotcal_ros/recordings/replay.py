@@ -35,7 +35,7 @@ from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
-from rotcal_ros.recordings.dropouts import placed_in, sentences
+from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
 from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
 from rotcal_ros.recordings.nothing_captured import why_nothing
@@ -59,7 +59,7 @@ class Recording:
     decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
     ``announced`` which tables the cell announced to be in force, ``unreadable`` why topics could
     not be read, ``clock`` how the system clock jumped, in words, ``session`` whether all files
-    are there.
+    are there, ``dropouts`` what the recorder itself missed.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -81,6 +81,7 @@ class Recording:
     unreadable: Mapping[str, str] = field(default_factory=dict)
     clock: tuple[str, ...] = ()
     session: SessionVerdict = field(default_factory=SessionVerdict)
+    dropouts: tuple[PlacedDropout, ...] = ()
 
     @property
     def configuration(self) -> Configuration:
@@ -178,7 +179,7 @@ class Recording:
         texts += losses_in_words(session_losses(self.verdicts))
         texts += self.unreadable.values()
         texts += self.clock
-        texts += sentences(placed_in(self.verdicts))
+        texts += sentences(self.dropouts)
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
@@ -240,6 +241,7 @@ def read_recording(
         unreadable=dict(topics.unreadable),
         clock=clock_in_words(found.scans, found.log_times),
         session=judge_session(path, verdicts),
+        dropouts=placed_in(verdicts),
     )
 
 

@@ -13,7 +13,7 @@ from uuid import uuid4
 
 import numpy as np
 
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.bags.parquet import arrow
 from rotcal_ros.escapes import encodable
 from rotcal_ros.files import FolderLock, replace_atomically
 from rotcal_ros.recordings.kept import Outcome
@@ -34,7 +34,7 @@ class ResultsDataset:
     """
 
     def __init__(self, folder: Path) -> None:
-        _arrow()
+        arrow()
         if folder.is_file():
             folder.unlink()  # the one file of an earlier version
         folder.mkdir(parents=True, exist_ok=True)
@@ -83,7 +83,7 @@ class ResultsDataset:
 
     def _write(self) -> None:
         if self._batches:
-            table = _arrow()[0].Table.from_batches(self._batches)
+            table = arrow()[0].Table.from_batches(self._batches)
             _write(table, self.folder / f"part-{uuid4().hex}.parquet")
         self._batches, self._rows, self._since = [], 0, time.monotonic()
 
@@ -113,7 +113,7 @@ class ResultsDataset:
         import pyarrow.compute as compute
 
         table = table.filter(
-            compute.invert(compute.is_in(table["source"], _arrow()[0].array(stale)))
+            compute.invert(compute.is_in(table["source"], arrow()[0].array(stale)))
         )
         if table.num_rows:
             _write(table, path)
@@ -127,14 +127,14 @@ def parts(folder: Path) -> list[Path]:
 
 
 def _write(table: Any, path: Path) -> None:
-    parquet = _arrow()[1]
+    parquet = arrow()[1]
     options = {"compression": "zstd", "write_page_checksum": True}
     replace_atomically(path, lambda new: parquet.write_table(table, new, **options))
 
 
 def _whole(path: Path) -> Any:
     """Return all rows of a part, checked; raises OSError or ValueError."""
-    _, parquet = _arrow()
+    _, parquet = arrow()
     return parquet.read_table(path, page_checksum_verification=True, partitioning=None)
 
 
@@ -147,7 +147,7 @@ def _bags_of(table: Any) -> list[tuple[str, str, str | None]]:
 
 def _batch(outcome: Outcome) -> Any:
     """Return the rows of one bag."""
-    pa, _ = _arrow()
+    pa, _ = arrow()
     outcome = replace(outcome, source=encodable(outcome.source))
     result = outcome.deviations()
     common: dict[str, Any] = {
@@ -190,7 +190,7 @@ def _batch(outcome: Outcome) -> Any:
 
 
 def _schema() -> Any:
-    pa, _ = _arrow()
+    pa, _ = arrow()
     return pa.schema(
         [
             ("source", pa.string()),
@@ -219,14 +219,3 @@ def _digest(*texts: str) -> bytes:
     return hashlib.blake2b(
         "\0".join(texts).encode(errors="surrogateescape"), digest_size=16
     ).digest()
-
-
-def _arrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise ConfigurationError(
-            "the Parquet dataset needs pyarrow: pip install 'rotcal_ros[many]'"
-        ) from error
-    return pa, parquet

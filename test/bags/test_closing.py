@@ -1,15 +1,20 @@
 """Files that were left open are closed behind their last whole record; nothing before changes."""
 
+import os
 import random
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from bag_samples import open_writer
+from faulty_disk import Fault, FaultyDisk, File, faults
 from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.rosbag2 import Reader
 
+from rotcal_ros import disk
 from rotcal_ros.bags import names
 from rotcal_ros.bags.closing import JOURNAL_SUFFIX, InterruptedSession, OpenEnd, open_end
 from rotcal_ros.bags.reader import bag_files, check_files
@@ -18,6 +23,7 @@ from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
 
 DATA_END = 0x0F
+LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 
 
 def fill(folder: Path) -> bytes:
@@ -112,7 +118,7 @@ def test_whoever_dies_while_closing_leaves_it_to_the_next(tmp_path: Path) -> Non
     assert once is not None
     noted: list[bytes] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Path, "unlink", lambda p: noted.append(p.read_bytes()))
+        patch.setattr(disk, "remove", lambda p: noted.append(p.read_bytes()))
         once.close("next.mcap")
     closed = path.read_bytes()
     for grown in [once.end, *random.Random(2).sample(range(once.end, len(closed)), 8)]:
@@ -123,6 +129,53 @@ def test_whoever_dies_while_closing_leaves_it_to_the_next(tmp_path: Path) -> Non
         assert read_by_others(path) == check_files((path,))[0].messages
         assert path.read_bytes().startswith(whole[: once.end])
         assert not journal.exists()
+
+
+def test_whichever_call_to_the_disk_fails_the_next_closing_does_it(tmp_path: Path) -> None:
+    cut = fill(tmp_path / "bag")[:-300]
+    sound = trial(tmp_path / "sound", cut)
+    possible = faults(sound.calls)[:: 1 if LONG else 4]
+    assert {"truncate", "write", "sync", "remove", "replace"} <= set(sound.calls)
+    for number, fault in enumerate(possible):
+        faulty = trial(tmp_path / str(number), cut, fault)
+        assert faulty.hit
+        for left in (faulty.root / "cut_0.mcap", *cuts_of_power(faulty, tmp_path / f"p{number}")):
+            (before,) = check_files((left,))
+            if before.state != "complete":
+                close(left)
+            assert ended(left) is None
+            assert not left.with_name(left.name + JOURNAL_SUFFIX).exists()
+            assert read_by_others(left) == read_by_others(sound.root / "cut_0.mcap")
+            with left.open("rb") as file:
+                attached = SeekingReader(file).iter_attachments()
+                torn = b"".join(a.data for a in attached if a.name == names.TORN)
+            assert cut.endswith(torn)
+            assert left.read_bytes().startswith(cut[: len(cut) - len(torn)])
+
+
+def trial(root: Path, cut: bytes, fault: Fault | None = None) -> FaultyDisk:
+    """Close a file that was cut off, on a disk with that fault."""
+    root.mkdir()
+    path = root / "cut_0.mcap"
+    path.write_bytes(cut)
+    faulty = FaultyDisk(root, fault)
+    faulty.names[path] = faulty.stable_names[path] = File(bytearray(cut), cut)
+    with pytest.MonkeyPatch.context() as patch, suppress(BagError):
+        faulty.install(patch)
+        end = ended(path)
+        assert end is not None
+        InterruptedSession(open_ends=(end,)).close("next.mcap")
+    assert not faulty.open
+    return faulty
+
+
+def cuts_of_power(faulty: FaultyDisk, root: Path) -> Iterator[Path]:
+    """Yield what the file may be after a power cut: least, most, something between."""
+    for number, seed in enumerate((None, -1, 1)):
+        left = root / str(number)
+        left.mkdir(parents=True)
+        faulty.power_cut(left, seed)
+        yield left / "cut_0.mcap"
 
 
 def test_damage_is_left_alone(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Every call that a recording makes to the disk fails in its turn, as SQLite tests itself.
 
 Whatever fails, and however often: no receipt for what a power cut takes away, no traceback,
-and the reason in the recorder's words. ROTCAL_ALL_FAULTS=1 tries all faults.
+and the reason in the recorder's words. ROTCAL_LONG_TESTS=1 tries all faults.
 """
 
 import inspect
@@ -22,7 +22,7 @@ from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.recording import Channel, Messages, Receipt, Recording
 
-ALL = bool(os.environ.get("ROTCAL_ALL_FAULTS"))
+ALL = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 SAMPLE = 80
 STEPS = 5
 READINGS = 12

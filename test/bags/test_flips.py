@@ -13,7 +13,7 @@ from test_index_check import records
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.errors import BagError
 
-LONG = bool(os.environ.get("ROTCAL_LONG"))
+LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 DATA = small_bag.small_bag(enable_data_crcs=True)
 TRUTH = small_bag.truth()
 PLACES = records(DATA)

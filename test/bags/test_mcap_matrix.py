@@ -16,7 +16,7 @@ from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.repair import repair
 
 VARIANTS = list(mcap_matrix.matrix())
-REPAIRED = VARIANTS if os.environ.get("ROTCAL_LONG") else VARIANTS[::29]
+REPAIRED = VARIANTS if os.environ.get("ROTCAL_LONG_TESTS") else VARIANTS[::29]
 
 
 def test_the_matrix_is_that_of_the_conformance_inputs() -> None:
