@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rotcal_ros.evaluation.ways import Evaluation
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.replay import Recording
+    from rotcal_ros.results import Result
 
 
 @click.command()
@@ -71,28 +72,41 @@ def command(
     from rotcal_ros.recordings.inputs import Input
 
     data = _read(Input(source, setup, targets, changes, taken_from, namespace))
-    if balls or coarser:
-        from rotcal_ros.catalogue.measurements import PlannedMeasurements
-        from rotcal_ros.evaluation.ways import evaluate, ways
-        from rotcal_ros.recordings.replay import Recording
+    if not (balls or coarser):
+        return _show(data.solve(), output, as_json)
+    evaluations = _evaluated(data, source, balls, coarser)
+    if len(evaluations) == 1:
+        return _show(evaluations[0].result, output, as_json)
+    return _show_evaluations(evaluations, output, as_json)
 
-        if not (
-            isinstance(data, Recording | PlannedMeasurements)
-            and hasattr(data.configuration.solver, "balls")
-        ):
-            raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
-        evaluations = evaluate(data.calibration, data.observations, ways(balls, coarser))
-        if isinstance(data, Recording):
-            evaluations = tuple(
-                replace(e, result=data.with_warnings(e.result)) for e in evaluations
-            )
-        if len(evaluations) > 1:
-            for warning in data.warnings() if isinstance(data, Recording) else ():
-                say(f"warning: {warning}")
-            return _show_evaluations(evaluations, output, as_json)
-        result = evaluations[0].result
-    else:
-        result = data.solve()
+
+def _read(given: Input) -> Recording | Measurements:
+    """Read a bag or a table."""
+    with progress("reading") as shown:
+        return given.read(shown)
+
+
+def _evaluated(
+    data: Recording | Measurements, source: Path, balls: tuple[str, ...], coarser: tuple[int, ...]
+) -> tuple[Evaluation, ...]:
+    """Evaluate the data of a ball plate in all combinations."""
+    from rotcal_ros.catalogue.measurements import PlannedMeasurements
+    from rotcal_ros.evaluation.ways import evaluate, ways
+    from rotcal_ros.recordings.replay import Recording
+
+    if not (
+        isinstance(data, Recording | PlannedMeasurements)
+        and hasattr(data.configuration.solver, "balls")
+    ):
+        raise DataError(f"{source}: --balls and --coarser are for the data of a ball plate")
+    evaluations = evaluate(data.calibration, data.observations, ways(balls, coarser))
+    if isinstance(data, PlannedMeasurements):
+        return evaluations
+    return tuple(replace(e, result=data.with_warnings(e.result)) for e in evaluations)
+
+
+def _show(result: Result, output: Path | None, as_json: bool) -> int:
+    """Print or write one result; return the exit code of its verdict."""
     text = result.to_json()
     if output is not None:
         from rotcal_ros.files import write_atomically
@@ -111,12 +125,6 @@ def command(
     return VERDICT_EXIT_CODES[result.verdict]
 
 
-def _read(given: Input) -> Recording | Measurements:
-    """Read a bag or a table."""
-    with progress("reading") as shown:
-        return given.read(shown)
-
-
 def _show_evaluations(
     evaluations: tuple[Evaluation, ...], output: Path | None, as_json: bool
 ) -> int:
@@ -124,6 +132,8 @@ def _show_evaluations(
     from rotcal_ros.evaluation.ways import in_words
     from rotcal_ros.files import write_atomically
 
+    for warning in dict.fromkeys(w for e in evaluations for w in e.result.warnings):
+        say(f"warning: {warning}")
     data = {"evaluations": [evaluation.to_dict() for evaluation in evaluations]}
     if output is not None:
         write_atomically(output, json.dumps(data, indent=1, allow_nan=False) + "\n")
