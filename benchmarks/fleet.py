@@ -2,13 +2,18 @@
 
 usage: fleet.py [--bags 10000] [--folder out/fleet] [--kill-every 5] [--seconds 0] [--compare 500]
        fleet.py --ratio [--bags 60]      two workers against one, in turns
+       fleet.py --overview [--bags 100000]      the overview of that many, after a run
 
 Says what was lost (nothing), how the memory of the parent grew, and what 100,000 bags would take.
+For the overview the dataset of the run is multiplied: each copy stands for further tables.
 """
 
 import argparse
 import json
+import math
 import random
+import resource
+import shutil
 import signal
 import statistics
 import subprocess
@@ -16,10 +21,14 @@ import sys
 import tempfile
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from multiprocessing import get_context
 from pathlib import Path
 
 import psutil
+import pyarrow.compute as compute
+import pyarrow.parquet as parquet
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "test" / "recordings"))
@@ -27,6 +36,7 @@ from fleet_bags import configuration_text, write_bag  # noqa: E402
 
 from rotcal_ros.catalogue.configuration import parse_configuration  # noqa: E402
 from rotcal_ros.recordings.many import Job  # noqa: E402
+from rotcal_ros.recordings.results_dataset import parts  # noqa: E402
 from rotcal_ros.recordings.workers import on_all_cores  # noqa: E402
 from rotcal_ros.report.fleet_queries import asked  # noqa: E402
 from rotcal_ros.report.overview import write_overview  # noqa: E402
@@ -174,13 +184,37 @@ def lost(output: Path, configuration, compare: int) -> dict:
     }
 
 
+def enlarged(dataset: Path, bags: int, folder: Path) -> Path:
+    """Write a dataset of so many bags into the new ``folder``: copies of one, as other tables."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    with asked(dataset) as connection:
+        (there,) = connection.execute("SELECT count(DISTINCT source) FROM rows").fetchone()
+    for copy in range(math.ceil(bags / there)):
+        for path in parts(dataset):
+            table = parquet.read_table(path, partitioning=None)
+            for name in ("source", "table", "session"):
+                column = table.schema.get_field_index(name)
+                other = compute.binary_join_element_wise(table[name], f" {copy}", "")
+                table = table.set_column(column, name, other)
+            parquet.write_table(table, folder / f"{path.stem}-{copy}.parquet", compression="zstd")
+    return folder
+
+
 def pages(output: Path, text: str) -> dict:
-    """Write the overview once more; return how long that takes and how large it is."""
-    begin = time.monotonic()
+    """Write the overview in a process of its own; return what it takes and how large it is."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as alone:
+        return alone.submit(_pages, output, text).result()
+
+
+def _pages(output: Path, text: str) -> dict:
     counts = write_overview(output / "results.parquet", text, output / "overview.html")
+    used = resource.getrusage(resource.RUSAGE_SELF)
     files = [output / "overview.html", *(output / "overview").iterdir()]
     return {
-        "overview_seconds": round(time.monotonic() - begin, 2),
+        "overview_processor_seconds": round(used.ru_utime + used.ru_stime, 2),
+        "overview_peak_mb": round(used.ru_maxrss / 1e3),
+        "bags": counts.bags,
         "overview_files": len(files),
         "largest_page_kb": round(
             max(f.stat().st_size for f in files if f.suffix == ".html") / 1e3
@@ -219,11 +253,18 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=0.0, help="interrupt after; 0: never")
     parser.add_argument("--compare", type=int, default=500, help="bags solved alone to compare")
     parser.add_argument("--ratio", action="store_true", help="two workers against one")
+    parser.add_argument("--overview", action="store_true", help="of so many bags")
     arguments = parser.parse_args()
     arguments.folder = arguments.folder.absolute()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     if arguments.ratio:
         print(json.dumps(ratio(arguments.folder, arguments.bags), indent=1))
+        return
+    if arguments.overview:
+        output = arguments.folder / "overview"
+        enlarged(arguments.folder / "results" / "results.parquet", arguments.bags,
+                 output / "results.parquet")  # fmt: skip
+        print(json.dumps(pages(output, configuration_text()), indent=1))
         return
     begin = time.monotonic()
     bags = generated(arguments.folder / "bags", arguments.bags)
