@@ -11,12 +11,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ObservabilityError
+
+_UNDETERMINED: Final = (
+    "the lengths do not determine stations and targets together: the normal matrix is singular; "
+    "measure more targets from more stations, or use the datum 'prior'"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +63,7 @@ class Reduced:
         try:
             factor = cho_factor(self.regular(), lower=True, check_finite=False)
         except np.linalg.LinAlgError:
-            raise ObservabilityError(
-                "the lengths do not determine stations and targets together: the normal matrix is "
-                "singular; measure more targets from more stations, or use the datum 'prior'"
-            ) from None
+            raise ObservabilityError(_UNDETERMINED) from None
         return np.asarray(factor[0], dtype=np.float64), bool(factor[1])
 
     def covariance(self) -> Floats:
@@ -120,9 +123,15 @@ def eliminate_from(
 
 
 def _schur(other: Floats, cross: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return B^-1, C B^-1 and -C B^-1 C'."""
+    """Return B^-1, C B^-1 and -C B^-1 C'; raises ObservabilityError where a block is singular.
+
+    Such is a station from which all targets stand in one line.
+    """
     q, t, _ = other.shape
-    inverse = np.asarray(np.linalg.inv(other))
+    try:
+        inverse = np.asarray(np.linalg.inv(other))
+    except np.linalg.LinAlgError:
+        raise ObservabilityError(_UNDETERMINED) from None
     transfer = np.empty_like(cross)
     by_block = cross.reshape(-1, q, t).swapaxes(0, 1) @ inverse
     transfer.reshape(-1, q, t)[...] = by_block.swapaxes(0, 1)
