@@ -131,10 +131,3 @@ def test_a_pair_measured_again_is_a_length_with_the_same_target():
     length[60] += 2e-5
     spoiled = solve(replace(twice, length=length))
     assert [r.index for r in spoiled.rejected] == [60]
-
-
-@pytest.mark.parametrize("variant", ["joint", "station"])
-def test_targets_in_one_line_determine_no_station(variant):
-    line = np.outer(np.linspace(-0.5, 0.5, 15), [1.0, 0.0, 0.0]) + [0.0, 0.4, 0.5]
-    with pytest.raises((DataError, ObservabilityError)):
-        solve(measured(4, one_zero=False, targets=line, variant=variant))

@@ -388,3 +388,9 @@ def test_many_rejected_lengths_name_the_noise_where_it_explains_them(scatter, na
     (text,) = (w for w in warnings if "were rejected" in w)
     assert all(words in text for words in named)
     assert not_named not in text
+
+
+def test_an_eliminated_block_that_is_singular_is_named():
+    """A station from which all targets stand in one line: seen in a table cut off early."""
+    with pytest.raises(ObservabilityError, match="do not determine stations and targets"):
+        eliminate(np.eye(2)[None], np.diag([1.0, 1.0, 0.0])[None], np.zeros((2, 3)))
