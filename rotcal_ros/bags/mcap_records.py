@@ -48,8 +48,6 @@ HEADER_SIZE: Final = 9
 FOOTER_CONTENT: Final = 20
 MESSAGE_FIXED: Final = 22
 """Bytes before the payload of a message."""
-MAX_RECORD: Final = 128 * 1024 * 1024
-"""Largest message of a database that is taken into memory."""
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = range(1, 8)
 CHUNK_INDEX, ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA = range(8, 13)

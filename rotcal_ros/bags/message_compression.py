@@ -15,7 +15,8 @@ import numpy as np
 import zstandard
 
 from rotcal_ros.bags.blocks import Block
-from rotcal_ros.bags.mcap_records import MAX_RECORD, DamagedRecord
+from rotcal_ros.bags.mcap_records import DamagedRecord
+from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
 from rotcal_ros.errors import BagError
 from rotcal_ros.untrusted import open_plain
 
@@ -100,8 +101,8 @@ def _block(block: Block, rows: list[int], payloads: list[bytes]) -> Block:
 def _unpack_zstd(data: bytes) -> bytes:
     try:
         size = zstandard.frame_content_size(data)  # -1: not stated
-        if size > MAX_RECORD:
-            raise DamagedRecord(f"a message unpacks to {size} bytes, more than {MAX_RECORD}")
+        if size > LARGEST_MESSAGE:
+            raise DamagedRecord(f"a message unpacks to {size} bytes, more than {LARGEST_MESSAGE}")
         whole: bytes = (
             _unpack_in_steps(data)
             if size < 0
@@ -116,12 +117,12 @@ def _unpack_in_steps(data: bytes) -> bytes:
     """Unpack a message of unstated size without allocating much more than is allowed."""
     unpacker = zstandard.ZstdDecompressor().decompressobj()
     parts: list[bytes] = []
-    room = MAX_RECORD
+    room = LARGEST_MESSAGE
     for begin in range(0, len(data), _STEP_BYTES):
         parts.append(unpacker.decompress(data[begin : begin + _STEP_BYTES]))
         room -= len(parts[-1])
         if room < 0:
-            raise DamagedRecord(f"a message unpacks to more than {MAX_RECORD} bytes")
+            raise DamagedRecord(f"a message unpacks to more than {LARGEST_MESSAGE} bytes")
         if unpacker.eof:
             return b"".join(parts)
     raise DamagedRecord("a compressed message is cut off")

@@ -13,7 +13,7 @@ from rosbags.typesys.store import Typestore
 
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.layout import NUMBERS, Definitions
-from rotcal_ros.bags.mcap_records import MAX_RECORD
+from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
 from rotcal_ros.errors import BagError
 
 MAX_DEFINITION: Final = 1 << 18
@@ -88,8 +88,10 @@ class _Tree:
         self._path.append(name)
         size = sum(self._field(field, *kind) for field, kind in self._types[name][1])
         self._path.pop()
-        if size > MAX_RECORD:
-            raise _Unusable(f"{_short(name)} has {size} bytes at least, more than {MAX_RECORD}")
+        if size > LARGEST_MESSAGE:
+            raise _Unusable(
+                f"{_short(name)} has {size} bytes at least, more than {LARGEST_MESSAGE}"
+            )
         self._sizes[name] = max(1, size)
         return self._sizes[name]
 

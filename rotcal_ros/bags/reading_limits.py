@@ -7,6 +7,9 @@ from typing import Final
 
 from rotcal_ros.settings import setting
 
+LARGEST_MESSAGE: Final = 128 * 1024 * 1024
+"""Bytes of the largest message that a database may hold, or a definition ask for."""
+
 
 @dataclass(frozen=True)
 class ReadingLimits:

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 from urllib.parse import quote_from_bytes
 
-from rotcal_ros.bags.mcap_records import MAX_RECORD
+from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
 from rotcal_ros.bags.verdict import Damage
 from rotcal_ros.errors import BagError
 
@@ -98,7 +98,7 @@ def _connected(path: Path, how: str) -> sqlite3.Connection:
     connection = sqlite3.connect(f"file:{address}?{how}", uri=True, isolation_level=None)
     connection.text_factory = bytes
     if sys.version_info >= (3, 11):
-        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * MAX_RECORD)
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2 * LARGEST_MESSAGE)
     # What a stranger's schema says must not run, nor take its time.
     for pragma in (
         "trusted_schema = OFF",

@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import BinaryIO, Final
 
-from rotcal_ros.bags.mcap_records import MAX_RECORD
+from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
 
 Value = None | int | float | bytes
 Row = tuple[int, tuple[Value, ...]]
@@ -70,7 +70,7 @@ class LeafPages:
     def _row(self, page: bytes, position: int) -> Row:
         size, position = _varint(page, position)
         row_id, position = _varint(page, position)
-        if not 0 < size <= MAX_RECORD:
+        if not 0 < size <= LARGEST_MESSAGE:
             raise _NoRow
         here = self._bytes_on_page(size)
         if position + here > len(page):

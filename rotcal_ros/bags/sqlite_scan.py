@@ -13,7 +13,6 @@ import numpy as np
 
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.mcap_records import MAX_RECORD
 from rotcal_ros.bags.message_compression import (
     Unpack,
     declared_compression,
@@ -22,6 +21,7 @@ from rotcal_ros.bags.message_compression import (
     stated_compression,
     unpacked,
 )
+from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.sqlite_channels import read_channels
 from rotcal_ros.bags.sqlite_file import FAILURES, Database, opened, words
@@ -126,7 +126,7 @@ class SqliteScan(Scan):
 
     def _batches(self, database: Database) -> Iterator[Block]:
         batch: list[tuple[int, int, bytes]] = []
-        size, room = 0, 4 * self._size + MAX_RECORD
+        size, room = 0, 4 * self._size + LARGEST_MESSAGE
         try:
             key = "id" if "id" in database.columns("messages") else "rowid"
             for row in database.connection.execute(_MESSAGES + key):
@@ -199,7 +199,7 @@ class SqliteScan(Scan):
 
 _MESSAGES: Final = (
     "SELECT topic_id, timestamp,"
-    f" CASE WHEN length(data) <= {MAX_RECORD} THEN data END, length(data)"
+    f" CASE WHEN length(data) <= {LARGEST_MESSAGE} THEN data END, length(data)"
     " FROM messages ORDER BY timestamp, "
 )
 
