@@ -12,35 +12,10 @@ import struct
 import zlib
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from mcap.data_stream import ReadDataStream
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
-
-R = TypeVar(
-    "R",
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Attachment
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEADER_SIZE: Final = 9
@@ -64,6 +39,16 @@ _CHANNEL_IDS: Final = 1 << 16
 
 class DamagedRecord(Exception):  # noqa: N818 - not an error for the user, but a finding
     """A record that contradicts itself; caught by the scanner."""
+
+
+class _Readable(Protocol):
+    """A record class of the mcap package; its ``read`` returns the record, but does not say so."""
+
+    @staticmethod
+    def read(stream: ReadDataStream) -> Any: ...
+
+
+R = TypeVar("R", bound=_Readable)
 
 
 @dataclass(frozen=True, slots=True)

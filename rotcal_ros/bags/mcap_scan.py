@@ -280,11 +280,11 @@ class McapScan(Scan):
         found: Schema | Channel
         self._keeping.admit(content)
         if opcode == mcap.SCHEMA:
-            found, end = mcap.parse(Schema, content)
-            cost = len(found.data)
+            schema, end = mcap.parse(Schema, content)
+            found, cost = schema, len(schema.data)
         else:
-            found, end = mcap.parse(Channel, content)
-            cost = cost_of_texts(found.metadata)
+            channel, end = mcap.parse(Channel, content)
+            found, cost = channel, cost_of_texts(channel.metadata)
         if trust is not None:
             self._keeping.add((opcode, found.id, trust), cost)
             fault = self._definitions.add(found, trust)

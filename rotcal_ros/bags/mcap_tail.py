@@ -8,11 +8,10 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from io import BytesIO
-from typing import BinaryIO, Final, TypeVar
+from typing import BinaryIO, Final
 
 import zstandard
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
@@ -33,19 +32,12 @@ from mcap.records import (
 )
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.mcap_records import MAGIC, parse
 
-R = TypeVar("R", Attachment, Channel, Chunk, Metadata, Schema)
-
-MAGIC: Final = b"\x89MCAP0\r\n"
 PROFILE: Final = "ros2"
 _HEAD: Final = struct.Struct("<BQ")
 _MESSAGE: Final = struct.Struct("<HIQ")
 _INDEX: Final = struct.Struct("<HI")
-
-
-def _read(kind: type[R], content: bytes) -> R:
-    record: R = kind.read(ReadDataStream(BytesIO(content)))
-    return record
 
 
 def _taken(builder: RecordBuilder) -> bytes:
@@ -106,16 +98,16 @@ class Contents:
         """Take in one record of the data section, which begins at ``end``."""
         length = _HEAD.size + len(content)
         if opcode == Opcode.CHUNK:
-            self._chunk(_read(Chunk, content), length)
+            self._chunk(parse(Chunk, content)[0], length)
         elif opcode == Opcode.MESSAGE_INDEX and self.chunks:
             channel, size = _INDEX.unpack_from(content)
             self.counts[channel] += size // 16
             self.chunks[-1].message_index_offsets[channel] = self.end
             self.chunks[-1].message_index_length += length
         elif opcode == Opcode.ATTACHMENT:
-            self._attachment(self.end, length, _read(Attachment, content))
+            self._attachment(self.end, length, parse(Attachment, content)[0])
         elif opcode == Opcode.METADATA:
-            name = _read(Metadata, content).name
+            name = parse(Metadata, content)[0].name
             self.metadata.append(MetadataIndex(self.end, length, name))
         elif opcode == Opcode.HEADER:
             self.header = True
@@ -151,10 +143,10 @@ class Contents:
             self._last = zstandard.decompress(chunk.data, chunk.uncompressed_size)
         for opcode, begin, size in _inner(self._last):
             if opcode == Opcode.SCHEMA:
-                schema = _read(Schema, self._last[begin : begin + size])
+                schema = parse(Schema, self._last[begin : begin + size])[0]
                 self.schemas.setdefault(schema.id, schema)
             elif opcode == Opcode.CHANNEL:
-                channel = _read(Channel, self._last[begin : begin + size])
+                channel = parse(Channel, self._last[begin : begin + size])[0]
                 self.channels.setdefault(channel.id, channel)
         self.chunks.append(
             ChunkIndex(
