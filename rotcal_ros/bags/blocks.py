@@ -97,8 +97,14 @@ def block_of_records(data: bytes, contents: Ints, sizes: Ints) -> Block:
     return Block(data, contents + header_size, sizes - header_size, headers)
 
 
-Others = list[tuple[int, bytes]]
-"""Records that are no messages: opcode and content."""
+def block_of_contents(contents: Sequence[bytes]) -> Block:
+    """Return the block of messages whose records were read one by one."""
+    sizes = np.array([len(content) for content in contents], np.int64)
+    return block_of_records(b"".join(contents), np.cumsum(sizes) - sizes, sizes)
+
+
+Others = list[tuple[int, int, bytes]]
+"""Records that are no messages: begin in the chunk, opcode and content."""
 
 
 def split_chunk(data: bytes, most_others: int) -> Iterator[tuple[Block, Others]]:
@@ -124,7 +130,7 @@ def split_chunk(data: bytes, most_others: int) -> Iterator[tuple[Block, Others]]
             fault = "a message of a chunk is too short"
         contents, sizes = begins + HEADER_SIZE, sizes[: len(begins)]
         others = [
-            (data[content - HEADER_SIZE], data[content : content + size])
+            (content - HEADER_SIZE, data[content - HEADER_SIZE], data[content : content + size])
             for content, size in zip(
                 contents[~is_message].tolist(), sizes[~is_message].tolist(), strict=True
             )

@@ -15,7 +15,7 @@ from io import BytesIO
 from typing import Any, Final, Protocol, TypeVar
 
 from mcap.data_stream import ReadDataStream
-from mcap.records import Attachment
+from mcap.records import Attachment, Channel, Metadata
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 HEADER_SIZE: Final = 9
@@ -49,6 +49,10 @@ class _Readable(Protocol):
 
 
 R = TypeVar("R", bound=_Readable)
+N = TypeVar("N", Channel, Metadata)
+
+_BEFORE_TEXTS: Final[dict[type, tuple[int, int]]] = {Channel: (4, 2), Metadata: (0, 1)}
+"""Fixed bytes, then texts, before the map of texts at the end of a record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +92,15 @@ def parse(kind: type[R], content: bytes) -> tuple[R, int]:
     fields = _Fields(content)
     record: R = kind.read(fields)
     return record, fields.count
+
+
+def parse_texts(kind: type[N], content: bytes) -> tuple[N, int, str]:
+    """Parse a channel or metadata, which end with a map of texts: record, end, any fault."""
+    record, end = parse(kind, content)
+    place, texts = _BEFORE_TEXTS[kind]
+    for _ in range(texts + 1):
+        place += 4 + int.from_bytes(content[place : place + 4], "little")
+    return record, end, "" if place == end else "a map of texts has a broken size"
 
 
 def parse_attachment(content: bytes) -> tuple[Attachment, int]:

@@ -23,7 +23,7 @@ from mcap.records import (
 
 from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags import names
-from rotcal_ros.bags.blocks import Block, block_of_records, split_chunk
+from rotcal_ros.bags.blocks import Block, Others, block_of_contents, split_chunk
 from rotcal_ros.bags.definitions import parse_definitions
 from rotcal_ros.bags.framing import Framing, Record
 from rotcal_ros.bags.held import Held
@@ -37,6 +37,7 @@ from rotcal_ros.bags.message_compression import (
     unpacked,
 )
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits, refusal
+from rotcal_ros.bags.record_order import RecordOrder
 from rotcal_ros.bags.scan import Item, Scan
 from rotcal_ros.bags.summary_section import summary_definitions
 from rotcal_ros.bags.unpacking import Unpacker
@@ -90,6 +91,7 @@ class McapScan(Scan):
                 self._unpacker = Unpacker(self._limits, self._size)
                 self._framing = Framing(file, size, self._limits.record_bytes)
                 self._index = IndexCheck(self._framing.damage) if self._check_index else None
+                self._order = RecordOrder(self._framing.damage)
                 self._read_summary(file, size)
                 yield from self._items(self._framing)
         except OSError as error:
@@ -126,7 +128,7 @@ class McapScan(Scan):
             raise BagError(f"cannot read {self.path}: {error}") from None
 
     def _items(self, framing: Framing) -> Iterator[Item]:
-        run: list[bytes] = []
+        run: list[Record] = []
         run_size = 0
         held = Held()
         for record in framing.records():
@@ -134,10 +136,10 @@ class McapScan(Scan):
             if record.opcode not in (mcap.CHUNK, mcap.MESSAGE_INDEX):
                 yield from self._readable(held.released())  # it may speak of what comes after it
             if record.opcode == mcap.MESSAGE and record.content:
-                run.append(record.content)
+                run.append(record)
                 run_size += len(record.content)
             if run and (record.opcode != mcap.MESSAGE or run_size > _RUN_BYTES):
-                yield from self._readable((_block_of_run(run),))
+                yield from self._readable((self._block_of_run(run),))
                 run, run_size = [], 0
             try:
                 for item in self._take(record):
@@ -149,8 +151,14 @@ class McapScan(Scan):
                 framing.reject(record, str(fault))
         yield from self._readable(held.released())
         if run:
-            yield from self._readable((_block_of_run(run),))
+            yield from self._readable((self._block_of_run(run),))
         self._conclude(framing)
+
+    def _block_of_run(self, run: list[Record]) -> Block:
+        """Return the block of messages that stand outside chunks."""
+        block = block_of_contents([record.content for record in run])
+        self._require_defined(run[0].offset, block, {})
+        return block
 
     def _take(self, record: Record) -> Iterator[Item]:
         """Take in one top-level record; yields what it holds."""
@@ -180,6 +188,8 @@ class McapScan(Scan):
             self._read_of_chunk, self._index_awaited = Counter(), True
         if self._index is not None and opcode != mcap.MESSAGE_INDEX:
             self._index.passed(record)
+        if self._index is not None:
+            self._order.passed(record)
             if self._framing.in_summary and opcode not in (mcap.DATA_END, mcap.FOOTER):
                 self._index.in_summary(record)
         if record.size and not record.content:
@@ -198,11 +208,8 @@ class McapScan(Scan):
             self._index.chunk(record, chunk)
         try:
             for block, others in split_chunk(data, self._limits.other_records):
-                for opcode, inner in others:
-                    if opcode in (mcap.SCHEMA, mcap.CHANNEL):
-                        self._define(record, opcode, inner, trust)
-                    elif opcode <= mcap.DATA_END:
-                        self._framing.damage(record.offset, f"a chunk holds a record {opcode}")
+                new = self._define_all(record, others, trust)
+                self._require_defined(record.offset, block, new)
                 if self._index is not None:
                     self._index.messages(block)
                 if self._read_of_chunk is not None:
@@ -213,6 +220,29 @@ class McapScan(Scan):
                 self._index.chunk_lost()
             raise
         self._read_of_chunk, self._index_awaited = None, False
+
+    def _define_all(self, record: Record, others: Others, trust: Trust) -> dict[int, int]:
+        """Take the definitions of a chunk; returns where those of new channels begin."""
+        places: dict[int, int] = {}
+        for place, opcode, content in others:
+            if opcode in (mcap.SCHEMA, mcap.CHANNEL):
+                before = len(self._definitions.from_data)
+                self._define(record, opcode, content, trust)
+                if len(self._definitions.from_data) > before:
+                    places[int.from_bytes(content[:2], "little")] = place
+            elif opcode <= mcap.DATA_END:
+                self._framing.damage(record.offset, f"a chunk holds a record {opcode}")
+        return places
+
+    def _require_defined(self, offset: int, block: Block, new: dict[int, int]) -> None:
+        """Report messages that stand before their channel; ``new``: where channels begin."""
+        known, numbers = self._definitions.from_data, block.counts().keys()
+        for number in (numbers - known) | (numbers & new.keys()):
+            first = block.start[np.argmax(block.headers["channel"] == number)]
+            if number not in known or first < new[number]:
+                what = f"messages of channel {number} stand before its definition"
+                self._framing.damage(offset, what)
+                known.add(number)
 
     def _message_index(self, record: Record) -> None:
         channel, entries, end = mcap.parse_message_index(record.content)
@@ -267,8 +297,10 @@ class McapScan(Scan):
         return attachment
 
     def _metadata(self, record: Record) -> Metadata:
-        metadata, end = mcap.parse(Metadata, record.content)
+        metadata, end, fault = mcap.parse_texts(Metadata, record.content)
         self._framing.settle(record, end)
+        if fault:
+            self._framing.damage(record.offset, fault)
         if self._index is not None:
             self._index.metadata(record, metadata)
         self._keeping.add(("metadata", metadata.name), cost_of_texts(metadata.metadata))
@@ -278,30 +310,26 @@ class McapScan(Scan):
     def _define(self, record: Record, opcode: int, content: bytes, trust: Trust | None) -> int:
         """Take a schema or channel, without ``trust`` not at all; returns where its fields end."""
         found: Schema | Channel
+        fault = ""
         self._keeping.admit(content)
         if opcode == mcap.SCHEMA:
             schema, end = mcap.parse(Schema, content)
             found, cost = schema, len(schema.data)
         else:
-            channel, end = mcap.parse(Channel, content)
+            channel, end, fault = mcap.parse_texts(Channel, content)
             found, cost = channel, cost_of_texts(channel.metadata)
         if trust is not None:
             self._keeping.add((opcode, found.id, trust), cost)
-            fault = self._definitions.add(found, trust)
-            if fault:
-                self._framing.damage(record.offset, fault)
+            for what in filter(None, (fault, self._definitions.add(found, trust))):
+                self._framing.damage(record.offset, what)
         return end
 
     def _readable(self, blocks: tuple[Block, ...]) -> Iterator[Block]:
         """Count the messages and yield those of known channels, as they were published."""
         for block in blocks:
             numbers = block.counts()
-            for number in numbers.keys() - self._definitions.from_data:
-                if self._definitions.recover(number):
-                    what = f"channel {number} is defined in a copy alone"
-                    self._framing.damage(self.position, what)
-                    self._definitions.from_data.add(number)
-            unknown = numbers.keys() - self.channels.keys()
+            missing = numbers.keys() - self.channels.keys()
+            unknown = {number for number in missing if not self._definitions.recover(number)}
             if unknown:
                 self._lost.update({n: numbers[n] for n in unknown})
                 block = block.select(~np.isin(block.headers["channel"], list(unknown)))
@@ -335,8 +363,6 @@ class McapScan(Scan):
         self._definitions.recover_all(trusted=bool(framing.damages))
         if self._statistics is not None and framing.summary_sound:
             self._compare_statistics(framing, *self._statistics, with_index)
-        if self._lost and not framing.damages:
-            framing.damage(0, "messages of channels without a definition")
         self._damages = framing.damages
 
     def _compare_statistics(
@@ -369,12 +395,6 @@ class McapScan(Scan):
                 self._define(record, record.opcode, record.content, trust)
             except mcap.DamagedRecord:
                 continue
-
-
-def _block_of_run(run: list[bytes]) -> Block:
-    """Return the block of messages that stand outside chunks."""
-    sizes = np.array([len(content) for content in run], np.int64)
-    return block_of_records(b"".join(run), np.cumsum(sizes) - sizes, sizes)
 
 
 def _integers(texts: dict[str, str]) -> dict[str, int]:

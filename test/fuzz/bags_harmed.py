@@ -23,6 +23,8 @@ from mutations import EDGES, harmed_bytes
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 CHUNK: Final = 0x06
+MESSAGE_INDEX: Final = 0x07
+DATA_END: Final = 0x0F
 FOOTER: Final = 0x02
 SUMMARY: Final = (0x08, 0x0B, 0x0D, 0x0E)
 """Opcodes that a summary begins with, behind repeated schemas and channels."""
@@ -66,6 +68,8 @@ def harmed_mcap(rng: Random, data: bytes) -> bytes:
     records = list(_records(data[8:-8]))
     if rng.random() < 0.15 or not records:
         return harmed_bytes(rng, data)
+    if rng.random() < 0.4:
+        records = _without_index(records)
     for _ in range(rng.randint(1, 3)):
         _harm_records(rng, records)
     body = b"".join(map(_framed, records))
@@ -83,6 +87,14 @@ def _records(data: bytes) -> Iterator[Record]:
             return
         yield opcode, data[place + 9 : place + 9 + length]
         place += 9 + length
+
+
+def _without_index(records: list[Record]) -> list[Record]:
+    """Return the records of the data, which no index contradicts, and an end."""
+    opcodes = [opcode for opcode, _ in records]
+    data = records[: opcodes.index(DATA_END)] if DATA_END in opcodes else records
+    kept = [record for record in data if record[0] not in (MESSAGE_INDEX, FOOTER)]
+    return [*kept, (DATA_END, bytes(4)), (FOOTER, bytes(20))]
 
 
 def _framed(record: Record) -> bytes:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import sqlite3
 from collections.abc import Mapping
 from pathlib import Path
+from typing import IO
 
+from bags_harmed import MAGIC
 from properties import LieError, suppress_rotcal
 
 
@@ -41,10 +44,32 @@ def _by_mcap(path: Path) -> dict[str, int]:
 
     found: dict[str, int] = {}
     with path.open("rb") as file:
-        reader = NonSeekingReader(file, validate_crcs=True)
+        reader = NonSeekingReader(io.BytesIO(_without_chunks(file)))
         for _, channel, _ in reader.iter_messages(log_time_order=False):
             found[channel.topic] = found.get(channel.topic, 0) + 1
     return found
+
+
+def _without_chunks(file: IO[bytes]) -> bytes:
+    """Return definitions and messages of a file in their order, its checksums being right.
+
+    Readers pass over what may follow the known fields of a record, says the specification; in a
+    chunk those of the mcap package do not, therefore no chunk is left to them.
+    """
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Channel, Chunk, Footer, Message, Schema
+    from mcap.stream_reader import StreamReader, get_chunk_data_stream
+
+    whole = RecordBuilder()
+    whole.write(MAGIC)
+    for record in StreamReader(file, emit_chunks=True, validate_crcs=True).records:
+        if isinstance(record, Chunk):
+            stream, size = get_chunk_data_stream(record, validate_crc=True)
+            whole.write(stream.read(size))
+        elif isinstance(record, (Schema, Channel, Message, Footer)):
+            record.write(whole)
+    whole.write(MAGIC)
+    return whole.end()
 
 
 def _by_sqlite(path: Path) -> dict[str, int]:
