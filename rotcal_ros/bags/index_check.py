@@ -28,6 +28,7 @@ from rotcal_ros.bags import mcap_records as mcap
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.framing import Record
 from rotcal_ros.bags.mcap_records import ChunkRecord
+from rotcal_ros.bags.record_order import RecordOrder
 
 Report = Callable[[int, str], None]
 """Called with the offset and the words of each fault."""
@@ -42,6 +43,7 @@ class IndexCheck:
 
     def __init__(self, report: Report) -> None:
         self._report = report
+        self._order = RecordOrder(report)
         self._chunk: _ChunkFacts | None = None
         self._chunks, self._attachments, self._notes = _Facts(), _Facts(), _Facts()
         self._indexes = _Facts()
@@ -69,8 +71,9 @@ class IndexCheck:
             self._chunk.index(record, channel, entries)
 
     def passed(self, record: Record) -> None:
-        """Take note of any record but a message index: a chunk and its indexes end before it."""
-        if self._chunk is not None:
+        """Take note of any record; a chunk and its indexes end before all but an index."""
+        self._order.passed(record)
+        if self._chunk is not None and record.opcode != mcap.MESSAGE_INDEX:
             chunk, self._chunk = self._chunk, None
             chunk.finish()
             self._chunks.add(chunk.record.offset, chunk.described)

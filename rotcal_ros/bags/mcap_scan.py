@@ -37,7 +37,6 @@ from rotcal_ros.bags.message_compression import (
     unpacked,
 )
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits, refusal
-from rotcal_ros.bags.record_order import RecordOrder
 from rotcal_ros.bags.scan import Item, Scan
 from rotcal_ros.bags.summary_section import summary_definitions
 from rotcal_ros.bags.unpacking import Unpacker
@@ -91,7 +90,6 @@ class McapScan(Scan):
                 self._unpacker = Unpacker(self._limits, self._size)
                 self._framing = Framing(file, size, self._limits.record_bytes)
                 self._index = IndexCheck(self._framing.damage) if self._check_index else None
-                self._order = RecordOrder(self._framing.damage)
                 self._read_summary(file, size)
                 yield from self._items(self._framing)
         except OSError as error:
@@ -186,10 +184,8 @@ class McapScan(Scan):
         if opcode == mcap.CHUNK:
             self._loss_unknown |= self._index_awaited
             self._read_of_chunk, self._index_awaited = Counter(), True
-        if self._index is not None and opcode != mcap.MESSAGE_INDEX:
-            self._index.passed(record)
         if self._index is not None:
-            self._order.passed(record)
+            self._index.passed(record)
             if self._framing.in_summary and opcode not in (mcap.DATA_END, mcap.FOOTER):
                 self._index.in_summary(record)
         if record.size and not record.content:
