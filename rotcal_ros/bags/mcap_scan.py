@@ -233,12 +233,12 @@ class McapScan(Scan):
     def _require_defined(self, offset: int, block: Block, new: dict[int, int]) -> None:
         """Report messages that stand before their channel; ``new``: where channels begin."""
         known, numbers = self._definitions.from_data, block.counts().keys()
-        for number in (numbers - known) | (numbers & new.keys()):
-            first = block.start[np.argmax(block.headers["channel"] == number)]
-            if number not in known or first < new[number]:
-                what = f"messages of channel {number} stand before its definition"
-                self._framing.damage(offset, what)
-                known.add(number)
+        channel = block.headers["channel"]
+        late = {n for n in numbers & new.keys() if block.start[np.argmax(channel == n)] < new[n]}
+        for number in (numbers - known) | late:
+            what = f"messages of channel {number} stand before its definition"
+            self._framing.damage(offset, what)
+            known.add(number)
 
     def _message_index(self, record: Record) -> None:
         channel, entries, end = mcap.parse_message_index(record.content)
