@@ -134,7 +134,7 @@ class IndexCheck:
         group[1], self._last_kind = record.end, record.opcode
 
     def summary_offset(self, record: Record, place: SummaryOffset) -> None:
-        """Compare the place of a group of records of the summary."""
+        """Compare the place of a group of records; writers also name groups without any."""
         begin, end = self._groups.get(place.group_opcode, [0, 0])
         if place.group_length and (place.group_start, place.group_length) != (begin, end - begin):
             self._report(record.offset, "a summary offset points to the wrong place")
