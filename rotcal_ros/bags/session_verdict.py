@@ -20,10 +20,10 @@ from rotcal_ros.bags.rosbag2_reading import (
     recorded_files,
 )
 from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.whole_file import PACKED
 from rotcal_ros.errors import BagError
 
 _TOLERANCE_NS: Final = 1_000_000
-_COMPRESSED: Final = ".zstd"
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class _Present:
 
     def find(self, entry: FileEntry) -> FileVerdict | None:
         """Return the file that ``entry`` describes, be it renamed or unpacked."""
-        for name in (entry.name, entry.name.removesuffix(_COMPRESSED)):
+        for name in (entry.name, entry.name.removesuffix(PACKED)):
             if name in self.by_name:
                 return self.by_name[name]
         if not entry.messages:
@@ -135,8 +135,6 @@ def _missing(
 def _sentence(folder: Path, name: str, why: str) -> str:
     if "/" in name or not (folder / name).exists():
         return f"the file {name} of the session is missing: {why}"
-    if name.endswith(_COMPRESSED):
-        return f"the file {name} of the session was not read: unpack it: zstd -d {folder / name}"
     return f"the file {name} of the session was not read, only a part of it was named: {why}"
 
 
@@ -147,7 +145,7 @@ def _gaps(folder: Path, present: _Present, known: BagDescription | None) -> dict
     """
     renamed = {f.name for f in known.files if present.find(f) is not None} if known else set()
     found: dict[str, str] = {}
-    pattern = re.compile(r"(.+)_(\d{1,6})(\.\w+)$")
+    pattern = re.compile(r"(.+)_(\d{1,6})(\.\w+(?:\.zstd)?)$")
     matches = [m for v in present.verdicts if (m := pattern.match(v.path.name))]
     for stem, ending in {(m[1], m[3]) for m in matches}:
         mine = [m for m in matches if (m[1], m[3]) == (stem, ending)]
