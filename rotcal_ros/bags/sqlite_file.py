@@ -48,15 +48,19 @@ class Database:
         return tuple(text(name).lower() for _, name, *_ in info)
 
     def damages(self) -> tuple[Damage, ...]:
-        """Return what sqlite3's own integrity check says, none when the file is sound."""
+        """Return what went wrong so far, none when the file is sound."""
+        unpacking = (Damage(0, self.fault),) if self.fault else ()
+        return (*unpacking, *self._integrity())
+
+    def _integrity(self) -> tuple[Damage, ...]:
+        """Return what sqlite3's own integrity check says."""
         try:
             found = self.connection.execute(f"PRAGMA integrity_check({_MAX_FAULTS})").fetchall()
             (page_size,) = self.connection.execute("PRAGMA page_size").fetchone()
         except FAILURES as error:
             return (Damage(0, f"the database cannot be checked: {words(error)}"),)
         lines = [line for (answer,) in found for line in text(answer).splitlines()]
-        faults = tuple(_damage(line, page_size) for line in lines if line not in _NO_FAULT)
-        return (Damage(0, self.fault), *faults) if self.fault else faults
+        return tuple(_damage(line, page_size) for line in lines if line not in _NO_FAULT)
 
 
 @contextmanager

@@ -72,5 +72,5 @@ def _unpack(file: BinaryIO, plain: IO[bytes], path: Path, limits: ReadingLimits)
     except zstandard.ZstdError as error:
         if not done:
             raise BagError(f"{path} cannot be unpacked: {error}") from None
-        return f"it cannot be unpacked behind byte {done}: {error}"
+        return f"the file cannot be unpacked behind byte {done} of its content: {error}"
     return ""

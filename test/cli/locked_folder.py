@@ -4,6 +4,7 @@ import os
 import sys
 from pathlib import Path
 
+import click
 from click.testing import CliRunner
 
 from rotcal_ros.cli import main
@@ -22,9 +23,9 @@ for arguments in (
     ["solve", f"{locked}/inside"],
 ):
     result = CliRunner().invoke(main.rotcal, arguments, prog_name="rotcal")
-    print(result.exit_code, result.stderr.splitlines()[-1])
+    click.echo(f"{result.exit_code} {result.stderr.splitlines()[-1]}")
 try:
     read_recording(Path(locked))
 except BagError as error:
-    print(error.exit_code, error)
-print(*find_bags([locked]))
+    click.echo(f"{error.exit_code} {error}")
+click.echo("\n".join(find_bags([locked])))
