@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -24,6 +24,8 @@ from rotcal_ros.bags.whole_file import PACKED
 from rotcal_ros.errors import BagError
 
 _TOLERANCE_NS: Final = 1_000_000
+_NAMED: Final = 100
+"""Faults of a kind that are told one by one; nobody reads more, and anybody may list a million."""
 
 
 @dataclass(frozen=True)
@@ -86,11 +88,18 @@ def judge_session(path: Path, verdicts: Sequence[FileVerdict]) -> SessionVerdict
         missing |= {text: text for text in (known.custom or {}).get(MISSING_KEY, "").splitlines()}
     before = (text for v in verdicts for text in missing_before_repair(v.notes))
     return SessionVerdict(
-        tuple(dict.fromkeys((*missing.values(), *short, *before))),
-        tuple(wrong),
+        _few(dict.fromkeys((*missing.values(), *short, *before))),
+        _few(wrong),
         tuple(text for v in verdicts for text in repairs_in_words(v.notes)),
         tuple(_closed(verdicts)),
     )
+
+
+def _few(sentences: Iterable[str]) -> tuple[str, ...]:
+    """Return the first ones, and how many more there are."""
+    told = tuple(sentences)
+    more = len(told) - _NAMED
+    return told if more <= 0 else (*told[:_NAMED], f"and {more} more")
 
 
 class _Present:
@@ -133,9 +142,16 @@ def _missing(
 
 
 def _sentence(folder: Path, name: str, why: str) -> str:
-    if "/" in name or not (folder / name).exists():
+    if "/" in name or not _exists(folder / name):
         return f"the file {name} of the session is missing: {why}"
     return f"the file {name} of the session was not read, only a part of it was named: {why}"
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # its name is too long, or leads to where nobody may look
+        return False
 
 
 def _gaps(folder: Path, present: _Present, known: BagDescription | None) -> dict[str, str]:

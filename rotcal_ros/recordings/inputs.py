@@ -50,6 +50,8 @@ class Input:
                 raise ConfigurationError(
                     f"{self.path} is a table, and a table needs its set-up: --setup SETUP.yaml"
                 )
+            if limits := [change for change in self.changes if is_limit(change)]:
+                raise ConfigurationError(f"--set {limits[0]}: {self.path} is a table, not a bag")
             configuration = changed(read_setup(self.setup), self.changes)
             return read_measurements(self.path, configuration, self.targets)
         if self.targets is not None:
