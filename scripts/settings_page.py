@@ -40,8 +40,9 @@ NAME=VALUE` on the command line. See [planning](planning.md)."""
 
 READING = """## The limits of reading
 
-Of `rotcal bag info`, `check` and `repair`, and of whatever is given a bag and takes `--set` (`solve`, `report`,
-`uncertainty`), on the command line alone. See [recording](recording.md#checking-and-repairing)."""
+Of `rotcal bag info`, `check` and `repair`, and of whatever else is given a bag and takes `--set`
+(`solve`, `report`, `uncertainty`), on the command line alone. See
+[recording](recording.md#checking-and-repairing)."""
 
 
 def page() -> str:
