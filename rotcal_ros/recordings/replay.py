@@ -12,6 +12,7 @@ from typing import Literal
 from rotcal_ros import catalogue
 from rotcal_ros import messages as records
 from rotcal_ros.bags import names
+from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, scan_file, sha256_of
@@ -219,7 +220,8 @@ def read_recording(
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
     )
-    found = _read(files, topics, feeder if source == "streams" else None, progress, limits)
+    blocks = read_blocks(files, progress, limits)
+    found = _read(blocks, topics, feeder if source == "streams" else None)
     verdicts = tuple(scan.verdict() for scan in found.scans)
     if not any(verdict.messages for verdict in verdicts):
         bad = next((v.sentence() for v in verdicts if v.state != "complete"), "")
@@ -262,15 +264,11 @@ class _Found:
 
 
 def _read(
-    files: tuple[Path, ...],
-    topics: Topics,
-    feeder: StreamFeeder | None,
-    progress: Progress | None,
-    limits: ReadingLimits,
+    blocks: Iterable[tuple[Scan, Block | None]], topics: Topics, feeder: StreamFeeder | None
 ) -> _Found:
     """Read all files once; the streams go to ``feeder``."""
     found, run = _Found(), 0
-    for scan, block in read_blocks(files, progress, limits):
+    for scan, block in blocks:
         if block is None:
             found.scans.append(scan)
             continue
@@ -373,16 +371,15 @@ def _as_planned(
     older = [plan(configuration) for plan in configuration.method.older_plans]
     if not older:
         return calibration
-    announced = next(_announced_steps(files, topics, limits), len(calibration.plan.steps))
+    scans = (scan_file(file, limits) for file in files)
+    announced = next(_announced_steps(scans, topics), len(calibration.plan.steps))
     plans = (plan for plan in (calibration.plan, *older) if len(plan.steps) == announced)
     return replace(calibration, plan=next(plans, calibration.plan))
 
 
-def _announced_steps(
-    files: tuple[Path, ...], topics: Topics, limits: ReadingLimits
-) -> Iterator[int]:
+def _announced_steps(scans: Iterable[Scan], topics: Topics) -> Iterator[int]:
     decoders: Decoders = {}
-    for scan in (scan_file(file, limits) for file in files):
+    for scan in scans:
         for block in scan.blocks():
             for part in topics.split(block, scan.channels, decoders):
                 if part.role == names.PLAN:
