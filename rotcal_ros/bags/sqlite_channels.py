@@ -20,6 +20,7 @@ _DEFINITION: Final = (
 )  # fmt: skip
 _ENCODINGS: Final = ("ros2msg", "ros2idl")
 _CDR: Final = "cdr"
+_NEEDED: Final = ("name", "type")
 
 
 def read_channels(database: Database) -> Iterator[tuple[int, ChannelDefinition]]:
@@ -43,16 +44,21 @@ def read_channels(database: Database) -> Iterator[tuple[int, ChannelDefinition]]
 
 
 def topics_without_text(database: Database) -> int:
-    """Return how many topics there are of which something is no text in UTF-8."""
+    """Return how many topics there are of which something is no text in UTF-8.
+
+    Beside name and type it may be missing.
+    """
     present = [name for name in _TOPIC[1:] if name in database.columns("topics")]
-    kinds = " AND ".join(f"typeof({name}) = 'text'" for name in present)
-    rows = database.connection.execute(f"SELECT {kinds}, {', '.join(present)} FROM topics")
+    needed = " AND ".join(f"typeof({name}) = 'text'" for name in _NEEDED)
+    others = "".join(f" AND typeof({name}) IN ('text', 'null')" for name in present)
+    query = f"SELECT {needed}{others}, {', '.join(present)} FROM topics"
+    rows = database.connection.execute(query)
     return sum(not all_texts or not all(map(_is_utf8, values)) for all_texts, *values in rows)
 
 
-def _is_utf8(value: bytes) -> bool:
+def _is_utf8(value: bytes | None) -> bool:
     try:
-        value.decode()
+        (value or b"").decode()
     except UnicodeDecodeError:
         return False
     return True

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from zlib import crc32
 
 import bags_harmed as bags
 import yaml
@@ -51,8 +52,9 @@ def read_description(path: Path) -> None:
     (path.parent / BAG).write_bytes(_bag())
     with suppress_rotcal():
         json.dumps(describe(path.parent).to_dict())
-    with suppress_rotcal():
-        _read(path.parent)
+    if crc32(path.read_bytes()) % 8 == 0:  # solving takes longer, and looks as describing does
+        with suppress_rotcal():
+            _read(path.parent)
     again = path.parent / "again"
     try:
         again.mkdir()
