@@ -150,8 +150,8 @@ def test_a_topic_that_others_cannot_name_is_told(change: str, path: Path) -> Non
 def test_a_topic_may_leave_out_all_but_name_and_type(path: Path) -> None:
     with closing(sqlite3.connect(path)) as database, database:
         database.executescript(
-            "ALTER TABLE topics RENAME TO t; CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT,"
-            " type TEXT, serialization_format TEXT, offered_qos_profiles TEXT);"
+            "ALTER TABLE topics RENAME TO t; CREATE TABLE topics(id INTEGER PRIMARY KEY,"
+            " name TEXT, type TEXT, serialization_format TEXT, offered_qos_profiles TEXT);"
             "INSERT INTO topics(id, name, type) SELECT id, name, type FROM t; DROP TABLE t"
         )
     assert read(path)[1].state == "complete"
