@@ -45,18 +45,18 @@ class Input:
         Raises BagError for what is neither a bag nor a table, ConfigurationError for a table
         without set-up and for changes that cannot be, DataError for contradictory content.
         """
+        of_reading = tuple(change for change in self.changes if is_limit(change))
         if is_table(self.path):
             if self.setup is None:
                 raise ConfigurationError(
                     f"{self.path} is a table, and a table needs its set-up: --setup SETUP.yaml"
                 )
-            if limits := [change for change in self.changes if is_limit(change)]:
-                raise ConfigurationError(f"--set {limits[0]}: {self.path} is a table, not a bag")
+            if of_reading:
+                raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is no bag")
             configuration = changed(read_setup(self.setup), self.changes)
             return read_measurements(self.path, configuration, self.targets)
         if self.targets is not None:
             raise ConfigurationError(f"{self.path} is no table: only a table takes --targets")
-        of_reading = tuple(change for change in self.changes if is_limit(change))
         limits = changed_limits(of_reading)
         changes = tuple(change for change in self.changes if change not in of_reading)
         return read_recording(
