@@ -97,9 +97,9 @@ def judge_session(path: Path, verdicts: Sequence[FileVerdict]) -> SessionVerdict
 
 def _few(sentences: Iterable[str]) -> tuple[str, ...]:
     """Return the first ones, and how many more there are."""
-    told = tuple(sentences)
-    more = len(told) - _NAMED
-    return told if more <= 0 else (*told[:_NAMED], f"and {more} more")
+    every = tuple(sentences)
+    more = len(every) - _NAMED
+    return every if more <= 0 else (*every[:_NAMED], f"and {more} more")
 
 
 class _Present:
