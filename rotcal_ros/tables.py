@@ -24,7 +24,7 @@ _SPREADSHEETS: Final = (".xlsx", ".xlsm", ".xls", ".ods")
 _OFFICE: Final = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
 """How the files of spreadsheet programs begin."""
 _TEXTS: Final = (".csv", ".txt", ".tsv", ".dat", "")
-_OTHERS: Final = (".mcap", ".db3", ".json", ".yaml", ".yml", ".html")
+_OTHERS: Final = (".mcap", ".db3", ".zstd", ".json", ".yaml", ".yml", ".html")
 """Endings of files that are something else."""
 _SEPARATORS: Final = {";": "semicolons", "\t": "tabs"}
 _LOOK: Final = 4096

@@ -40,7 +40,8 @@ NAME=VALUE` on the command line. See [planning](planning.md)."""
 
 READING = """## The limits of reading
 
-Of `rotcal bag check` and `rotcal bag repair`, on the command line alone. See
+Of `rotcal bag info`, `check` and `repair`, and of whatever else is given a bag and takes `--set`
+(`solve`, `report`, `uncertainty`), on the command line alone. See
 [recording](recording.md#checking-and-repairing)."""
 
 

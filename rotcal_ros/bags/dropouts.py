@@ -13,6 +13,8 @@ from typing import Any, Final
 
 from rotcal_ros.bags import names
 
+_LARGEST: Final = 1 << 64
+"""Beyond what log times and counts in a bag can be."""
 MESSAGE_TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
 GAP: Final = "a gap in the numbers of its publisher"
@@ -72,7 +74,7 @@ class Dropout:
 def of_status(values: Mapping[str, str]) -> Dropout | None:
     """Return the dropout that a status with these values tells of; None for any other."""
     try:
-        return Dropout(
+        dropout = Dropout(
             topic=values["topic"],
             from_ns=int(values["from_ns"]),
             to_ns=int(values["to_ns"]),
@@ -80,8 +82,10 @@ def of_status(values: Mapping[str, str]) -> Dropout | None:
             reason=values["reason"],
             gaps=int(values["gaps"]),
         )
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, TypeError):
         return None
+    numbers = (dropout.from_ns, dropout.to_ns, dropout.count, dropout.gaps)
+    return dropout if all(0 <= number < _LARGEST for number in numbers) else None
 
 
 def counters(dropouts: Iterable[Dropout]) -> dict[str, int]:

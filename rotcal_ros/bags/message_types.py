@@ -22,6 +22,7 @@ MAX_DEPTH: Final = 64
 """How deep messages may contain each other."""
 _MAX_ELEMENTS: Final = 10_000
 """Most elements of arrays of texts and messages together: rosbags writes code for each."""
+_ENCODINGS: Final = ("cdr", "")
 _ALWAYS_KNOWN: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _SECONDS: Final = "int32 sec\nuint32 nanosec\n"
 """The definition of both, in every distribution of ROS 2; a bag may leave it out."""
@@ -42,6 +43,11 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
     if channel.encoding not in ("ros2msg", "ros2idl"):
         what = f"only one in {channel.encoding!r}" if channel.encoding else "no definition"
         raise BagError(f"topic {channel.topic}: the bag holds {what} of {channel.type_name}")
+    if channel.message_encoding not in _ENCODINGS:
+        raise BagError(
+            f"topic {channel.topic}: its messages are serialised as "
+            f"{channel.message_encoding!r}, which cannot be read (cdr can)"
+        )
     store = get_typestore(Stores.EMPTY)
     try:
         types = _always_known() | _parsed(channel)

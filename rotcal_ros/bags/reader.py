@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Final
 
 from rotcal_ros.bags.blocks import Block
@@ -14,8 +14,9 @@ from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
 from rotcal_ros.bags.scan import Item, Scan
 from rotcal_ros.bags.verdict import FileVerdict
-from rotcal_ros.bags.whole_file import PACKED
+from rotcal_ros.bags.whole_file import plain_name
 from rotcal_ros.errors import BagError
+from rotcal_ros.untrusted import why
 
 Progress = Callable[[int, int], None]
 """Called with the bytes done and the bytes in all."""
@@ -30,21 +31,26 @@ _HASH_BYTES: Final = 1 << 20
 def bag_files(path: Path) -> tuple[Path, ...]:
     """Return the storage files of a bag, oldest first; ``metadata.yaml`` is not needed.
 
-    Raises BagError when there is no bag at ``path``.
+    Raises BagError when there is no bag at ``path``, or none that one may look at.
     """
-    if not path.exists():
-        raise BagError(f"{path} does not exist; expected a bag folder or an .mcap or .db3 file")
-    if path.is_file():
-        scan_file(path)
-        return (path,)
+    try:
+        if not path.exists():
+            what = "does not exist; expected a bag folder or an .mcap or .db3 file"
+            raise BagError(f"{path} {what}")
+        if path.is_file():
+            scan_file(path)
+            return (path,)
+        inside = sorted(filter(is_storage_name, path.iterdir()))
+    except OSError as error:
+        raise BagError(f"cannot read {path}: {why(error)}") from error
     for suffix in SUFFIXES:
-        found = sorted(f for f in path.iterdir() if _storage(f) == suffix)
+        found = [file for file in inside if _storage(file) == suffix]
         # Of a file that was unpacked beside its packed form, the plain one is read.
-        files = {_plain(file).stem: file for file in reversed(found)}
+        files = {plain_name(file).stem: file for file in reversed(found)}
         if files:
             return tuple(sorted(files.values(), key=_order))
-    inside = sorted(f.parent for ending in SUFFIXES for f in path.glob(f"*/*{ending}"))
-    hint = f"; did you mean {inside[0]}?" if inside else ""
+    deeper = sorted(f.parent for ending in SUFFIXES for f in path.glob(f"*/*{ending}"))
+    hint = f"; did you mean {deeper[0]}?" if deeper else ""
     raise BagError(f"{path} is no bag: there is no .mcap or .db3 file in the folder{hint}")
 
 
@@ -60,21 +66,21 @@ def scan_file(
             f"{path} is no bag: expected a folder or a file ending in .mcap or .db3; a plain "
             "table is text with commas between its columns"
         )
-    if _plain(path) != path:
-        raise BagError(f"{path} is compressed as a whole; unpack it: zstd -d {path.name}")
     # Few bags need it.
     from rotcal_ros.bags.sqlite_scan import SqliteScan
 
-    return SqliteScan(path)
+    return SqliteScan(path, limits)
 
 
 def read_blocks(
-    files: tuple[Path, ...], progress: Progress | None = None
+    files: tuple[Path, ...],
+    progress: Progress | None = None,
+    limits: ReadingLimits = DEFAULT_LIMITS,
 ) -> Iterator[tuple[Scan, Block | None]]:
     """Yield the blocks of several files in order, each with its pass; None ends a file."""
     total, done = sum(file.stat().st_size for file in files), 0
     for file in files:
-        scan = scan_file(file)
+        scan = scan_file(file, limits)
         for block in scan.blocks():
             yield scan, block
             if progress is not None:
@@ -140,18 +146,18 @@ def sha256_of(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _plain(path: Path) -> Path:
-    """Return ``path`` without the ending of a file that is compressed as a whole."""
-    return path.with_suffix("") if path.suffix.lower() == PACKED else path
+def is_storage_name(path: PurePath) -> bool:
+    """Return whether a file is called like a storage file of a bag, compressed or not."""
+    return _storage(path) in SUFFIXES
 
 
-def _storage(path: Path) -> str:
+def _storage(path: PurePath) -> str:
     """Return the ending of a storage file as in SUFFIXES, of any other file something else."""
-    return _plain(path).suffix.lower()
+    return plain_name(path).suffix.lower()
 
 
 def _order(path: Path) -> tuple[str, int]:
     """Sort key: name_2 comes before name_10."""
-    stem = _plain(path).stem
+    stem = plain_name(path).stem
     match = _NUMBER.match(stem)
     return (match[1], int(match[2])) if match else (stem, -1)

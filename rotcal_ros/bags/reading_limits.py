@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
-from rotcal_ros.settings import setting
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.settings import load, setting
+
+_GROUP: Final = "reading"
 
 LARGEST_MESSAGE: Final = 128 * 1024 * 1024
 """Bytes of the largest message that a database may hold, or a definition ask for."""
@@ -13,7 +17,7 @@ LARGEST_MESSAGE: Final = 128 * 1024 * 1024
 
 @dataclass(frozen=True)
 class ReadingLimits:
-    """What a bag may cost to read; what goes beyond is left out and said, by ``rotcal bag``."""
+    """What a bag may cost to read; what goes beyond is left out and said."""
 
     record_bytes: int = setting(
         50_331_648,
@@ -48,6 +52,29 @@ class ReadingLimits:
 
 
 DEFAULT_LIMITS: Final = ReadingLimits()
+
+
+def is_limit(change: str) -> bool:
+    """Return whether a ``group.name=value`` is about the limits of reading."""
+    return change.partition(".")[0] == _GROUP
+
+
+def changed_limits(changes: Sequence[str]) -> ReadingLimits:
+    """Return the limits with ``reading.name=value`` changes; ConfigurationError for all others."""
+    import yaml
+
+    values: dict[str, Any] = {}
+    for change in changes:
+        name, equals, value = change.partition("=")
+        group, dot, limit = name.partition(".")
+        if group != _GROUP or not dot or not equals:
+            raise ConfigurationError(f"--set {change}: expected {_GROUP}.NAME=VALUE")
+        try:
+            values[limit] = yaml.safe_load(value)
+        except (yaml.YAMLError, ValueError, RecursionError) as error:
+            what = " ".join(str(error).split())
+            raise ConfigurationError(f"--set {change}: no value: {what}") from None
+    return load(ReadingLimits, values, f"--set: {_GROUP}")
 
 
 def refusal(what: str, setting_name: str, least: int) -> str:

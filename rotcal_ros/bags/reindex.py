@@ -23,6 +23,7 @@ from rotcal_ros.bags.rosbag2_reading import (
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.whole_file import plain_name
 from rotcal_ros.errors import BagError
 from rotcal_ros.files import FolderLock, sync_folder, write_atomically
 
@@ -65,7 +66,8 @@ def reindex(folder: Path, progress: Progress | None = None) -> Reindexed:
         (),
         ros_distro=old.ros_distro if old else "",
         custom_data=_custom(old, session),
-        storage="mcap" if files[0].suffix == ".mcap" else "sqlite3",
+        storage="mcap" if plain_name(files[0]).suffix.lower() == ".mcap" else "sqlite3",
+        compression_mode=_compression_mode(files, old),
     )
     path = folder / METADATA_FILE
     try:
@@ -89,6 +91,21 @@ def finish_interrupted(folder: Path) -> None:
         lock.release()
     if left.open_ends:
         reindex(folder)
+
+
+def _compression_mode(files: Iterable[Path], old: BagDescription | None) -> str:
+    """Return rosbag2's name of how the bag is compressed; zstd is all that can be read.
+
+    Raises BagError where some files are compressed as a whole and others are not.
+    """
+    packed = {plain_name(file) != file for file in files}
+    if len(packed) > 1:
+        raise BagError(
+            "some files are compressed as a whole and others are not, which no metadata.yaml can "
+            "say: unpack them (zstd -d)"
+        )
+    stated = "" if old is None else old.compression_mode
+    return "FILE" if True in packed else stated.upper() if stated == "message" else ""
 
 
 def _require_sound(folder: Path, verdicts: Iterable[FileVerdict]) -> None:

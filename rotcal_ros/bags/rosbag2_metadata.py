@@ -92,10 +92,12 @@ def bag_information(
     ros_distro: str = "",
     custom_data: Mapping[str, str] | None = None,
     storage: str = "mcap",
+    compression_mode: str = "",
 ) -> dict[str, Any]:
     """Return the mapping that rosbag2 calls ``rosbag2_bagfile_information``.
 
-    It has the topics of ``channels`` and those that the files know besides.
+    It has the topics of ``channels`` and those that the files know besides. What is compressed
+    by rosbag2, in the mode of that name, is so by zstd.
     """
     by_topic = {c.topic: c for c in (*(c for f in files for c in f.channels), *channels)}
     return {
@@ -103,8 +105,8 @@ def bag_information(
         "storage_identifier": storage,
         **_span(files),
         "topics_with_message_count": [_topic(channel, files) for channel in by_topic.values()],
-        "compression_format": "",
-        "compression_mode": "",
+        "compression_format": "zstd" if compression_mode else "",
+        "compression_mode": compression_mode,
         "relative_file_paths": [file.name for file in files],
         "files": [{"path": file.name, **_span([file])} for file in files],
         "custom_data": dict(custom_data or {}),

@@ -137,6 +137,8 @@ def _files(data: Mapping[str, Any]) -> tuple[FileEntry, ...]:
         )
         for entry in data.get("files") or ()
     }
+    if not isinstance(data["relative_file_paths"], list):
+        raise ValueError("relative_file_paths is no list")
     listed = [_name(path) for path in data["relative_file_paths"]]
     return tuple(known.get(name, FileEntry(name)) for name in listed)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, scan_file
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.rosbag2_reading import recorded_files
 from rotcal_ros.errors import BagError
 
@@ -62,9 +63,9 @@ class FileHead:
         return f"session {self.session[:_SHOWN]}: {', '.join(filter(None, known))}"
 
 
-def file_head(path: Path) -> FileHead:
+def file_head(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> FileHead:
     """Read ``path`` up to its first messages; raises BagError when it cannot be read at all."""
-    scan = scan_file(path)
+    scan = scan_file(path, limits)
     first = next(iter(scan.blocks()), None)
     run = scan.metadata.get(names.RUN, {})
     attached = scan.attachments.get(names.CONFIGURATION)
@@ -90,12 +91,14 @@ def session_of(path: Path) -> str:
     return file_head(bag_files(path)[0]).session
 
 
-def sessions_in(files: Iterable[Path]) -> dict[str, tuple[FileHead, ...]]:
+def sessions_in(
+    files: Iterable[Path], limits: ReadingLimits = DEFAULT_LIMITS
+) -> dict[str, tuple[FileHead, ...]]:
     """Return the files by the session that they belong to, in their order.
 
     Files that say nothing of their session belong to the one beside them.
     """
-    heads = [file_head(file) for file in files]
+    heads = [file_head(file, limits) for file in files]
     unnamed: dict[tuple[str, str], str] = {}
     found: dict[str, list[FileHead]] = {}
     waiting: list[FileHead] = []
@@ -123,20 +126,20 @@ def _name(head: FileHead, unnamed: dict[tuple[str, str], str]) -> str:
     return unnamed[key]
 
 
-def foreign_files(files: Sequence[Path]) -> str:
+def foreign_files(files: Sequence[Path], limits: ReadingLimits = DEFAULT_LIMITS) -> str:
     """Return why the files are not those of one session; empty when they are."""
     try:
-        require_one_session(files)
+        require_one_session(files, limits)
     except BagError as error:
         return str(error)
     return ""
 
 
-def require_one_session(files: Sequence[Path]) -> None:
+def require_one_session(files: Sequence[Path], limits: ReadingLimits = DEFAULT_LIMITS) -> None:
     """Raise BagError unless all files belong to one session and none is a copy of another."""
     if len(files) < 2:
         return
-    found = sessions_in(files)
+    found = sessions_in(files, limits)
     if len(found) > 1:
         groups = "; ".join(
             f"{', '.join(head.path.name for head in heads)} ({heads[0].in_words()})"

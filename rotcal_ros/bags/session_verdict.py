@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -20,10 +20,12 @@ from rotcal_ros.bags.rosbag2_reading import (
     recorded_files,
 )
 from rotcal_ros.bags.verdict import FileVerdict
+from rotcal_ros.bags.whole_file import PACKED
 from rotcal_ros.errors import BagError
 
 _TOLERANCE_NS: Final = 1_000_000
-_COMPRESSED: Final = ".zstd"
+_NAMED: Final = 100
+"""Faults of a kind that are told one by one; nobody reads more, and anybody may list a million."""
 
 
 @dataclass(frozen=True)
@@ -86,11 +88,18 @@ def judge_session(path: Path, verdicts: Sequence[FileVerdict]) -> SessionVerdict
         missing |= {text: text for text in (known.custom or {}).get(MISSING_KEY, "").splitlines()}
     before = (text for v in verdicts for text in missing_before_repair(v.notes))
     return SessionVerdict(
-        tuple(dict.fromkeys((*missing.values(), *short, *before))),
-        tuple(wrong),
+        _few(dict.fromkeys((*missing.values(), *short, *before))),
+        _few(wrong),
         tuple(text for v in verdicts for text in repairs_in_words(v.notes)),
         tuple(_closed(verdicts)),
     )
+
+
+def _few(sentences: Iterable[str]) -> tuple[str, ...]:
+    """Return the first ones, and how many more there are."""
+    every = tuple(sentences)
+    more = len(every) - _NAMED
+    return every if more <= 0 else (*every[:_NAMED], f"and {more} more")
 
 
 class _Present:
@@ -104,7 +113,7 @@ class _Present:
 
     def find(self, entry: FileEntry) -> FileVerdict | None:
         """Return the file that ``entry`` describes, be it renamed or unpacked."""
-        for name in (entry.name, entry.name.removesuffix(_COMPRESSED)):
+        for name in (entry.name, entry.name.removesuffix(PACKED)):
             if name in self.by_name:
                 return self.by_name[name]
         if not entry.messages:
@@ -133,11 +142,16 @@ def _missing(
 
 
 def _sentence(folder: Path, name: str, why: str) -> str:
-    if "/" in name or not (folder / name).exists():
+    if "/" in name or not _exists(folder / name):
         return f"the file {name} of the session is missing: {why}"
-    if name.endswith(_COMPRESSED):
-        return f"the file {name} of the session was not read: unpack it: zstd -d {folder / name}"
     return f"the file {name} of the session was not read, only a part of it was named: {why}"
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # its name is too long, or leads to where nobody may look
+        return False
 
 
 def _gaps(folder: Path, present: _Present, known: BagDescription | None) -> dict[str, str]:
@@ -147,7 +161,7 @@ def _gaps(folder: Path, present: _Present, known: BagDescription | None) -> dict
     """
     renamed = {f.name for f in known.files if present.find(f) is not None} if known else set()
     found: dict[str, str] = {}
-    pattern = re.compile(r"(.+)_(\d{1,6})(\.\w+)$")
+    pattern = re.compile(r"(.+)_(\d{1,6})(\.\w+(?:\.zstd)?)$")
     matches = [m for v in present.verdicts if (m := pattern.match(v.path.name))]
     for stem, ending in {(m[1], m[3]) for m in matches}:
         mine = [m for m in matches if (m[1], m[3]) == (stem, ending)]

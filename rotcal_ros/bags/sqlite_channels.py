@@ -12,11 +12,15 @@ from typing import Final
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.sqlite_file import Database, text
 
-_TOPIC: Final = ("id", "name", "type", "type_description_hash", "offered_qos_profiles")
+_TOPIC: Final = (
+    "id", "name", "type", "type_description_hash", "offered_qos_profiles", "serialization_format",
+)  # fmt: skip
 _DEFINITION: Final = (
     "topic_type", "type_description_hash", "encoding", "encoded_message_definition",
 )  # fmt: skip
 _ENCODINGS: Final = ("ros2msg", "ros2idl")
+_CDR: Final = "cdr"
+_NEEDED: Final = ("name", "type")
 
 
 def read_channels(database: Database) -> Iterator[tuple[int, ChannelDefinition]]:
@@ -29,14 +33,35 @@ def read_channels(database: Database) -> Iterator[tuple[int, ChannelDefinition]]
             stated = text(encoding), text(definition)
             for key in ((text(name), text(type_hash)), (text(name), "")):
                 known.setdefault(key, stated)
-    for topic_id, name, type_name, type_hash, qos in _rows(database, "topics", _TOPIC):
+    for topic_id, name, type_name, type_hash, qos, form in _rows(database, "topics", _TOPIC):
         if isinstance(topic_id, int):
             key = text(type_name), text(type_hash)
             encoding, definition = known.get(key) or known.get((key[0], "")) or _own(key[0])
-            yield (
-                topic_id,
-                ChannelDefinition(0, text(name), key[0], encoding, definition, key[1], text(qos)),
+            channel = ChannelDefinition(
+                0, text(name), key[0], encoding, definition, key[1], text(qos), text(form) or _CDR
             )
+            yield topic_id, channel
+
+
+def topics_without_text(database: Database) -> int:
+    """Return how many topics there are of which something is no text in UTF-8.
+
+    Beside name and type it may be missing.
+    """
+    present = [name for name in _TOPIC[1:] if name in database.columns("topics")]
+    needed = " AND ".join(f"typeof({name}) = 'text'" for name in _NEEDED)
+    others = "".join(f" AND typeof({name}) IN ('text', 'null')" for name in present)
+    query = f"SELECT {needed}{others}, {', '.join(present)} FROM topics"
+    rows = database.connection.execute(query)
+    return sum(not all_texts or not all(map(_is_utf8, values)) for all_texts, *values in rows)
+
+
+def _is_utf8(value: bytes | None) -> bool:
+    try:
+        (value or b"").decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _rows(

@@ -14,7 +14,8 @@ from tempfile import TemporaryDirectory
 from typing import Final
 from urllib.parse import quote_from_bytes
 
-from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
+from rotcal_ros.bags import whole_file
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
 from rotcal_ros.bags.verdict import Damage
 from rotcal_ros.errors import BagError
 
@@ -28,10 +29,14 @@ _AT_PAGE: Final = re.compile(r"page (\d+)")
 
 @dataclass(frozen=True)
 class Database:
-    """A connection and the file that it reads: the bag's own, or a copy of it."""
+    """A connection and the file that it reads: the bag's own, or a copy of it.
+
+    ``fault`` says what was wrong while the file was unpacked.
+    """
 
     connection: sqlite3.Connection
     file: Path
+    fault: str = ""
 
     def columns(self, table: str) -> tuple[str, ...]:
         """Return the columns of a table, none when there is no such table."""
@@ -42,7 +47,12 @@ class Database:
         return tuple(text(name).lower() for _, name, *_ in info)
 
     def damages(self) -> tuple[Damage, ...]:
-        """Return what sqlite3's own integrity check says, none when the file is sound."""
+        """Return what went wrong so far, none when the file is sound."""
+        unpacking = (Damage(0, self.fault),) if self.fault else ()
+        return (*unpacking, *self._integrity())
+
+    def _integrity(self) -> tuple[Damage, ...]:
+        """Return what sqlite3's own integrity check says."""
         try:
             found = self.connection.execute(f"PRAGMA integrity_check({_MAX_FAULTS})").fetchall()
             (page_size,) = self.connection.execute("PRAGMA page_size").fetchone()
@@ -53,33 +63,41 @@ class Database:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Database]:
+def opened(path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> Iterator[Database]:
     """Open ``path`` for reading; texts come as bytes. Raises BagError when that is impossible.
 
     A journal or write-ahead log that was left beside it belongs to the data, but to heed it
     means to write: that happens in a temporary copy.
     """
     try:
-        if not path.is_file() or not path.stat().st_size:
-            what = "is empty" if path.is_file() else "is no file"
-            raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")
-        left = [file for end in _LEFT_BESIDE if (file := Path(f"{path}{end}")).is_file()]
-        if not any(file.stat().st_size for file in left):
-            with path.open("rb"):  # for the system's own words, should it not let us
-                pass
-            with closing(_connected(path, "mode=ro&immutable=1")) as connection:
-                yield Database(connection, path)
-            return
-        with TemporaryDirectory(prefix="rotcal_") as folder:
-            for file in (path, *left):
-                shutil.copyfile(file, Path(folder) / file.name)
-            copy = Path(folder) / path.name
-            with closing(_connected(copy, "mode=rw")) as connection:
-                yield Database(connection, copy)
+        with whole_file.unpacked(path, limits) as (plain, fault):
+            if not plain.is_file() or not plain.stat().st_size:
+                what = "is empty" if plain.is_file() else "is no file"
+                raise BagError(f"cannot read {path}: it {what}; there is nothing in it to be read")
+            with (
+                _with_what_was_left(plain) as (file, how),
+                closing(_connected(file, how)) as connection,
+            ):
+                yield Database(connection, file, fault)
     except FAILURES as error:
         raise BagError(f"cannot read {path}: {words(error)}") from error
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+@contextmanager
+def _with_what_was_left(path: Path) -> Iterator[tuple[Path, str]]:
+    """Yield the file to be opened and how: where something was left beside it, a copy of both."""
+    left = [file for end in _LEFT_BESIDE if (file := Path(f"{path}{end}")).is_file()]
+    if not any(file.stat().st_size for file in left):
+        with path.open("rb"):  # for the system's own words, should it not let us
+            pass
+        yield path, "mode=ro&immutable=1"
+        return
+    with TemporaryDirectory(prefix="rotcal_") as folder:
+        for file in (path, *left):
+            shutil.copyfile(file, Path(folder) / file.name)
+        yield Path(folder) / path.name, "mode=rw"
 
 
 def text(value: object) -> str:

@@ -21,9 +21,9 @@ from rotcal_ros.bags.message_compression import (
     stated_compression,
     unpacked,
 )
-from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, LARGEST_MESSAGE, ReadingLimits
 from rotcal_ros.bags.scan import Scan
-from rotcal_ros.bags.sqlite_channels import read_channels
+from rotcal_ros.bags.sqlite_channels import read_channels, topics_without_text
 from rotcal_ros.bags.sqlite_file import FAILURES, Database, opened, words
 from rotcal_ros.bags.sqlite_salvage import salvaged
 from rotcal_ros.bags.verdict import Damage, FileVerdict, TopicCount
@@ -45,9 +45,11 @@ class SqliteScan(Scan):
     within a message is not noticed.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, limits: ReadingLimits = DEFAULT_LIMITS) -> None:
         super().__init__(path)
+        self._limits = limits
         self._size = 0
+        self._plain_size = 0
         self._damages: list[Damage] = []
         self._numbers: dict[int, int] = {}  # channel id by the topic's id in the database
         self._lost: Counter[int] = Counter()
@@ -57,11 +59,14 @@ class SqliteScan(Scan):
 
     def blocks(self) -> Iterator[Block]:
         """Yield the messages in the order of their log times."""
-        with opened(self.path) as database:
+        with opened(self.path, self._limits) as database:
             self._size = self.path.stat().st_size
+            self._plain_size = database.file.stat().st_size
             self._damages += database.damages()
             if not self._damages:
                 self._require_tables(database)
+                if count := topics_without_text(database):
+                    self._oddities["topics of which something is no text in UTF-8"] = count
                 yield from self._read(database)
                 return
             with salvaged(database) as rescued:
@@ -90,6 +95,7 @@ class SqliteScan(Scan):
             start_ns=start_ns,
             end_ns=end_ns,
             lost_exactly=not self._damages,
+            dropouts=tuple(self._dropouts.found),
         )
 
     def _require_tables(self, database: Database) -> None:
@@ -126,7 +132,7 @@ class SqliteScan(Scan):
 
     def _batches(self, database: Database) -> Iterator[Block]:
         batch: list[tuple[int, int, bytes]] = []
-        size, room = 0, 4 * self._size + LARGEST_MESSAGE
+        size, room = 0, 4 * self._plain_size + LARGEST_MESSAGE
         try:
             key = "id" if "id" in database.columns("messages") else "rowid"
             for row in database.connection.execute(_MESSAGES + key):
@@ -193,7 +199,7 @@ class SqliteScan(Scan):
         """Count the ids that are missing: rosbag2 gives them one after the other."""
         query = "SELECT count(*), min(id), max(id) FROM messages"
         count, first, last = rescued.connection.execute(query).fetchone()
-        if count and first >= 1 and last <= count + self._size // _LEAST_ROW:
+        if count and first >= 1 and last <= count + self._plain_size // _LEAST_ROW:
             self._unreadable += last - count
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import BinaryIO, Final
+from pathlib import Path, PurePath
+from typing import IO, BinaryIO, Final
 
 import zstandard
 
@@ -16,7 +16,8 @@ from rotcal_ros.untrusted import open_plain
 
 PACKED: Final = ".zstd"
 """The ending of such a file, behind the one of its storage."""
-_STEP: Final = 1 << 20
+_STEP: Final = 1 << 12
+"""Bytes unpacked at once: so many are lost before a fault."""
 
 
 @contextmanager
@@ -27,7 +28,7 @@ def opened(path: Path, limits: ReadingLimits) -> Iterator[BinaryIO]:
     can be unpacked of a file that is cut off is given.
     """
     with open_plain(path) as file:
-        if path.suffix.lower() != PACKED:
+        if plain_name(path) == path:
             yield file
             return
         with tempfile.TemporaryFile() as plain:
@@ -35,7 +36,28 @@ def opened(path: Path, limits: ReadingLimits) -> Iterator[BinaryIO]:
             yield plain
 
 
-def _unpack(file: BinaryIO, plain: BinaryIO, path: Path, limits: ReadingLimits) -> None:
+@contextmanager
+def unpacked(path: Path, limits: ReadingLimits) -> Iterator[tuple[Path, str]]:
+    """Yield where a storage file lies in plain, and what was wrong while it was unpacked.
+
+    That is ``path`` itself, or a temporary file; raises what :func:`opened` does.
+    """
+    if plain_name(path) == path:
+        yield path, ""
+        return
+    with open_plain(path) as file, tempfile.NamedTemporaryFile(prefix="rotcal_") as plain:
+        fault = _unpack(file, plain, path, limits)
+        plain.flush()
+        yield Path(plain.name), fault
+
+
+def plain_name(path: PurePath) -> PurePath:
+    """Return ``path`` without the ending of a file that is compressed as a whole."""
+    return path.with_suffix("") if path.suffix.lower() == PACKED else path
+
+
+def _unpack(file: BinaryIO, plain: IO[bytes], path: Path, limits: ReadingLimits) -> str:
+    """Unpack as far as it goes; return why no further, '' at the end of the file."""
     size = path.stat().st_size
     most = max(limits.unpacked_bytes, limits.unpacked_ratio * size)
     done = 0
@@ -50,3 +72,5 @@ def _unpack(file: BinaryIO, plain: BinaryIO, path: Path, limits: ReadingLimits) 
     except zstandard.ZstdError as error:
         if not done:
             raise BagError(f"{path} cannot be unpacked: {error}") from None
+        return f"the file cannot be unpacked behind byte {done} of its content: {error}"
+    return ""

@@ -31,13 +31,14 @@ command.add_command(parquet)
 
 @command.command()
 @click.argument("bag", type=path_type)
+@limits_option
 @json_option
-def info(bag: Path, as_json: bool) -> int:
+def info(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     """Tell what is in BAG: files, topics, attachments, configuration."""
     from rotcal_ros.recordings.summary import describe
 
     with progress("reading") as shown:
-        summary = describe(bag, shown)
+        summary = describe(bag, shown, limits)
     if as_json:
         print_json(summary.to_dict())
     else:
@@ -65,8 +66,8 @@ def check(bag: Path, limits: ReadingLimits, as_json: bool) -> int:
     with progress("checking") as shown:
         verdicts = check_files(files, shown, limits)
     session = judge_session(bag, verdicts)
-    mixed = foreign_files(files)
-    dropouts = placed_in(verdicts)
+    mixed = foreign_files(files, limits)
+    dropouts = placed_in(verdicts, limits)
     if as_json:
         print_json({
             "files": [verdict.to_dict() for verdict in verdicts],
@@ -163,7 +164,7 @@ def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool)
     from rotcal_ros.bags.repair import repair as repair_bag
     from rotcal_ros.bags.session_identity import require_one_session
 
-    require_one_session(bag_files(bag))
+    require_one_session(bag_files(bag), limits)
     folder = output or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_repaired")
     with progress("repairing") as shown:
         outcome = repair_bag(bag, folder, shown, limits)

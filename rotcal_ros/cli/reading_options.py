@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
-import yaml
 
-from rotcal_ros.bags.reading_limits import ReadingLimits
-from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.settings import load
-
-_GROUP = "reading"
+from rotcal_ros.bags.reading_limits import ReadingLimits, changed_limits
 
 
 def _limits(
     context: click.Context, option: click.Parameter, changes: tuple[str, ...]
 ) -> ReadingLimits:
-    """Return the limits with the changes; raises ConfigurationError for what cannot be set."""
-    values: dict[str, Any] = {}
-    for change in changes:
-        name, equals, value = change.partition("=")
-        group, dot, setting = name.partition(".")
-        if group != _GROUP or not dot or not equals:
-            raise ConfigurationError(f"--set {change}: expected {_GROUP}.NAME=VALUE")
-        try:
-            values[setting] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise ConfigurationError(f"--set {change}: no value: {error}") from None
-    return load(ReadingLimits, values, f"--set: {_GROUP}")
+    return changed_limits(changes)
 
 
 limits_option = click.option(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import glob
+import os
 import re
 from collections.abc import Iterator, Sequence
 from fnmatch import translate
-from pathlib import Path
+from pathlib import Path, PurePath
 
-from rotcal_ros.bags.reader import SUFFIXES, bag_files
+from rotcal_ros.bags.reader import bag_files, is_storage_name
 from rotcal_ros.errors import BagError
 from rotcal_ros.recordings.remote import is_remote, remote_bags
 from rotcal_ros.untrusted import read_text
@@ -86,7 +87,7 @@ class _Search:
             yield from self._listed(path)
         elif path.is_dir():
             yield from self._in_folder(path)
-        elif path.suffix.lower() in SUFFIXES and path.is_file():
+        elif is_storage_name(path) and path.is_file():
             yield _plain(path)
         elif glob.has_magic(source):
             for name in self._matching(source):
@@ -108,16 +109,15 @@ class _Search:
         if not self._enter(path):
             return
         try:
-            inside = sorted(path.iterdir())
+            inside = _inside(path)
         except OSError:
             yield _plain(path)  # named as a bag that cannot be read
             return
-        if any(file.suffix.lower() in SUFFIXES for file in inside):
+        if any(is_storage_name(PurePath(entry.name)) for entry in inside):
             yield _plain(path)
             return
-        for folder in inside:
-            if _is_folder(folder):
-                yield from self._in_folder(folder)
+        for entry in filter(_is_folder, inside):
+            yield from self._in_folder(path / entry.name)
 
     def _matching(self, pattern: str) -> Iterator[str]:
         """Yield what a glob matches, sorted; ``**`` follows no loop of links."""
@@ -134,12 +134,13 @@ class _Search:
         if not self._enter(folder):
             return
         try:
-            inside = sorted(folder.iterdir())
+            inside = _inside(folder)
         except OSError:
             return
-        for path in inside:
+        for entry in inside:
+            path = folder / entry.name
             yield path
-            if _is_folder(path):
+            if _is_folder(entry):
                 yield from self.below(path)
 
     def _enter(self, path: Path) -> bool:
@@ -159,10 +160,16 @@ def _plain(path: Path) -> str:
     return str(path.absolute())
 
 
-def _is_folder(path: Path) -> bool:
+def _inside(folder: Path) -> list[os.DirEntry[str]]:
+    """Return what is in a folder, by name; to tell folders from files asks nothing of each."""
+    with os.scandir(folder) as entries:
+        return sorted(entries, key=lambda entry: entry.name)
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
     try:
-        return path.is_dir()
-    except OSError:  # a link to itself, on Python before 3.12
+        return entry.is_dir()
+    except OSError:  # a link to itself
         return False
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rotcal_ros.bags.reader import Progress, bag_files
+from rotcal_ros.bags.reading_limits import ReadingLimits, changed_limits, is_limit
 from rotcal_ros.catalogue.configuration import OFFLINE_GROUPS, Configuration, changed
 from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.catalogue.method import Measurements
@@ -21,7 +22,8 @@ class Input:
     """A bag or a table at ``path`` and what belongs to it.
 
     ``setup`` is the file of its configuration, for a bag in the place of the one in it;
-    ``targets`` that of a tracer's targets; ``changes`` are ``group.name=value``. ``taken_from``
+    ``targets`` that of a tracer's targets; ``changes`` are ``group.name=value``, of a bag
+    ``reading.name=value`` too. ``taken_from``
     and ``namespace`` say what of a bag is solved.
     """
 
@@ -43,28 +45,36 @@ class Input:
         Raises BagError for what is neither a bag nor a table, ConfigurationError for a table
         without set-up and for changes that cannot be, DataError for contradictory content.
         """
+        of_reading = tuple(change for change in self.changes if is_limit(change))
         if is_table(self.path):
             if self.setup is None:
                 raise ConfigurationError(
                     f"{self.path} is a table, and a table needs its set-up: --setup SETUP.yaml"
                 )
+            if of_reading:
+                raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is no bag")
             configuration = changed(read_setup(self.setup), self.changes)
             return read_measurements(self.path, configuration, self.targets)
         if self.targets is not None:
             raise ConfigurationError(f"{self.path} is no table: only a table takes --targets")
+        limits = changed_limits(of_reading)
+        changes = tuple(change for change in self.changes if change not in of_reading)
         return read_recording(
             self.path,
             self.taken_from,
-            configuration=self._configuration(),
+            configuration=self._configuration(changes, limits),
             topics=Topics(self.namespace),
             progress=progress,
+            limits=limits,
         )
 
-    def _configuration(self) -> Configuration | None:
+    def _configuration(
+        self, changes: tuple[str, ...], limits: ReadingLimits
+    ) -> Configuration | None:
         """Return the configuration for a bag; None: the one in it, as it is."""
         if self.setup is not None:
-            return changed(read_setup(self.setup), self.changes)
-        if not self.changes:
+            return changed(read_setup(self.setup), changes)
+        if not changes:
             return None
-        recorded = find_configuration(bag_files(self.path), Topics(self.namespace))
-        return changed(recorded, self.changes, OFFLINE_GROUPS)
+        recorded = find_configuration(bag_files(self.path), Topics(self.namespace), limits)
+        return changed(recorded, changes, OFFLINE_GROUPS)

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
-from rotcal_ros.bags.reader import SUFFIXES
+from rotcal_ros.bags.reader import is_storage_name
 from rotcal_ros.errors import BagError, ConfigurationError
 
 METADATA: Final = "metadata.yaml"
@@ -43,7 +43,7 @@ def remote_bags(source: str) -> Iterator[str]:
 def remote_files(source: str) -> tuple[str, ...]:
     """Return what belongs to a remote bag as paths of its file system: metadata.yaml too."""
     filesystem, path = _filesystem(source)
-    if PurePosixPath(path).suffix.lower() in SUFFIXES:
+    if _is_storage(path):
         return (path,)
     inside = [name for name in filesystem.find(path, maxdepth=1) if _in(name, path)]
     return tuple(sorted(n for n in inside if _is_storage(n) or n.endswith(f"/{METADATA}")))
@@ -108,7 +108,7 @@ def _fixed(path: str) -> str:
 
 
 def _is_storage(path: str) -> bool:
-    return PurePosixPath(path).suffix.lower() in SUFFIXES
+    return is_storage_name(PurePosixPath(path))
 
 
 def _in(name: str, folder: str) -> bool:

@@ -12,9 +12,11 @@ from typing import Literal
 from rotcal_ros import catalogue
 from rotcal_ros import messages as records
 from rotcal_ros.bags import names
+from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, scan_file, sha256_of
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
@@ -195,6 +197,7 @@ def read_recording(
     configuration: Configuration | None = None,
     topics: Topics | None = None,
     progress: Progress | None = None,
+    limits: ReadingLimits = DEFAULT_LIMITS,
 ) -> Recording:
     """Read a bag and capture its observations again, or take the recorded ones.
 
@@ -204,12 +207,12 @@ def read_recording(
     ``configuration``. Memory does not grow with the size of the bag.
     """
     files = bag_files(path)
-    require_one_session(files)
+    require_one_session(files, limits)
     topics = topics or Topics()
     if configuration is None:
-        configuration = find_configuration(files, topics)
+        configuration = find_configuration(files, topics, limits)
     topics.renamed = {**configuration.topics.renamed(), **topics.renamed}
-    calibration = _as_planned(configuration, files, topics)
+    calibration = _as_planned(configuration, files, topics, limits)
     feeder = StreamFeeder(
         calibration.capture,
         configuration.cell.joint,
@@ -217,10 +220,12 @@ def read_recording(
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
     )
-    found = _read(files, topics, feeder if source == "streams" else None, progress)
+    blocks = read_blocks(files, progress, limits)
+    found = _read(blocks, topics, feeder if source == "streams" else None)
     verdicts = tuple(scan.verdict() for scan in found.scans)
     if not any(verdict.messages for verdict in verdicts):
-        raise BagError(f"the bag {path} holds no messages")
+        bad = next((v.sentence() for v in verdicts if v.state != "complete"), "")
+        raise BagError(f"the bag {path} holds no messages{bad and f' that can be read: {bad}'}")
     attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
     texts = (attached, *found.planned)
@@ -241,7 +246,7 @@ def read_recording(
         unreadable=dict(topics.unreadable),
         clock=clock_in_words(found.scans, found.log_times),
         session=judge_session(path, verdicts),
-        dropouts=placed_in(verdicts),
+        dropouts=placed_in(verdicts, limits),
     )
 
 
@@ -259,14 +264,11 @@ class _Found:
 
 
 def _read(
-    files: tuple[Path, ...],
-    topics: Topics,
-    feeder: StreamFeeder | None,
-    progress: Progress | None,
+    blocks: Iterable[tuple[Scan, Block | None]], topics: Topics, feeder: StreamFeeder | None
 ) -> _Found:
     """Read all files once; the streams go to ``feeder``."""
     found, run = _Found(), 0
-    for scan, block in read_blocks(files, progress):
+    for scan, block in blocks:
         if block is None:
             found.scans.append(scan)
             continue
@@ -296,10 +298,12 @@ def _run_number(scan: Scan, before: int) -> int:
     return int(number) if number.isascii() and number.isdigit() and len(number) < 10 else before
 
 
-def find_configuration(files: tuple[Path, ...], topics: Topics) -> Configuration:
+def find_configuration(
+    files: tuple[Path, ...], topics: Topics, limits: ReadingLimits = DEFAULT_LIMITS
+) -> Configuration:
     """Return the configuration that a bag was recorded with; reads no further than needed."""
     for file in files:
-        scan = scan_file(file)
+        scan = scan_file(file, limits)
         for text in _configuration_texts(scan, topics):
             source = f"{file.name}: {names.CONFIGURATION}"
             return parse_configuration(text, source, OFFLINE_GROUPS)
@@ -357,7 +361,7 @@ def _as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> C
 
 
 def _as_planned(
-    configuration: Configuration, files: tuple[Path, ...], topics: Topics
+    configuration: Configuration, files: tuple[Path, ...], topics: Topics, limits: ReadingLimits
 ) -> catalogue.Calibration:
     """Return the calibration with the plan that was measured, be it one of an earlier version.
 
@@ -367,14 +371,15 @@ def _as_planned(
     older = [plan(configuration) for plan in configuration.method.older_plans]
     if not older:
         return calibration
-    announced = next(_announced_steps(files, topics), len(calibration.plan.steps))
+    scans = (scan_file(file, limits) for file in files)
+    announced = next(_announced_steps(scans, topics), len(calibration.plan.steps))
     plans = (plan for plan in (calibration.plan, *older) if len(plan.steps) == announced)
     return replace(calibration, plan=next(plans, calibration.plan))
 
 
-def _announced_steps(files: tuple[Path, ...], topics: Topics) -> Iterator[int]:
+def _announced_steps(scans: Iterable[Scan], topics: Topics) -> Iterator[int]:
     decoders: Decoders = {}
-    for scan in map(scan_file, files):
+    for scan in scans:
         for block in scan.blocks():
             for part in topics.split(block, scan.channels, decoders):
                 if part.role == names.PLAN:

@@ -8,6 +8,7 @@ from typing import Any
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
@@ -66,11 +67,13 @@ class Summary:
         }
 
 
-def describe(path: Path, progress: Progress | None = None) -> Summary:
+def describe(
+    path: Path, progress: Progress | None = None, limits: ReadingLimits = DEFAULT_LIMITS
+) -> Summary:
     """Read a bag to its end and return its summary; raises BagError when it cannot be read."""
     verdicts: list[FileVerdict] = []
     attachments: dict[str, bytes] = {}
-    for scan, block in read_blocks(bag_files(path), progress):
+    for scan, block in read_blocks(bag_files(path), progress, limits):
         if block is None:
             verdicts.append(scan.verdict())
             attachments |= {name: a.data for name, a in scan.attachments.items()}
@@ -79,7 +82,7 @@ def describe(path: Path, progress: Progress | None = None) -> Summary:
         attachments=tuple(attachments),
         configuration=_configuration(attachments),
         session=judge_session(path, verdicts),
-        dropouts=placed_in(verdicts),
+        dropouts=placed_in(verdicts, limits),
     )
 
 

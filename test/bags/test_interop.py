@@ -159,12 +159,14 @@ def test_bags_written_by_rosbags(
     assert verdict.state == "complete"
 
 
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
 @pytest.mark.parametrize("with_metadata", [True, False])
 def test_compressed_bags_are_read_and_repaired_for_everybody(
-    mode: CompressionMode, with_metadata: bool, simulated_run: Run, tmp_path: Path
-) -> None:
-    writer = RosbagsWriter(tmp_path / "zipped", version=9, storage_plugin=StoragePlugin.MCAP)
+    plugin: StoragePlugin, mode: CompressionMode, with_metadata: bool, simulated_run: Run,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    writer = RosbagsWriter(tmp_path / "zipped", version=9, storage_plugin=plugin)
     writer.set_compression(mode, CompressionFormat.ZSTD)
     expected = [pair for pair in messages(simulated_run) if pair[0] == names.TRACER_LENGTH]
     with writer:

@@ -20,7 +20,9 @@ from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.cli.bag import command
+from rotcal_ros.cli.main import rotcal
 
+DATA = Path(__file__).parents[2] / "examples" / "data"
 PACK: dict[str, Callable[[bytes], bytes]] = {
     "": bytes,
     "zstd": zstandard.compress,
@@ -142,6 +144,20 @@ def verdict_of(path: Path, **limits: int) -> FileVerdict:
     for _ in scan.blocks():
         pass
     return scan.verdict()
+
+
+def test_every_verb_that_reads_a_bag_takes_limits() -> None:
+    run, bag = CliRunner().invoke, str(DATA / "ball_plate_bag")
+    small = ["--set", "reading.unpacked_bytes=65536", "--set", "reading.unpacked_ratio=1"]
+    for verb in (["bag", "info"], ["solve"], ["solve", "--set", "capture.settle_time_s=0.5"]):
+        assert "reading.unpacked_ratio=3" in run(rotcal, [*verb, bag, *small]).output
+        enough = run(rotcal, [*verb, bag, *small, "--set", "reading.unpacked_ratio=3"])
+        assert "reading." not in enough.output
+    table = ["solve", str(DATA / "balls.csv"), "--setup", str(DATA / "ball_plate.yaml")]
+    assert "balls.csv is no bag" in run(rotcal, [*table, *small]).stderr
+    for wrong in ("reading.chunk=1", "reading=1", "reading.chunk_bytes=[1]"):
+        answer = run(rotcal, ["solve", bag, "--set", wrong])
+        assert (answer.exit_code, answer.stderr.count("\n")) == (2, 1), answer.stderr
 
 
 def test_the_setting_that_is_named_lets_it_pass(tmp_path: Path) -> None:

@@ -274,6 +274,22 @@ def test_old_versions_are_understood() -> None:
     assert (old.compression_mode, humble.compression_mode) == ("", "file")
 
 
+def test_of_very_many_missing_files_the_first_are_named(tmp_path: Path) -> None:
+    """One of them has a name that no file can have."""
+    folder = split(tmp_path / "bag")
+    data = yaml.safe_load((folder / "metadata.yaml").read_text())
+    listed = data["rosbag2_bagfile_information"]["relative_file_paths"]
+    listed += ["n" * 300, *(f"x{number}.mcap" for number in range(500))]
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(data))
+    missing = judged(folder).missing
+    assert len(missing) == 101
+    assert missing[0].startswith(f"the file {'n' * 300} of the session is missing")
+    assert missing[-1] == "and 401 more"
+    data["rosbag2_bagfile_information"]["relative_file_paths"] = "bag_0.mcap"
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(data))
+    assert "relative_file_paths is no list" in judged(folder).differing[0]
+
+
 def test_reindex_refuses_what_it_cannot_know(tmp_path: Path) -> None:
     folder = split(tmp_path / "bag")
     before = (folder / "metadata.yaml").read_bytes()

@@ -9,14 +9,18 @@ from pathlib import Path
 
 import pytest
 import zstandard
-from bag_samples import START_NS
+from bag_samples import START_NS, STORE, serialised
 from rosbags.highlevel import AnyReader
 from sqlite_mutations import PAGE, payloads, write_bag
 
-from rotcal_ros.bags.reader import check_files, read_blocks
+from rotcal_ros.bags import names
+from rotcal_ros.bags.dropouts import MESSAGE_TYPE, Dropout
+from rotcal_ros.bags.reader import bag_files, check_files, read_blocks
 from rotcal_ros.bags.repair import repair
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.errors import BagError
+from rotcal_ros.recordings.dropouts import placed_in
+from rotcal_ros.recordings.topics import Topics
 
 MESSAGES = payloads(60)
 
@@ -122,6 +126,106 @@ def test_a_compression_that_nobody_knows_is_refused_and_nothing_repaired(path: P
     for action in (lambda: check_files((path,)), lambda: repair(path, path.parent / "good")):
         with pytest.raises(BagError, match=r"bag_0.db3: its messages .* 'lzma'"):
             action()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE topics SET name = CAST(x'2fff80' AS TEXT) WHERE id = 1",
+        "UPDATE topics SET type = x'2f61'",
+        "UPDATE topics SET offered_qos_profiles = CAST(x'ff' AS TEXT)",
+        "UPDATE topics SET name = x''",
+    ],
+)
+def test_a_topic_that_others_cannot_name_is_told(change: str, path: Path) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(change)
+    found, verdict = read(path)
+    assert found == MESSAGES
+    assert "something is no text in UTF-8" in verdict.sentence()
+    (after,) = repair(path, path.parent / "good").after
+    assert (after.state, after.messages) == ("complete", 60)
+
+
+def test_a_topic_may_leave_out_all_but_name_and_type(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        database.executescript(
+            "ALTER TABLE topics RENAME TO t; CREATE TABLE topics(id INTEGER PRIMARY KEY,"
+            " name TEXT, type TEXT, serialization_format TEXT, offered_qos_profiles TEXT);"
+            "INSERT INTO topics(id, name, type) SELECT id, name, type FROM t; DROP TABLE t"
+        )
+    assert read(path)[1].state == "complete"
+
+
+def test_another_serialization_is_named_and_not_decoded(path: Path) -> None:
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE topics SET serialization_format = 'cbor' WHERE id = 1")
+        database.execute("UPDATE topics SET serialization_format = '' WHERE id = 2")
+    ((scan, block), _) = read_blocks((path,))
+    assert block is not None
+    topics = Topics()
+    parts = topics.split(block, scan.channels, {})
+    assert [part.role for part in parts] == [names.TEMPERATURE]
+    assert topics.unreadable == {
+        "/cell/tracer_length": "topic /cell/tracer_length: its messages are serialised as 'cbor', "
+        "which cannot be read (cdr can)"
+    }
+    repair(path, path.parent / "good")
+    ((scan, _), _) = read_blocks(bag_files(path.parent / "good"))
+    encodings = {c.topic: c.message_encoding for c in scan.channels.values()}
+    assert encodings == {"/cell/tracer_length": "cbor", "/cell/temperature": "cdr"}
+
+
+def dropouts_message(**changes: str) -> bytes:
+    """Return what the recorder says of three messages that are missing, with changes."""
+    values = {"topic": "/cell/a", "from_ns": "7", "to_ns": "9", "count": "3", "reason": "a test",
+              "gaps": "1", **changes}  # fmt: skip
+    types = STORE.types
+    pairs = [types["diagnostic_msgs/msg/KeyValue"](name, text) for name, text in values.items()]
+    status = types["diagnostic_msgs/msg/DiagnosticStatus"](1, "/cell/a", "text", "", pairs)
+    return serialised(MESSAGE_TYPE, stamp_ns=7, status=[status])
+
+
+def test_the_dropouts_of_a_converted_bag_are_shown(path: Path) -> None:
+    """What is not as the recorder writes it is no dropout, whatever numbers it has."""
+    odd = ({"to_ns": "9" * 40}, {"count": "-1"}, {"gaps": "x"}, {"from_ns": "1" * 5000})
+    with closing(sqlite3.connect(path)) as database, database:
+        row = (3, "/cell/recorder/dropouts", MESSAGE_TYPE, "cdr", "", "")
+        database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)", row)
+        for data in (dropouts_message(), *(dropouts_message(**change) for change in odd)):
+            row = (3, START_NS, data)
+            database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?,?,?)", row)
+    _, verdict = read(path)
+    assert verdict.dropouts == (Dropout("/cell/a", 7, 9, 3, "a test"),)
+    assert "3 messages missing between 1970-01-01" in verdict.dropouts[0].sentence()
+    assert placed_in((verdict,))[0].dropout == verdict.dropouts[0]
+
+
+def test_dropouts_and_observations_of_somebody_else_are_passed_over(path: Path) -> None:
+    """The definition of one is not there, that of the other another one."""
+    with closing(sqlite3.connect(path)) as database, database:
+        for number, name, type_name in (
+            (3, "/other/dropouts", MESSAGE_TYPE),
+            (4, "/cell/observation", "rotcal_msgs/msg/Observation"),
+            (5, "/cell/dropouts", MESSAGE_TYPE),
+        ):
+            row = (number, name, type_name, "cdr", "", "" if number < 5 else "good")
+            database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?, ?)", row)
+            data = dropouts_message() if number == 5 else b"\0\1\0\0\0"
+            row = (number, START_NS, data)
+            database.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(?,?,?)", row)
+        text = STORE.generate_msgdef(MESSAGE_TYPE, ros_version=2)[0]
+        for type_name, definition, type_hash in (
+            (MESSAGE_TYPE, "uint8 status", ""),
+            (MESSAGE_TYPE, text, "good"),
+            ("rotcal_msgs/msg/Observation", "uint8 step", ""),
+        ):
+            row = (type_name, "ros2msg", definition, type_hash)
+            database.execute("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, ?)", row)
+    _, verdict = read(path)
+    assert verdict.state == "complete"
+    (found,) = placed_in((verdict,))
+    assert found.steps == ()
 
 
 def test_names_with_questions_and_hashes_in_them(path: Path, tmp_path: Path) -> None:

@@ -1,6 +1,10 @@
 """Paths that lead to a pipe, a device, themselves or nowhere: one line, at once, no traceback."""
 
 import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 import strange_paths as strange
@@ -53,6 +57,39 @@ def test_a_path_to_no_good_file_is_answered_in_one_line(tmp_path, monkeypatch, k
     path = strange.made(kind, tmp_path, suffix)
     found = [wrong(arguments) for arguments in commands(kind, path, tmp_path / "new")]
     assert not [text for text in found if text]
+
+
+def test_a_folder_that_contains_itself_holds_no_bags(tmp_path):
+    path = strange.made("folder in itself", tmp_path, "")
+    setup, new = str(strange.DATA / "tracer.yaml"), str(tmp_path / "new")
+    for source in (str(path), f"{path}/**"):
+        arguments = ["reprocess", source, "--setup", setup, "-o", new]
+        assert not wrong(arguments)
+        assert "names no bag" in answer(arguments).stderr
+
+
+def test_a_folder_that_nobody_may_read_is_answered(tmp_path):
+    """Root may read everything unless its rights to pass by those of files are taken away."""
+    locked = tmp_path / "locked"
+    (locked / "inside").mkdir(parents=True)
+    (locked / "bag_0.mcap").touch()
+    locked.chmod(0)
+    command = [sys.executable, str(Path(__file__).with_name("locked_folder.py")), str(locked)]
+    if os.geteuid() == 0:
+        if not shutil.which("setpriv"):
+            pytest.skip("root reads every folder, and setpriv is not here to prevent it")
+        command = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *command]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    locked.chmod(0o700)
+    if ended.returncode == 77 or "setpriv:" in ended.stderr:
+        pytest.skip(f"this user reads every folder: {ended.stderr}")
+    assert ended.returncode == 0, ended.stderr
+    *answers, found = ended.stdout.splitlines()
+    assert len(answers) == 6
+    for line in answers:
+        assert line.startswith("2 "), line
+        assert "is not readable" in line or "Permission denied" in line, line
+    assert found == str(locked)
 
 
 def test_nothing_is_ever_put_in_the_place_of_a_pipe(tmp_path, monkeypatch):

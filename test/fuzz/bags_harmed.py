@@ -21,6 +21,7 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 from mutations import EDGES, harmed_bytes
 
+DATA: Final = Path(__file__).parents[2] / "examples" / "data"
 MAGIC: Final = b"\x89MCAP0\r\n"
 CHUNK: Final = 0x06
 MESSAGE_INDEX: Final = 0x07

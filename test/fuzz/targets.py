@@ -19,6 +19,7 @@ from typing import Any, Final
 import bags_harmed as bags
 import bags_read as reading
 import controllers_read as controllers
+import metadata_read as metadata
 import texts_harmed as texts
 from properties import require_visible, suppress_rotcal
 
@@ -255,6 +256,8 @@ TARGETS: Final[Mapping[str, Target]] = {
                controllers.read_controller_file),
         Target("machine/machine.ini", controllers.machines, texts.harmed_lines,
                controllers.read_machine),
+        Target("metadata/metadata.yaml", metadata.descriptions, texts.harmed_yaml,
+               metadata.read_description),
         Target("mcap/bag_0.mcap", lambda: bags.mcap_seeds(), bags.harmed_mcap, reading.read_bag),
         Target("mcaprepair/bag_0.mcap", lambda: bags.mcap_seeds(), bags.harmed_mcap,
                reading.repair_bag),

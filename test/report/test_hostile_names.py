@@ -37,6 +37,7 @@ NAMES = {
     "line": "good\nverdict ok: all is well\r\n",
     "formula": "=cmd|' /C calc'!A0",
     "mathtext": r"$\frac{1}{$ x_^ $",
+    "formula of TeX": r"$\alpha_1^2$",
     "markup": "[red]x[/red] [/] <b>&amp;</b> {{ 7*7 }} %s {0}",
     "direction": "a\u202egnp.exe\u2066",
     "longest": "n" * 255,
@@ -80,10 +81,28 @@ def test_the_report_shows_it_escaped(tmp_path, name):
     assert "<b>&amp;</b>" not in text
 
 
-@every_name
-def test_a_figure_draws_it_as_it_is(name):
+DRAWN = {
+    **{kind: [name] for kind, name in NAMES.items()},
+    "terminal": [r"\x1b]0;owned\x07\x1b[31mred"],
+    "line": ["good", r"verdict ok: all is well\r"],
+    "direction": [r"a\u202egnp.exe\u2066"],
+    "longest": ["n" * 59 + "…" + "n" * 59],
+    "separators": [r"a\u2028b\u2029c\x85d\x0ce"],
+    "no character": [r"a\uffff\ufffe\U0010ffff"],
+}
+"""The lines in which a figure shows each name."""
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_a_figure_draws_it_as_it_is(kind):
+    """As label of a curve, of an axis, of ticks and as a note; letters instead of their shapes."""
+    name = NAMES[kind]
+
     @style.styled
     def drawn():
+        import matplotlib as mpl
+
+        mpl.rcParams["svg.fonttype"] = "none"
         (ax,) = style.grid()
         ax.plot([0.0, 1.0], [0.0, 1.0], label=name)
         ax.set_ylabel(name)
@@ -91,7 +110,11 @@ def test_a_figure_draws_it_as_it_is(name):
         ax.set_xticks([0.0, 1.0], [name, name])
         return style.svg(ax)
 
-    etree.fromstring(drawn().encode("utf-8"))
+    root = etree.fromstring(drawn().encode("utf-8"))
+    texts = ["".join(text.itertext()) for text in root.iter("{*}text")]
+    assert not unseen("".join(texts))
+    for line in DRAWN[kind]:
+        assert texts.count(line) >= (3 if kind == "longest" else 5), texts
 
 
 @every_name
@@ -112,7 +135,9 @@ def test_a_terminal_is_not_commanded(capsys, monkeypatch, name):
 
 
 def test_a_cell_is_no_formula_of_a_spreadsheet(capsys):
-    print_tables([Titled([Column("name", list(NAMES.values())), Column("x/m", [-1.5] * 9)])])
+    print_tables(
+        [Titled([Column("name", list(NAMES.values())), Column("x/m", [-1.5] * len(NAMES))])]
+    )
     cells = list(csv.reader(io.StringIO(capsys.readouterr().out)))
     assert all(not re.match(r"[=+@\t\r-]", row[0]) for row in cells)
     assert {row[1] for row in cells[1:]} == {"-1.5"}
