@@ -168,6 +168,7 @@ class WatchedDisk(FaultyDisk):
         self.images = images
         self.missed = {}
         self.split = set()
+        self._seen = set()
 
     def _call(self, name):
         for seed in (-1, None):
@@ -182,6 +183,10 @@ class WatchedDisk(FaultyDisk):
         files = [] if not bag.is_dir() else sorted(bag.glob("*.mcap"))
         if not files:
             return
+        image = frozenset((f.name, f.read_bytes()) for f in bag.iterdir() if f.is_file())
+        if image in self._seen:
+            return
+        self._seen.add(image)
         if len(files) > 1:
             self.split.add(len(self.calls))
         if missing := judge_session(bag, check_files(files)).missing:
