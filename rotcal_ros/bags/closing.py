@@ -66,11 +66,14 @@ class InterruptedSession:
     def close(self, continued_in: str = "") -> None:
         """Close the files that the interruption left open; call it with the right to write.
 
+        More than one is left when the recorder died while it went on in a new file.
         Raises BagError when that fails: nothing is lost, and the next call does it again.
         """
+        row = [file.name for file in self.files]
+        following = dict(zip(row, [*row[1:], continued_in], strict=True))
         try:
             for end in self.open_ends:
-                end.close(continued_in)
+                end.close(following[end.path.name])
         except OSError as error:
             raise BagError(
                 f"cannot close {end.path}, which an interruption left open: "

@@ -131,7 +131,7 @@ def _missing(
         for name in present.recorded[verdict.path.name]:
             stated.setdefault(name, f"it was there when {verdict.path.name} was recorded")
         following = verdict.notes.get(names.CONTINUED, {}).get("in", "")
-        if following and verdict.state != "truncated":  # else it died before it was opened
+        if following:
             stated[following] = f"the session went on in it after {verdict.path.name}"
     for entry in listed:
         about = entry.in_words()

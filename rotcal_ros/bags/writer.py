@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from rotcal_ros import disk
 from rotcal_ros.bags import names
@@ -66,7 +66,7 @@ class BagWriter:
         self._last_sync_ns: int | None = None
         self._presence = Presence(self.folder)
         self._lock: FolderLock | None = None
-        self._open_file: McapFile | None = None
+        self._open_files: list[McapFile] = []
         self._guarded(lambda: self._begin(resume=earlier is not None))
 
     @property
@@ -83,7 +83,7 @@ class BagWriter:
     def expect_earlier(self) -> None:
         """Take the earlier files of the session as they are now for the right ones."""
         for file in self.files:
-            if self._open_file is None or file is not self.files[-1]:
+            if not self._open_files or file is not self.files[-1]:
                 self._presence.expect(self.folder / file.name)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
@@ -195,7 +195,7 @@ class BagWriter:
         if not self.closed:
             self._guarded(self._sync)
             self._require_presence()
-            self._guarded(self._finish_file)
+            self._guarded(self._finish)
             self._release()
 
     def __enter__(self) -> BagWriter:
@@ -224,11 +224,12 @@ class BagWriter:
 
     def _begin_file(self) -> None:
         name = f"{self.folder.name}_{len(self.files)}.mcap"
-        self._open_file = file = McapFile(self.folder / name, self.settings.chunk_bytes)
+        file = McapFile(self.folder / name, self.settings.chunk_bytes)
+        self._open_files.append(file)
         self.files.append(FileInfo(name))
         self._presence.expect(file.path)
         file.begin()
-        self._write_metadata()
+        self._describe()
         for attached in self._attachments:
             file.attach(attached)
         for name, values in self._notes.items():
@@ -250,19 +251,30 @@ class BagWriter:
         return file.messages > 0 and (too_big or 0 < limits.split_duration_s <= seconds)
 
     def _split(self) -> None:
-        following = f"{self.folder.name}_{len(self.files)}.mcap"
-        self._file.note(names.CONTINUED, {"in": following})
-        self._finish_file()
+        """Go on in a new file, which is on the medium before the one before it names it."""
+        ending = self._file
+        self._note_description()
         self._begin_file()
+        ending.note(names.CONTINUED, {"in": self.path.name})
+        self._finish_file(ending)
 
-    def _finish_file(self) -> None:
+    def _finish(self) -> None:
+        self._describe()
+        self._finish_file(self._file)
+
+    def _finish_file(self, file: McapFile) -> None:
         """Finish a file that is synced."""
-        self._write_metadata()
-        self._file.finish()
-        self._presence.grown(self._file.path, self._file.size)
-        sync_folder(self.folder)
+        file.finish()
+        self._open_files.remove(file)
+        self._presence.grown(file.path, file.size)
 
-    def _write_metadata(self) -> None:
+    def _describe(self) -> None:
+        """Write what rosbag2 wants to know, into the file and beside it."""
+        information = self._note_description()
+        text = yaml_text({"rosbag2_bagfile_information": information})
+        write_atomically(self.folder / METADATA_FILE, text)
+
+    def _note_description(self) -> dict[str, Any]:
         information = bag_information(
             self.files,
             self._channels.values(),
@@ -270,8 +282,7 @@ class BagWriter:
             custom_data={"library": LIBRARY},
         )
         self._file.note(names.ROSBAG2, {"serialized_metadata": yaml_text(information)})
-        text = yaml_text({"rosbag2_bagfile_information": information})
-        write_atomically(self.folder / METADATA_FILE, text)
+        return information
 
     def _require_presence(self) -> None:
         if fault := self._guarded(self._presence.fault):
@@ -293,8 +304,7 @@ class BagWriter:
 
     @property
     def _file(self) -> McapFile:
-        assert self._open_file is not None
-        return self._open_file
+        return self._open_files[-1]
 
     def _guarded(self, action: Callable[[], T]) -> T:
         if self.closed:
@@ -315,8 +325,8 @@ class BagWriter:
 
     def _give_up(self) -> None:
         """Close at the last whole record."""
-        if self._open_file is not None:
-            self._open_file.abandon()
+        for file in self._open_files:
+            file.abandon()
         self._release()
 
     def _release(self) -> None:

@@ -5,7 +5,7 @@ Which reading goes with an attempt depends on the stamps alone, never on when re
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -61,9 +61,15 @@ class AirStreams:
     def __init__(self, clock_tolerance_ns: int) -> None:
         self._tolerance_ns = clock_tolerance_ns
         self.by_name = {q.name: Stream(1, clock_tolerance_ns) for q in QUANTITIES.values()}
+        self._belated: Sequence[tuple[int, int]] = ()
 
-    def begin_anew(self) -> None:
-        """Forget what was read before a clock was set back; what was counted stays."""
+    def begin_anew(self, belated: Sequence[tuple[int, int]]) -> None:
+        """Forget what was read before a clock was set back; what was counted stays.
+
+        What is stamped within ``belated`` may have been read before that and is left out: by its
+        stamp alone, so that it does not matter when it comes.
+        """
+        self._belated = belated
         for name, stream in self.by_name.items():
             self.by_name[name] = anew = Stream(1, self._tolerance_ns)
             anew.counts = stream.counts
@@ -75,6 +81,10 @@ class AirStreams:
         if value != value or abs(value) == float("inf"):
             stream.counts.received += 1
             stream.counts.non_finite += 1
+            return False
+        if any(first <= sample.stamp_ns <= last for first, last in self._belated):
+            stream.counts.received += 1
+            stream.counts.foreign_clock += 1
             return False
         return stream.stage(sample.stamp_ns, (value,))
 

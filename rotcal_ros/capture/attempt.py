@@ -46,8 +46,8 @@ class Streams:
     air: AirStreams
     since_ns: int | None = None
     counted_from: tuple[int, int] | None = None
-
     settled_ns: int = 0
+    _belated: tuple[tuple[int, int], ...] = ()
 
     def begin(self, stamp_ns: int) -> None:
         """Take a probe sample that begins an attempt."""
@@ -55,11 +55,22 @@ class Streams:
         self.counted_from = self.counted_from or (self.tracer.beam.epoch, stamp_ns)
 
     def begin_anew(self, settling_ns: int) -> None:
-        """Forget the air that was read before the clock of a stream was set back."""
-        self.air.begin_anew()
-        set_back = (s for s in (self.tracer, self.table) if s.counts.set_back)
+        """Forget the air that was read before the clock of a stream was set back.
+
+        Nothing of the others that was stamped before that comes later than ``settling_ns``.
+        """
+        set_back = [s for s in (self.tracer, self.table) if s.counts.set_back]
         newest = max(s.forgotten for s in set_back if s.forgotten is not None)
         self.since_ns = self.settled_ns = newest + settling_ns
+        self._belated = tuple(belated_stamps(s, settling_ns) for s in set_back)
+        self.air.begin_anew(self._belated)
+
+    def before_set_back(self, stamp_ns: int) -> bool:
+        """Return whether what has come just now was stamped before the clock was set back."""
+        if not any(self.settled_ns <= a <= stamp_ns <= b for a, b in self._belated):
+            return False
+        fast = (s.latest for s in (self.tracer, self.table) if s.set_back_at is not None)
+        return all(latest is None or latest < self.settled_ns for latest in fast)
 
     def by_name(self) -> dict[str, Stream]:
         """Return the streams, fastest first."""
@@ -134,6 +145,13 @@ class Attempt:
     def rejection(self, reason: str) -> Observation:
         """Return the observation of an attempt that never came to a window."""
         return self.observation(Reduced(reason=reason))
+
+
+def belated_stamps(stream: Stream, settling_ns: int) -> tuple[int, int]:
+    """Return the range of stamps that may still come of before a stream was set back."""
+    assert stream.set_back_at is not None
+    margin = min(settling_ns, stream.set_back_ns // 2)
+    return stream.set_back_at - margin, stream.set_back_at + margin
 
 
 def forgotten(stream: Stream, stamp_ns: int) -> bool:

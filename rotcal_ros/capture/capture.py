@@ -187,7 +187,8 @@ class Capture:
             self._probe.duplicates += 1
         else:
             self._begin(sample, newest)
-        self._probe_stamp = sample.stamp_ns
+        if not self._streams.before_set_back(sample.stamp_ns):
+            self._probe_stamp = sample.stamp_ns
         return self._decide()
 
     def _begin(self, sample: ProbeSample, newest: Attempt | None) -> None:
@@ -211,6 +212,8 @@ class Capture:
 
     def _refusal(self, step: Step, sample: ProbeSample) -> str:
         """Say what is wrong with a probe sample itself; empty: nothing."""
+        if self._streams.before_set_back(sample.stamp_ns):
+            return "begun before a clock was set back"
         if self._probe_stamp is not None and sample.stamp_ns <= self._probe_stamp:
             self._probe.backwards += 1
             back = seconds(self._probe_stamp - sample.stamp_ns)

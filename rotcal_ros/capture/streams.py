@@ -64,7 +64,8 @@ class Stream:
         self.wake_samples = 1  # once so many are staged,
         self.wake_latest_ns = NEVER  # and from this stamp on in any case
         self._tolerance_ns = clock_tolerance_ns
-        self.set_back_ns = 0  # how far the clock was set back when it was last
+        self.set_back_ns = 0  # how far the clock was set back when it was last,
+        self.set_back_at: int | None = None  # and the latest stamp before that
         self._ahead = 0
         self._behind: list[tuple[int, Floats]] = []
         self._staged_to = -NEVER
@@ -160,6 +161,7 @@ class Stream:
         stamps = np.concatenate([[stamp for stamp, _ in self._behind], stamps])
         values = np.vstack([*(row for _, row in self._behind), values])
         self._behind = []
+        self.set_back_at = self.latest
         self.set_back_ns, self.forgotten = self.latest - int(stamps[0]), int(stamps[0]) - 1
         self._size, self.latest = 0, None
         return stamps, values

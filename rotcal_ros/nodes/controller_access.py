@@ -16,7 +16,7 @@ from rotcal_ros.compensation.feed import Applied, Feed
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.errors import ControllerError, DataError, RotcalError
 from rotcal_ros.nodes.announcing import Announcer
-from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.steady import steady_timer
 from rotcal_ros.units import ARCSEC
@@ -27,6 +27,8 @@ OPENING_PERIOD_S: Final = 0.5
 """How often a bridge without the controller's lock tries to get it."""
 DISCOVERY_S: Final = 2.0
 """How long a new node may not know yet what the others offer."""
+AWARE_TIMEOUT_S: Final = 10.0
+"""How long a call waits at most until this node knows what it missed while it stood still."""
 SERVICES: Final = ("apply", "restore")
 UNFINISHED: Final = "unfinished"
 
@@ -102,7 +104,7 @@ class ControllerAccess:
         self, request: ApplyTable.Request, response: ApplyTable.Response
     ) -> ApplyTable.Response:
         confirmation = request.confirmation
-        if self._may(request.secret, response):
+        if await self._may(request.secret, response):
             await self._do(lambda: self._feed.apply(confirmation), response, "table", "applied")
             offer = self._feed.offer
             response.confirmation = "" if offer is None else offer.confirmation
@@ -112,7 +114,7 @@ class ControllerAccess:
         self, request: RestoreTable.Request, response: RestoreTable.Response
     ) -> RestoreTable.Response:
         kept_hash, limit = request.kept_hash, request.max_change_arcsec
-        if self._may(request.secret, response):
+        if await self._may(request.secret, response):
             await self._do(
                 lambda: self._feed.restore(kept_hash, limit), response, "old table", "restored"
             )
@@ -122,10 +124,11 @@ class ControllerAccess:
                 response.message += f"; what can be restored is not known: {error}"
         return response
 
-    def _may(self, secret: str, response: Any) -> bool:
+    async def _may(self, secret: str, response: Any) -> bool:
         """Return whether a request may change the controller; else the response says why not."""
         assert self._secret is not None
         health = self._node.health
+        await until(health.aware, AWARE_TIMEOUT_S)  # a calibration may have begun meanwhile
         if not self._secret.is_in(secret):
             response.message = "the request does not carry the secret of bridge.secret_file"
         elif max(map(self._offered, SERVICES)) > 1:

@@ -97,6 +97,10 @@ class Health:
         """Return the names of the other nodes that beat."""
         return self.others.keys() - self.lost.keys()
 
+    def aware(self) -> bool:
+        """Return whether the others are known as they are now; not just behind a standstill."""
+        return self._roll.aware(time.monotonic())
+
     def missing(self, names: Iterable[str]) -> list[str]:
         """Return those of ``names`` that fell silent, left, or never were there."""
         return sorted(set(names) - self.present())

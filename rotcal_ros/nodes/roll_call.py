@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import inf
 from typing import Final
 
 SOLVING: Final = "solving"
@@ -25,6 +26,7 @@ class RollCall:
     seen: dict[str, float] = field(default_factory=dict)
     solving: set[str] = field(default_factory=set)
     _checked: float | None = None
+    _aware_from: float = -inf
 
     def hear(self, name: str, state: str, now: float) -> None:
         """Take a beat of node ``name``."""
@@ -37,8 +39,17 @@ class RollCall:
         self._checked = now
         if pause > self.timeout_s / 2:
             self.seen = {name: seen + pause for name, seen in self.seen.items()}
+            self._aware_from = now + self.timeout_s / 2
         silence = {name: now - seen for name, seen in self.seen.items()}
         return {name: s for name, s in silence.items() if s > self._granted(name)}
+
+    def aware(self, now: float) -> bool:
+        """Return whether the caller knows the others as they are now.
+
+        Not at once behind a pause of its own: what they said meanwhile is still to come.
+        """
+        pause = 0.0 if self._checked is None else now - self._checked
+        return pause <= self.timeout_s / 2 and now >= self._aware_from
 
     def _granted(self, name: str) -> float:
         return SOLVING_TIMEOUT_S if name in self.solving else self.timeout_s

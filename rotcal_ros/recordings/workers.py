@@ -21,6 +21,7 @@ TIME_LIMIT_S: Final = 3600.0
 """How long a bag may take by default."""
 _WAITING: Final = 4
 """Jobs for each worker that are handed out at a time: enough to keep it busy, no more."""
+_SCHEDULER_ANSWERS_S = 20.0
 _SCHEDULER_GONE_S: Final = 10.0
 _CENSUS_S: Final = 10.0
 """How often the workers of a cluster are counted."""
@@ -95,7 +96,7 @@ def on_cluster(
             "a cluster needs dask.distributed: pip install 'rotcal_ros[many]'"
         ) from error
     try:
-        client = Client(scheduler, timeout="20s", set_as_default=False)
+        client = Client(scheduler, timeout=_SCHEDULER_ANSWERS_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # its tracebacks

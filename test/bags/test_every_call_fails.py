@@ -7,6 +7,7 @@ and the reason in the recorder's words. ROTCAL_LONG_TESTS=1 tries all faults.
 import inspect
 import os
 import random
+import shutil
 import struct
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from mcap.stream_reader import StreamReader
 from rotcal_ros import disk
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
+from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
 from rotcal_ros.errors import BagError
@@ -152,3 +154,50 @@ def test_whichever_call_fails_nothing_that_was_confirmed_is_lost(calls, tmp_path
         check(tmp_path / str(number), fault, monkeypatch) for number, fault in enumerate(chosen)
     }
     assert hit == set(calls)
+
+
+class WatchedDisk(FaultyDisk):
+    """A disk of which an image is taken before every call, as a kill and as a power cut leave it.
+
+    ``missed`` maps the number of a call to what is then said to be missing, ``split`` holds the
+    calls before which there was more than one file.
+    """
+
+    def __init__(self, root, images):
+        super().__init__(root)
+        self.images = images
+        self.missed = {}
+        self.split = set()
+        self._seen = set()
+
+    def _call(self, name):
+        for seed in (-1, None):
+            image = self.images / f"{len(self.calls)}_{seed}"
+            image.mkdir(parents=True)
+            self.power_cut(image, seed)
+            self._judge(image / "session" / "bag")
+            shutil.rmtree(image)
+        return super()._call(name)
+
+    def _judge(self, bag):
+        files = [] if not bag.is_dir() else sorted(bag.glob("*.mcap"))
+        if not files:
+            return
+        image = frozenset((f.name, f.read_bytes()) for f in bag.iterdir() if f.is_file())
+        if image in self._seen:
+            return
+        self._seen.add(image)
+        if len(files) > 1:
+            self.split.add(len(self.calls))
+        if missing := judge_session(bag, check_files(files)).missing:
+            self.missed[len(self.calls)] = missing
+
+
+def test_no_file_is_missed_that_never_was(tmp_path, monkeypatch):
+    watched = WatchedDisk(tmp_path / "disk", tmp_path / "images")
+    watched.root.mkdir()
+    with monkeypatch.context() as patch:
+        watched.install(patch)
+        assert record(watched.root / "session" / "bag") == (list(range(STEPS)), "")
+    assert watched.split
+    assert watched.missed == {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import struct
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -18,6 +20,7 @@ from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.closing import InterruptedSession
+from rotcal_ros.bags.mcap_file import McapFile
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
 from rotcal_ros.bags.reindex import reindex
 from rotcal_ros.bags.repair import repair
@@ -126,13 +129,23 @@ def test_a_missing_file_is_found(kind: str, number: int, description: str, tmp_p
 
 
 def test_a_death_while_splitting_leaves_nothing_missing(tmp_path: Path) -> None:
-    folder = split(tmp_path / "bag")
-    for number in (3, 4, 5):
-        (folder / f"bag_{number}.mcap").unlink()
-    (folder / "metadata.yaml").unlink()
-    last = folder / "bag_2.mcap"
-    last.write_bytes(last.read_bytes()[:-40])
-    assert judged(folder).missing == ()
+    """The next file is begun, the one before it has no end."""
+    bag = tmp_path / "bag"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(McapFile, "finish", Mock(side_effect=OSError(errno.ENOSPC, "")))
+        with pytest.raises(BagError, match="disk is full"):
+            write_split(bag, "s" * 32, 0)
+    assert [v.state for v in check_files(bag_files(bag))] == ["truncated", "truncated"]
+    assert judged(bag).missing == ()
+    left = InterruptedSession.read(bag)
+    writer = BagWriter(bag, WriterSettings(min_free_bytes=0), earlier=left.files)
+    with writer:
+        left.close_before(writer)
+    assert all(v.state == "complete" for v in check_files(bag_files(bag)))
+    assert judged(bag).sound
+    (bag / "metadata.yaml").unlink()
+    (bag / "bag_1.mcap").unlink()
+    assert "the session went on in it after bag_0.mcap" in judged(bag / "bag_0.mcap").missing[0]
 
 
 def test_one_file_alone_is_a_part(tmp_path: Path) -> None:

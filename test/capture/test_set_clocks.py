@@ -9,7 +9,7 @@ from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene
 from rotcal_ros.capture import Capture
 from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.observations import ProbeSample
+from rotcal_ros.observations import ProbeSample, TemperatureSample
 
 PLAN = make_plan()
 
@@ -70,6 +70,24 @@ def test_the_order_in_which_the_streams_follow_does_not_matter(early_ms):
     usual, _ = captured(shifted(scene.by_stamp(), at_ns, -45 * SECOND))
     other, _ = captured(shifted(records, at_ns, -45 * SECOND))
     assert [o for o in other if o.accepted] == [o for o in usual if o.accepted]
+
+
+@pytest.mark.parametrize("by_s", [-45, -3])
+@pytest.mark.parametrize("kind", [TemperatureSample, ProbeSample])
+def test_what_comes_late_from_before_the_clock_was_set_back_changes_nothing(kind, by_s):
+    """The air is read once a second, the clock set back just after it and a probe sample."""
+    scene = make_scene(PLAN, 9)
+    scene.temperature = [t for t in scene.temperature if t.stamp_ns % SECOND == 100 * MS]
+    at_ns = 3 * SECOND + 170 * MS
+    usual = shifted(scene.by_stamp(), at_ns, by_s * SECOND)
+    behind = next(n for n, r in enumerate(scene.by_stamp()) if r.stamp_ns >= at_ns)
+    late = [r for r in usual[:behind] if isinstance(r, kind)][-1]
+    records = [r for r in usual if r is not late]
+    records.insert(behind + 400, late)
+    (expected, _), (found, _) = captured(usual), captured(records)
+    accepted = [o for o in expected if o.accepted]
+    assert [o.step for o in accepted] == [0, 1, 2, 5, 6, 7, 8]
+    assert [o for o in found if o.accepted] == accepted
 
 
 def test_a_probe_whose_clock_alone_is_set_back_measures_nothing_of_the_past():

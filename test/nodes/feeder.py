@@ -2,12 +2,13 @@
 
 usage: feeder.py WINDOW [DEPTH]
 
-A tracer at 1 kHz and an observation after every WINDOW readings, all numbered; DEPTH readings
-are kept for a reader that does not answer. A line NAME on standard input: open a bag at the
+A tracer at 1 kHz and an observation after every WINDOW readings, all numbered. With DEPTH only so
+many readings are kept for a reader that does not answer, and large messages at best effort fill
+its socket within a second. A line NAME on standard input: open a bag at the
 recorder whose service is ``start_NAME``. Standard output gets a line of JSON per receipt of
 ``receipts_NAME``: {"recorder": NAME, "step": ...}, and one when NAME gives up:
-{"recorder": NAME, "failure": ...}. An empty line is answered by {"recorder": "", "step": 0},
-behind all receipts that have arrived.
+{"recorder": NAME, "failure": ...}. An empty line is answered by {"recorder": "", "step": ...},
+the latest observation, behind all receipts that have arrived.
 """
 
 import json
@@ -21,16 +22,20 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
 from rotcal_msgs.msg import Observation, RecordedObservation, TracerLength
 from rotcal_msgs.srv import StartRecording
+from std_msgs.msg import String
 
 from rotcal_ros.nodes.conversions import time_message
 from rotcal_ros.nodes.health import RECORDING_FAILED
-from rotcal_ros.nodes.qos import EVENT, STREAM
+from rotcal_ros.nodes.qos import EVENT, STREAM, VIEW
 
 PERIOD_S = 0.005
 READINGS = 5
 """Readings per period."""
+FILLING_BYTES = 30_000
+"""Size of what fills the sockets, per period."""
 
 
 class Feeder(Node):
@@ -42,12 +47,16 @@ class Feeder(Node):
         self._clients_to_be = {}
         self._tracer = self.create_publisher(TracerLength, "tracer_length", depth or STREAM)
         self._observation = self.create_publisher(Observation, "observation", EVENT)
+        self._filling = depth and self.create_publisher(String, "filling", VIEW)
+        self._large = serialize_message(String(data=" " * FILLING_BYTES))
         self._failed = set()
         self.create_subscription(DiagnosticStatus, "heartbeat", self._hear, QoSProfile(depth=100))
         self.create_timer(PERIOD_S, self._feed)
         self.create_timer(0.1, self._open)
 
     def _feed(self):
+        if self._filling:
+            self._filling.publish(self._large)
         for _ in range(READINGS):
             stamp = time_message(time.time_ns())
             reading = TracerLength(sequence=self._number, length=0.5, status=1)
@@ -64,7 +73,7 @@ class Feeder(Node):
             while True:
                 name = self._names.get_nowait()
                 if not name:
-                    self._say(name, step=0)
+                    self._say(name, step=self._number // self._window)
                     continue
                 client = self.create_client(StartRecording, f"start_{name}")
                 self._clients_to_be[name] = client

@@ -40,6 +40,19 @@ def test_the_callers_own_pause_is_not_blamed_on_others():
     assert set(roll.silent(61.7)) == {"a"}
 
 
+def test_behind_a_pause_of_its_own_the_caller_does_not_know_the_others_at_once():
+    roll = RollCall(timeout_s=1.4)
+    assert roll.aware(0.0)
+    roll.silent(0.2)
+    assert roll.aware(0.4)
+    assert not roll.aware(5.2)  # a call is answered before the beat that is due
+    roll.silent(5.2)
+    for now in (5.4, 5.6, 5.8):
+        assert not roll.aware(now)
+        roll.silent(now)
+    assert roll.aware(6.0)
+
+
 def test_who_is_solving_is_given_more_time_and_no_more_than_that():
     roll = RollCall(timeout_s=1.4)
     lost: dict[str, int] = {}

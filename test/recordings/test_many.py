@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.recordings import workers
 from rotcal_ros.recordings.finding import find_bags
 from rotcal_ros.recordings.many import Job, solve_bag
 from rotcal_ros.recordings.replay import read_recording
@@ -130,6 +131,7 @@ def test_the_verb_writes_table_and_overview(fleet, tmp_path):
 
 def test_a_cluster_that_does_not_answer_is_one_sentence(jobs, monkeypatch):
     pytest.importorskip("distributed")
+    monkeypatch.setattr(workers, "_SCHEDULER_ANSWERS_S", 1.0)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
