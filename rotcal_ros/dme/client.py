@@ -13,10 +13,10 @@ from threading import Lock
 from typing import Final, NoReturn
 
 from rotcal_ros.dme.faults import (
-    AnswerMissing,
+    AnswerMissingError,
     DmeError,
     Fault,
-    NotCleared,
+    NotClearedError,
 )
 from rotcal_ros.dme.feedback import REPORTED, Standing, TableSpeed, parse_standing, standing_of
 from rotcal_ros.dme.grammar import Call, Word, call, calls_by_name, parse_values
@@ -223,12 +223,14 @@ class DmeClient:
     def _do(self, order: Call, limit_s: float | None = None, *, event: bool = False) -> list[str]:
         """Run a call; whatever goes wrong blocks the session."""
         if self.blocked or self._link is None:
-            raise NotCleared(f"{order.name} is not sent before a person clears: {self.blocked}")
+            raise NotClearedError(
+                f"{order.name} is not sent before a person clears: {self.blocked}"
+            )
         try:
             limit_s = self.settings.reply_timeout_s if limit_s is None else limit_s
             return self._link.run(order, limit_s, event=event)
-        except AnswerMissing as error:
-            self._fail(AnswerMissing(f"{error}; {self._stopped(self._link)}"))
+        except AnswerMissingError as error:
+            self._fail(AnswerMissingError(f"{error}; {self._stopped(self._link)}"))
         except DmeError as error:
             self._fail(error)
 

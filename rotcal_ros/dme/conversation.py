@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-from rotcal_ros.dme.faults import Fault, ProtocolViolation
+from rotcal_ros.dme.faults import Fault, ProtocolError
 from rotcal_ros.dme.grammar import Call, Value, Word, call, parse_call, written
 from rotcal_ros.dme.lines import (
     END,
@@ -25,12 +25,13 @@ from rotcal_ros.dme.lines import (
     error_line,
     is_tag,
 )
-from rotcal_ros.dme.machine import Refused
+from rotcal_ros.dme.machine import MethodError
 from rotcal_ros.dme.methods import Methods, error_info
 
 MOST_PENDING: Final = 1000
 MOST_DAEMONS: Final = 10
 SHORTEST_PERIOD_S: Final = 0.1
+LONGEST_PERIOD_S: Final = 3600.0
 ALWAYS: Final = ("ClearAllErrors", "GetErrStatusE", "GetXtdErrStatus", "EndSession", "AbortE")
 """What is done even after an error."""
 WITHOUT_SESSION: Final = ("StartSession", "EndSession")
@@ -42,7 +43,7 @@ class Conversation:
     def __init__(self, methods: Methods, write: Callable[[bytes], None]) -> None:
         self._methods, self._write = methods, write
         self._lines = LineBuffer()
-        self._session, self._in_error = False, False
+        self._session, self._in_error, self._ending = False, False, False
         self._waiting: deque[Command] = deque()
         self._current: asyncio.Task[list[str]] | None = None
         self._wake = asyncio.Event()
@@ -50,12 +51,13 @@ class Conversation:
         self._worker = asyncio.create_task(self._work())
 
     def take(self, received: bytes) -> None:
-        """Take what came; ProtocolViolation when it can be no line of this protocol."""
+        """Take what came; ProtocolError when it can be no line of this protocol."""
         for line in self._lines.feed(received):
             self._take_line(line)
 
     async def end(self) -> None:
         """End all that runs; the machine stands still."""
+        self._ending = True
         self._end_daemons()
         self._worker.cancel()
         if self._current is not None:
@@ -74,7 +76,7 @@ class Conversation:
             return
         try:
             order = parse_call(line[6:])
-        except ProtocolViolation:
+        except ProtocolError:
             self._refuse(tag, Fault.known(507, "Server"))
             return
         if tag.startswith("E") != order.name.endswith("E"):
@@ -104,13 +106,15 @@ class Conversation:
                 self._say(Response(tag, Kind.DATA, line))
             for fault in self._methods.warnings:
                 self._say(error_line(tag, fault))
-        except Refused as refused:
+        except MethodError as refused:
             self._fail(tag, refused.fault)
         except asyncio.CancelledError:
-            if self._worker.cancelling() if hasattr(self._worker, "cancelling") else False:
+            if self._ending:
                 raise
             self._methods.machine.stop()
             self._say(error_line(tag, Fault.known(6, order.name)))
+        except Exception:  # whatever a foreign command does, the client hears of it
+            self._fail(tag, Fault.known(511, order.name))
         finally:
             self._current = None
             self._methods.warnings.clear()
@@ -121,9 +125,9 @@ class Conversation:
         if order.name in WITHOUT_SESSION:
             return self._begin_or_end(order)
         if not self._session:
-            raise Refused(8, order.name)
+            raise MethodError(8, order.name)
         if self._in_error and order.name not in ALWAYS:
-            raise Refused(514, order.name)
+            raise MethodError(514, order.name)
         match order.name:
             case "ClearAllErrors":
                 self._in_error = False
@@ -143,7 +147,7 @@ class Conversation:
 
     def _begin_or_end(self, order: Call) -> list[str]:
         if order.name == "StartSession" and self._session:
-            raise Refused(8, order.name)
+            raise MethodError(8, order.name)
         self._session = order.name == "StartSession"
         self._in_error = False
         if not self._session:
@@ -159,7 +163,7 @@ class Conversation:
         self._say(Response(tag, Kind.ACCEPTED))
         try:
             if not self._session:
-                raise Refused(8, order.name)
+                raise MethodError(8, order.name)
             match order.name:
                 case "AbortE":
                     asyncio.get_running_loop().create_task(self._abort(tag))
@@ -170,9 +174,11 @@ class Conversation:
                 case "OnMoveReportE":
                     self._start_daemon(tag, order)
                 case _:
-                    raise Refused(501, order.name)
-        except Refused as refused:
+                    raise MethodError(501, order.name)
+        except MethodError as refused:
             self._fail(tag, refused.fault)
+        except ProtocolError:
+            self._fail(tag, Fault.known(509, order.name))
         self._say(Response(tag, Kind.DONE))
 
     async def _abort(self, tag: str) -> None:
@@ -182,7 +188,7 @@ class Conversation:
         self._waiting.clear()
         if current is not None:
             current.cancel()
-            with suppress(asyncio.CancelledError, Refused):
+            with suppress(asyncio.CancelledError, MethodError):
                 await current
             await asyncio.sleep(0)  # the worker reports it first
         self._say_aborted(waiting)
@@ -190,14 +196,16 @@ class Conversation:
 
     def _start_daemon(self, tag: str, order: Call) -> None:
         if self._in_error or tag in self._daemons or len(self._daemons) >= MOST_DAEMONS:
-            raise Refused(514 if self._in_error else 515, order.name)
+            raise MethodError(514 if self._in_error else 515, order.name)
         asked = [a for a in order.arguments if isinstance(a, Call)]
+        if len(asked) < len(order.arguments):
+            raise MethodError(509, order.name)
         period_s = SHORTEST_PERIOD_S
         for argument in asked:
             if argument.name == "Time" and argument.arguments:
-                period_s = max(period_s, argument.number())
+                period_s = min(max(period_s, argument.number()), LONGEST_PERIOD_S)
         positions = [a for a in asked if a.name not in ("Time", "Dis")]
-        self._methods.standing(positions, order.name)  # Refused when it cannot be told
+        self._methods.standing(positions, order.name)  # MethodError when it cannot be told
         self._daemons[tag] = asyncio.create_task(self._report(tag, period_s, positions))
 
     async def _report(self, tag: str, period_s: float, positions: list[Call]) -> None:
@@ -213,7 +221,7 @@ class Conversation:
             case (Word(tag),) if tag in self._daemons:
                 self._daemons.pop(tag).cancel()
                 return []
-        raise Refused(513, order.name)
+        raise MethodError(513, order.name)
 
     def _end_daemons(self) -> None:
         for daemon in self._daemons.values():

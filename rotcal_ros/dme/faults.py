@@ -101,7 +101,7 @@ class DmeError(RotcalError):
     """A DME server cannot be used; the text names the command."""
 
 
-class ServerRefusal(DmeError):
+class RefusedError(DmeError):
     """The server answered a command with errors: ``faults``, at least one of which stops it."""
 
     def __init__(self, text: str, faults: tuple[Fault, ...]) -> None:
@@ -109,17 +109,17 @@ class ServerRefusal(DmeError):
         self.faults = faults
 
 
-class AnswerMissing(DmeError):
+class AnswerMissingError(DmeError):
     """A command was not answered in time."""
 
 
-class ConnectionLost(DmeError):
+class ConnectionLostError(DmeError):
     """There is no connection (any more)."""
 
 
-class ProtocolViolation(DmeError):
+class ProtocolError(DmeError):
     """What came is not I++ DME."""
 
 
-class NotCleared(DmeError):
+class NotClearedError(DmeError):
     """Something went wrong before, and no person has cleared it yet."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.dme.faults import ProtocolViolation
+from rotcal_ros.dme.faults import ProtocolError
 from rotcal_ros.dme.grammar import Call, calls_by_name, parse_values
 from rotcal_ros.observations import TableSample
 from rotcal_ros.planning.plan import Point
@@ -27,18 +27,18 @@ class Standing:
 
 
 def parse_standing(data: Sequence[str], asked_by: str) -> Standing:
-    """Return the one report among the data lines; ProtocolViolation when it is not there."""
+    """Return the one report among the data lines; ProtocolError when it is not there."""
     if len(data) != 1:
-        raise ProtocolViolation(f"{asked_by}: expected one line of data, found {len(data)}")
+        raise ProtocolError(f"{asked_by}: expected one line of data, found {len(data)}")
     return standing_of(data[0], asked_by)
 
 
 def standing_of(text: str, asked_by: str) -> Standing:
-    """Return the report in a data line; ProtocolViolation when it lacks X, Y, Z or R."""
+    """Return the report in a data line; ProtocolError when it lacks X, Y, Z or R."""
     found = calls_by_name(parse_values(text))
     missing = [asked.name for asked in REPORTED if asked.name not in found]
     if missing:
-        raise ProtocolViolation(f"{asked_by}: no {', '.join(missing)} in {text!r:.200}")
+        raise ProtocolError(f"{asked_by}: no {', '.join(missing)} in {text!r:.200}")
     x, y, z, r_deg = (found[asked.name].number() for asked in REPORTED)
     return Standing((x * MILLIMETRE, y * MILLIMETRE, z * MILLIMETRE), r_deg)
 

@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.dme.faults import ProtocolViolation
+from rotcal_ros.dme.faults import ProtocolError
 
 DEEPEST: Final = 8
 """Calls inside calls; the specification has three."""
@@ -46,17 +46,17 @@ class Call:
         return f"{self.name}({', '.join(map(written, self.arguments))})"
 
     def numbers(self) -> tuple[float, ...]:
-        """Return the arguments; ProtocolViolation unless all of them are numbers."""
+        """Return the arguments; ProtocolError unless all of them are numbers."""
         found = tuple(a for a in self.arguments if isinstance(a, float))
         if len(found) != len(self.arguments):
-            raise ProtocolViolation(f"expected numbers only, found {self!s:.200}")
+            raise ProtocolError(f"expected numbers only, found {self!s:.200}")
         return found
 
     def number(self) -> float:
-        """Return the only argument; ProtocolViolation unless it is one number."""
+        """Return the only argument; ProtocolError unless it is one number."""
         found = self.numbers()
         if len(found) != 1:
-            raise ProtocolViolation(f"expected one number, found {self!s:.200}")
+            raise ProtocolError(f"expected one number, found {self!s:.200}")
         return found[0]
 
 
@@ -70,24 +70,24 @@ def call(name: str, *arguments: Value) -> Call:
 
 
 def written(value: Value) -> str:
-    """Return a value as it stands on the wire; ProtocolViolation when it cannot stand there."""
+    """Return a value as it stands on the wire; ProtocolError when it cannot stand there."""
     if isinstance(value, float):
         if not abs(value) <= LARGEST:
-            raise ProtocolViolation(f"{value:g} mm or deg cannot be meant (at most {LARGEST:g})")
+            raise ProtocolError(f"{value:g} mm or deg cannot be meant (at most {LARGEST:g})")
         text = f"{value:.9f}".rstrip("0").rstrip(".")
         return "0" if text == "-0" else text
     if isinstance(value, str):
         if not re.fullmatch(r"[ !#-~]*", value):
-            raise ProtocolViolation(f"{value!r:.80} has characters that I++ DME has not")
+            raise ProtocolError(f"{value!r:.80} has characters that I++ DME has not")
         return f'"{value}"'
     return str(value)
 
 
 def parse_call(text: str) -> Call:
-    """Return the one call that ``text`` is; ProtocolViolation when it is anything else."""
+    """Return the one call that ``text`` is; ProtocolError when it is anything else."""
     values = parse_values(text)
     if len(values) != 1 or not isinstance(values[0], Call):
-        raise ProtocolViolation(f"expected one call such as GoTo(X(1)), found {text!r:.200}")
+        raise ProtocolError(f"expected one call such as GoTo(X(1)), found {text!r:.200}")
     return values[0]
 
 
@@ -115,7 +115,7 @@ class _Reader:
         return self._text.startswith(sign, self._at)
 
     def finish(self) -> None:
-        """Raise ProtocolViolation unless all was read."""
+        """Raise ProtocolError unless all was read."""
         self._skip()
         if self._at < len(self._text):
             raise self._wrong("the end")
@@ -129,7 +129,7 @@ class _Reader:
 
     def list_in_parentheses(self, depth: int) -> tuple[Value, ...]:
         if depth >= DEEPEST:
-            raise ProtocolViolation(f"more than {DEEPEST} calls inside each other")
+            raise ProtocolError(f"more than {DEEPEST} calls inside each other")
         self._at += 1
         found = () if self.next_is(")") else self.values(depth + 1)
         if not self.next_is(")"):
@@ -148,7 +148,7 @@ class _Reader:
         if token["number"] is not None:
             number = float(token["number"])
             if abs(number) == float("inf"):
-                raise ProtocolViolation(f"the number {token['number']:.40} is too large")
+                raise ProtocolError(f"the number {token['number']:.40} is too large")
             return number
         if self.next_is("("):
             return Call(token["name"], self.list_in_parentheses(depth))
@@ -158,7 +158,7 @@ class _Reader:
         while self._text.startswith(" ", self._at):
             self._at += 1
 
-    def _wrong(self, expected: str) -> ProtocolViolation:
+    def _wrong(self, expected: str) -> ProtocolError:
         rest = self._text[self._at : self._at + 40]
         found = repr(rest) if rest else "the end"
-        return ProtocolViolation(f"expected {expected} in {self._text!r:.120}, found {found}")
+        return ProtocolError(f"expected {expected} in {self._text!r:.120}, found {found}")

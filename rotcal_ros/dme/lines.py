@@ -11,7 +11,7 @@ from enum import Enum
 from itertools import count
 from typing import Final
 
-from rotcal_ros.dme.faults import Fault, ProtocolViolation
+from rotcal_ros.dme.faults import Fault, ProtocolError
 from rotcal_ros.dme.grammar import Call, Word, parse_call, written
 
 LONGEST: Final = 65_536
@@ -44,13 +44,13 @@ class Response:
         return f"{self.tag} {self.kind.value}" + (f" {self.text}" if self.text else "")
 
     def fault(self) -> Fault:
-        """Return the error of an ERROR line; ProtocolViolation when it is none."""
+        """Return the error of an ERROR line; ProtocolError when it is none."""
         found = parse_call(self.text)
         match found.arguments:
             case (float(severity), float(number), Word() | Call() | str() as cause, str(text)):
                 where = cause if isinstance(cause, str) else str(cause)
                 return Fault(int(severity), int(number), where, text)
-        raise ProtocolViolation(
+        raise ProtocolError(
             f"expected Error(severity, number, cause, text), found {self.text!r:.200}"
         )
 
@@ -74,10 +74,10 @@ def error_line(tag: str, fault: Fault) -> Response:
 
 
 def parse_response(line: str) -> Response:
-    """Return the response that a line is; ProtocolViolation when it is none."""
+    """Return the response that a line is; ProtocolError when it is none."""
     found = _RESPONSE.fullmatch(line)
     if found is None:
-        raise ProtocolViolation(f"the server sent no line of I++ DME: {line!r:.200}")
+        raise ProtocolError(f"the server sent no line of I++ DME: {line!r:.200}")
     return Response(found[1], Kind(found[2]), found[3] or "")
 
 
@@ -110,17 +110,17 @@ class LineBuffer:
     def feed(self, received: bytes) -> list[str]:
         """Return the lines that are complete now, without their ends.
 
-        Raises ProtocolViolation for a line that is too long or has other characters than ASCII
+        Raises ProtocolError for a line that is too long or has other characters than ASCII
         32 to 126.
         """
         *lines, self.rest = (self.rest + received).split(END)
         longest = max((len(line) for line in (*lines, self.rest)), default=0)
         if longest + len(END) > LONGEST:
-            raise ProtocolViolation(f"a line is longer than {LONGEST} characters")
+            raise ProtocolError(f"a line is longer than {LONGEST} characters")
         return [_ascii(line) for line in lines]
 
 
 def _ascii(line: bytes) -> str:
     if not re.fullmatch(rb"[ -~]*", line):
-        raise ProtocolViolation(f"a line has characters that I++ DME has not: {line!r:.120}")
+        raise ProtocolError(f"a line has characters that I++ DME has not: {line!r:.120}")
     return line.decode("ascii")

@@ -15,12 +15,12 @@ from threading import Condition, Lock, Thread
 from typing import Final
 
 from rotcal_ros.dme.faults import (
-    AnswerMissing,
-    ConnectionLost,
+    AnswerMissingError,
+    ConnectionLostError,
     DmeError,
     Fault,
-    ProtocolViolation,
-    ServerRefusal,
+    ProtocolError,
+    RefusedError,
 )
 from rotcal_ros.dme.grammar import Call
 from rotcal_ros.dme.lines import (
@@ -64,7 +64,7 @@ class _Transaction:
                 self.faults.append(response.fault())
             case Kind.DATA:
                 if len(self.data) >= MOST_DATA:
-                    raise ProtocolViolation(f"more than {MOST_DATA} data lines for one command")
+                    raise ProtocolError(f"more than {MOST_DATA} data lines for one command")
                 self.data.append(response.text)
 
 
@@ -73,7 +73,7 @@ class DmeLink:
 
     ``on_report(tag, text)`` hears the data of daemons and what the server tells by itself (tag
     E0000), ``on_warning(fault)`` errors that stop nothing and errors that nobody asked for; both
-    are called by the reading thread. Raises ConnectionLost when nobody answers at ``host``.
+    are called by the reading thread. Raises ConnectionLostError when nobody answers at ``host``.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class DmeLink:
             self._socket = socket.create_connection((host, port), reply_timeout_s)
         except OSError as error:
             why = error.strerror or str(error)
-            raise ConnectionLost(f"no DME server answers at {self.address}: {why}") from error
+            raise ConnectionLostError(f"no DME server answers at {self.address}: {why}") from error
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._reader = Thread(target=self._read, name="DME reader", daemon=True)
@@ -103,8 +103,8 @@ class DmeLink:
     def run(self, call: Call, timeout_s: float, *, event: bool = False) -> list[str]:
         """Order and wait until it is done; return its data lines.
 
-        ``event`` sends it through the fast queue. Raises ServerRefusal for an error that stops
-        the server, AnswerMissing, ConnectionLost, ProtocolViolation.
+        ``event`` sends it through the fast queue. Raises RefusedError for an error that stops
+        the server, AnswerMissingError, ConnectionLostError, ProtocolError.
         """
         tag = self._tags.event() if event else self._tags.command()
         transaction = _Transaction(Command(tag, call))
@@ -120,7 +120,7 @@ class DmeLink:
                 self._pending.pop(tag, None)
         if transaction.stopped:
             told = "; ".join(str(fault) for fault in transaction.faults)
-            raise ServerRefusal(f"{_short(call)}: {told}", tuple(transaction.faults))
+            raise RefusedError(f"{_short(call)}: {told}", tuple(transaction.faults))
         for fault in transaction.faults:
             self._on_warning(fault)
         return transaction.data
@@ -155,14 +155,14 @@ class DmeLink:
                 if now >= deadline and transaction.stopped:
                     return
                 if now >= deadline:
-                    raise AnswerMissing(
+                    raise AnswerMissingError(
                         f"{_short(transaction.command.call)}: {what} by {self.address} within "
                         f"{limit_s:g} s"
                     )
                 self._changed.wait(deadline - now)
 
     def _lost(self, command: Command) -> DmeError:
-        return ConnectionLost(
+        return ConnectionLostError(
             f"{_short(command.call)}: the connection to {self.address} is lost: {self.broken}"
         )
 

@@ -20,17 +20,21 @@ from rotcal_ros.errors import ConfigurationError, ControllerError
 from rotcal_ros.observations import Approach
 from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.settings import SimulationSettings
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.units import DEGREE, NANOSECOND
 
 VOLUME_M: Final = 2.0
 """Farthest coordinate that the machine reaches, either way."""
 SLICE_S: Final = 0.02
 """Wall time between looks at what has become of a motion."""
+SHORTEST_SLEEP_S: Final = 5e-4
+"""A sleep is never shorter than a system's clock tick: motions that are go without."""
+TURNS_DEG: Final = 36_000.0
+"""Farthest R, either way."""
 TOUCH_S: Final = 0.2
 """Machine time of a probing motion, if the instrument's settings have none."""
 
 
-class Refused(Exception):  # noqa: N818 (it is an answer)
+class MethodError(Exception):
     """A command ends with an error."""
 
     def __init__(self, number: int, cause: str) -> None:
@@ -97,18 +101,20 @@ class SimulatedMachine:
     async def go(self, place: Floats | None, angle: float | None, cause: str) -> None:
         """Move the tip to ``place`` (3,) and the table to ``angle``, both at once."""
         if not self.homed and cause != "Home":
-            raise Refused(1011, cause)
+            raise MethodError(1011, cause)
         cell = self.cell
         if place is not None:
             if np.abs(place).max() > VOLUME_M:
-                raise Refused(2500, cause)
+                raise MethodError(2500, cause)
             try:
                 free = cell.instrument.go(cell.now_ns, place)
             except ControllerError as error:
-                raise Refused(2002, cause) from error
+                raise MethodError(2002, cause) from error
             if not free:
-                raise Refused(2504, cause)
+                raise MethodError(2504, cause)
         if angle is not None:
+            if abs(angle) > TURNS_DEG * DEGREE:
+                raise MethodError(2505, cause)
             cell.table.order(cell.now_ns, angle, Approach.UNKNOWN)
         rest_ns = max(cell.table.rest_ns, cell.instrument.rest_ns)
         await self._spend((rest_ns - cell.now_ns) * NANOSECOND)
@@ -116,18 +122,15 @@ class SimulatedMachine:
     async def align(self, part: Floats, machine: Floats) -> None:
         """Turn the table the shorter way, so that ``part`` (3,) points along ``machine`` (3,)."""
         vectors = (part[:2], machine[:2])
-        if min(np.linalg.norm(vector) for vector in vectors) < 1e-9:
-            raise Refused(1010, "AlignPart")
+        for vector in vectors:
+            _norm(vector, "AlignPart")
         begin, end = (atan2(float(y), float(x)) for x, y in vectors)
         here = self.angle()
         await self.go(None, here + remainder(end - begin - here, 2.0 * pi), "AlignPart")
 
     async def touch(self, surface: Floats, direction: Floats) -> Floats:
         """Return the centre (3,) of the tip that met the surface, and go back from it."""
-        length = float(np.linalg.norm(direction))
-        if length < 1e-9:
-            raise Refused(1010, "PtMeas")
-        away, probing = direction / length, self.probing
+        away, probing = direction / _norm(direction, "PtMeas"), self.probing
         tip = surface + self.tip_radius * away
         await self.go(tip + probing.approach * away, None, "PtMeas")
         await self._spend(self._touch_s)
@@ -135,9 +138,9 @@ class SimulatedMachine:
         try:
             met = self._cell.instrument.touched(self._cell.now_ns, surface, away, search)
         except ControllerError as error:
-            raise Refused(2002, "PtMeas") from error
+            raise MethodError(2002, "PtMeas") from error
         if met is None:
-            raise Refused(1006, "PtMeas")
+            raise MethodError(1006, "PtMeas")
         back = probing.retract if probing.retract >= 0.0 else probing.approach
         await self.go(met + back * away, None, "PtMeas")
         return met
@@ -161,8 +164,17 @@ class SimulatedMachine:
         try:
             while duration_s > 0.0:
                 part_s = min(duration_s, SLICE_S * scale)
-                await asyncio.sleep(part_s / scale)
+                wall_s = part_s / scale
+                await asyncio.sleep(wall_s if wall_s > SHORTEST_SLEEP_S else 0.0)
                 self._cell.advance(part_s)
                 duration_s -= part_s
         finally:
             self.moving, self._looked_s = False, time.monotonic()
+
+
+def _norm(vector: Floats, cause: str) -> float:
+    """Return the length of a vector; MethodError when it leads nowhere."""
+    length = float(np.linalg.norm(vector))
+    if not 1e-9 < length < 1e9:
+        raise MethodError(1010, cause)
+    return length

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.dme.faults import KNOWN, Fault, ProtocolViolation
+from rotcal_ros.dme.faults import KNOWN, Fault, ProtocolError
 from rotcal_ros.dme.grammar import Call, Value, Word, call, calls_by_name, written
-from rotcal_ros.dme.machine import Refused, SimulatedMachine
+from rotcal_ros.dme.machine import MethodError, SimulatedMachine
 from rotcal_ros.units import DEGREE, MILLIMETRE
 
 TOOLS: Final = ("RefTool", "NoTool", "Probe1")
@@ -28,7 +28,7 @@ PROBING_PREFIX: Final = "Tool.PtMeasPar."
 class Methods:
     """What a session does with the machine; ``report`` is what PtMeas answers.
 
-    Every method takes its arguments and returns data lines, or raises Refused. ``warnings`` are
+    Every method takes its arguments and returns data lines, or raises MethodError. ``warnings`` are
     errors that stop nothing, for the caller to take.
     """
 
@@ -55,9 +55,7 @@ class Methods:
             "EnumTools": lambda: TOOLS,
             "GetCoordSystem": lambda: [Call("CoordSystem", (Word(self.system),))],
             "GetDMEVersion": lambda: [call("DMEVersion", self.version)],
-            "GetMachineClass": lambda: [
-                call("GetMachineClass", Word("CartCMMWithRotaryTable"))
-            ],
+            "GetMachineClass": lambda: [call("GetMachineClass", Word("CartCMMWithRotaryTable"))],
             "IsHomed": lambda: [call("IsHomed", int(self.machine.homed))],
             "IsUserEnabled": lambda: [call("IsUserEnabled", int(self.user))],
             "EnableUser": lambda: self._let_user(True),
@@ -69,13 +67,13 @@ class Methods:
         try:
             if order.name in self._answers:
                 if order.arguments:
-                    raise Refused(502, order.name)
+                    raise MethodError(502, order.name)
                 return [written(value) for value in self._answers[order.name]()]
             if order.name not in self._known:
-                raise Refused(501, order.name)
+                raise MethodError(501, order.name)
             return [_line(value) for value in await self._known[order.name](order)]
-        except ProtocolViolation as error:
-            raise Refused(509, order.name) from error
+        except ProtocolError as error:
+            raise MethodError(509, order.name) from error
 
     def standing(self, asked: Sequence[Value], cause: str) -> str:
         """Return the values that are asked for, in their order."""
@@ -88,7 +86,7 @@ class Methods:
         found["R"] = self.machine.angle() / DEGREE
         names = [value.name for value in asked if isinstance(value, Call) and not value.arguments]
         if not asked or len(names) < len(asked) or not set(names) <= found.keys():
-            raise Refused(509 if cause == "Get" else 510, cause)
+            raise MethodError(509 if cause == "Get" else 510, cause)
         return ", ".join(written(Call(name, (found[name],))) for name in names)
 
     async def _get(self, order: Call) -> list[Value]:
@@ -108,7 +106,7 @@ class Methods:
     async def _align_part(self, order: Call) -> list[Value]:
         numbers = order.numbers()
         if len(numbers) != 7:
-            raise Refused(506 if len(numbers) == 14 else 502, order.name)
+            raise MethodError(506 if len(numbers) == 14 else 502, order.name)
         part, machine = np.array(numbers[:3]), np.array(numbers[3:6])
         await self.machine.align(part, machine)
         reached = [*_flat(part), *_flat(machine)]
@@ -121,7 +119,7 @@ class Methods:
         place, here = self._place(self._numbers_by_axis(linear, {*AXES})), self.machine.position()
         away = here - place if direction is None else np.array(direction.numbers())
         if away.shape != (3,) or self.tool == "NoTool":
-            raise Refused(502 if away.shape != (3,) else 2002, order.name)
+            raise MethodError(502 if away.shape != (3,) else 2002, order.name)
         met = await self.machine.touch(place, away)
         return [Word(self._reported(self.report, met, "OnPtMeasReport"))]
 
@@ -135,18 +133,18 @@ class Methods:
             case (Word("MachineCsy" | "MoveableMachineCsy" as name),):
                 self.system = name
                 return []
-        raise Refused(509, order.name)
+        raise MethodError(509, order.name)
 
     async def _change_tool(self, order: Call) -> list[Value]:
         match order.arguments:
             case (str(name),) if name in TOOLS:
                 self.tool = name
                 return []
-        raise Refused(1502, order.name)
+        raise MethodError(1502, order.name)
 
     async def _enum_all_prop(self, order: Call) -> list[Value]:
         if [written(argument) for argument in order.arguments] != ["Tool()"]:
-            raise Refused(509, order.name)
+            raise MethodError(509, order.name)
         names = [*(f"PtMeasPar.{name}" for name in PROBING), "AvrRadius"]
         kinds = [Word(f'"{name}", "Number"') for name in names]
         return [*kinds, Word('"Name", "String"')]
@@ -160,10 +158,10 @@ class Methods:
         found["Tool.Name"] = self.tool
         asked = [a.name for a in order.arguments if isinstance(a, Call) and not a.arguments]
         if not asked or len(asked) < len(order.arguments):
-            raise Refused(502, order.name)
+            raise MethodError(502, order.name)
         plain = {name: name.removesuffix(".Act") for name in asked}
         if not set(plain.values()) <= found.keys():
-            raise Refused(510, order.name)
+            raise MethodError(510, order.name)
         line = ", ".join(written(Call(name, (found[plain[name]],))) for name in asked)
         return [Word(line)]
 
@@ -173,7 +171,7 @@ class Methods:
             name = argument.name if isinstance(argument, Call) else ""
             name = name.removeprefix(PROBING_PREFIX).removesuffix(".Act")
             if not isinstance(argument, Call) or name not in PROBING:
-                raise Refused(510, order.name)
+                raise MethodError(510, order.name)
             low, high = RANGES[name]
             wanted = argument.number()
             if not low <= wanted <= high:
@@ -187,13 +185,13 @@ class Methods:
         return []
 
     def _numbers_by_axis(self, order: Call, axes: set[str]) -> dict[str, float]:
-        """Return the value for each axis; Refused for none, for others, and for one given twice."""
+        """Return the value for each axis; MethodError for none, for others, for one given twice."""
         calls = [a for a in order.arguments if isinstance(a, Call)]
         found = {given.name: given.number() for given in calls}
         if not found or len(found) < len(order.arguments):
-            raise Refused(502, order.name)
+            raise MethodError(502, order.name)
         if not found.keys() <= axes:
-            raise Refused(506, order.name)
+            raise MethodError(506, order.name)
         return found
 
     def _place(self, given: Mapping[str, float]) -> Floats:
@@ -209,7 +207,7 @@ def error_info(order: Call) -> list[str]:
     """Return the text of an error number, as GetErrorInfo does."""
     number = int(order.number())
     if number not in KNOWN:
-        raise Refused(509, order.name)
+        raise MethodError(509, order.name)
     return [written(KNOWN[number][1])]
 
 

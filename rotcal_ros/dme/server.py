@@ -9,7 +9,7 @@ from threading import Event, Thread
 from typing import Final
 
 from rotcal_ros.dme.conversation import Conversation
-from rotcal_ros.dme.faults import DmeError, Fault, ProtocolViolation
+from rotcal_ros.dme.faults import DmeError, Fault, ProtocolError
 from rotcal_ros.dme.lines import END, UNASKED, error_line
 from rotcal_ros.dme.machine import SimulatedMachine
 from rotcal_ros.dme.methods import Methods
@@ -48,9 +48,7 @@ class DmeServer:
         async with server:
             await server.serve_forever()
 
-    async def _converse(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> None:
+    async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Talk to a client until it leaves, or says what no client says."""
         if self._busy:
             writer.close()
@@ -67,7 +65,7 @@ class DmeServer:
         try:
             while received := await reader.read(RECEIVED):
                 conversation.take(received)
-        except ProtocolViolation:
+        except ProtocolError:
             write(str(error_line(UNASKED, Fault.known(7, "Server"))).encode() + END)
         except OSError:
             pass
