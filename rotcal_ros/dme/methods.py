@@ -28,8 +28,8 @@ PROBING_PREFIX: Final = "Tool.PtMeasPar."
 class Methods:
     """What a session does with the machine; ``report`` is what PtMeas answers.
 
-    Every method takes its arguments and returns data lines, or raises MethodError. ``warnings`` are
-    errors that stop nothing, for the caller to take.
+    Every method takes its arguments and returns data lines, or raises MethodError. ``warnings``
+    are errors that stop nothing, for the caller to take.
     """
 
     def __init__(self, machine: SimulatedMachine, version: str) -> None:
@@ -185,7 +185,7 @@ class Methods:
         return []
 
     def _numbers_by_axis(self, order: Call, axes: set[str]) -> dict[str, float]:
-        """Return the value for each axis; MethodError for none, for others, for one given twice."""
+        """Return the value for each axis; MethodError for none, others, or one given twice."""
         calls = [a for a in order.arguments if isinstance(a, Call)]
         found = {given.name: given.number() for given in calls}
         if not found or len(found) < len(order.arguments):

@@ -86,6 +86,10 @@ def serving(server: DmeServer) -> Iterator[DmeServer]:
         try:
             with suppress(asyncio.CancelledError):
                 loop.run_until_complete(task)
+            left = asyncio.all_tasks(loop)
+            for conversation in left:
+                conversation.cancel()
+            loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
         except Exception as error:
             failed.append(error)
         ready.set()
