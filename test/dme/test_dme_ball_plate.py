@@ -63,14 +63,13 @@ def test_both_ways_give_the_same_curves_to_the_noise(solved):
     ("version", "others"),
     [
         ("2.5", {}),
-        ("1.4.3", {"turn_by": "goto_r", "table_zero_deg": 30.0, "table_reversed": True}),
+        ("1.4.3", {"turn_by": "goto_r", "table_reversed": True}),
     ],
 )
 def test_a_table_turned_by_goto_measures_too(version, others, monkeypatch):
     calibration = small()
-    if others:  # another machine: its R has another zero, and the other sign
+    if others:  # a machine whose R counts the other way round
         monkeypatch.setattr("rotcal_ros.dme.methods.DEGREE", -np.pi / 180.0)
-        others = others | {"table_zero_deg": 0.0}
     simulation = calibration.configuration.simulation
     with serving(DmeServer(simulation, "127.0.0.1", 0, version)) as server:
         observations = measure(calibration, server.port, steps=4, **others)

@@ -86,7 +86,7 @@ def test_tags_are_five_characters_and_count_round():
 
 
 def test_bytes_become_lines_however_they_are_cut():
-    text = b'00001 &\r\n00001 # X(1)\r\n00001 %\r\n'
+    text = b"00001 &\r\n00001 # X(1)\r\n00001 %\r\n"
     for cut in range(len(text)):
         lines = LineBuffer()
         assert lines.feed(text[:cut]) + lines.feed(text[cut:]) == [

@@ -62,7 +62,7 @@ def wire():
 
     patch.setattr(DmeLink, "_send", listen_to_commands)
     patch.setattr(DmeLink, "_take", listen_to_answers)
-    calibration = small("plan.points_per_ball=4")
+    calibration = small("plan.points_per_ball=5")
     with serving(DmeServer(calibration.configuration.simulation, "127.0.0.1", 0)) as server:
         measure(calibration, server.port, steps=4, tool="Probe1")
     patch.undo()
