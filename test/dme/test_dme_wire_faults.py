@@ -56,8 +56,7 @@ def client_of(server, **others):
         "port": server.port, "home": True, "tool": "Probe1", "settle_s": 0.004,
         "reply_timeout_s": limit_s, "motion_timeout_s": limit_s, "table_zero_deg": 0.0,
     }  # fmt: skip
-    client = DmeClient(DmeSettings(**(values | others)), lambda *_: None, lambda _: None)
-    return client
+    return DmeClient(DmeSettings(**(values | others)), lambda *_: None, lambda _: None)
 
 
 def use(client):
@@ -105,7 +104,7 @@ def test_a_late_answer_is_waited_for(serve, harmed):
 def test_a_motion_without_end_is_aborted(serve):
     client = client_of(serve("GoTo", "accepted, never done"), reply_timeout_s=DEADLINE_S)
     client.start()
-    with pytest.raises(DmeError, match="GoTo.*not done .* within 0.25 s; AbortE was obeyed"):
+    with pytest.raises(DmeError, match=r"GoTo.*not done .* within 0\.25 s; AbortE was obeyed"):
         client.go(None, None, 0.3)
 
 
@@ -122,7 +121,7 @@ def test_nobody_at_the_port_is_a_sentence():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     client = DmeClient(DmeSettings(port=port), lambda *_: None, lambda _: None)
-    with pytest.raises(DmeError, match="no DME server answers at 127.0.0.1"):
+    with pytest.raises(DmeError, match=r"no DME server answers at 127\.0\.0\.1"):
         client.start()
 
 
@@ -185,7 +184,7 @@ def test_an_order_is_refused_before_a_person_clears(serve):
 
 def test_a_cancel_aborts_what_moves_and_only_a_person_goes_on(serve):
     server = serve("GoTo", "accepted, never done")
-    driver, points, complaints = driver_of(server)
+    driver, points, _complaints = driver_of(server)
     wait_for(lambda: driver.state == "ready")
     driver.order(TARGET, STEP)
     wait_for(lambda: "GoTo" in server.names())

@@ -71,27 +71,20 @@ class ScriptedServer:
         """Do the fault; return whether the connection is to be closed."""
         accepted, done = f"{tag} &\r\n".encode(), f"{tag} %\r\n".encode()
         error = f'{tag} ! Error(3, 2500, "Here", "Machine limit encountered")\r\n'.encode()
-        match self.fault:
-            case "late":
-                time.sleep(LATE_S)
-                self._answer(connection, tag, self.heard[-1])
-            case "never":
-                pass
-            case "accepted, never done":
-                connection.sendall(accepted)
-            case "error":
-                connection.sendall(accepted + error + done)
-            case "error without end":
-                connection.sendall(accepted + error)
-            case "error at once":
-                connection.sendall(error + done)
-            case "cut in the middle":
-                connection.sendall(accepted + f"{tag} # X(1.0".encode())
-                return True
-            case "closed":
-                return True
-            case "no line of the protocol":
-                connection.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
-            case "a line without end":
-                connection.sendall(b"0" * 70_000)
-        return False
+        if self.fault == "late":
+            time.sleep(LATE_S)
+            self._answer(connection, tag, self.heard[-1])
+            return False
+        wrong = {
+            "never": b"",
+            "closed": b"",
+            "accepted, never done": accepted,
+            "error": accepted + error + done,
+            "error without end": accepted + error,
+            "error at once": error + done,
+            "cut in the middle": accepted + f"{tag} # X(1.0".encode(),
+            "no line of the protocol": b"HTTP/1.1 400 Bad Request\r\n\r\n",
+            "a line without end": b"0" * 70_000,
+        }
+        connection.sendall(wrong[self.fault])
+        return self.fault in ("closed", "cut in the middle")
