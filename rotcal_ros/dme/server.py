@@ -20,6 +20,10 @@ VERSION: Final = "1.4.3"
 RECEIVED: Final = 65_536
 UNREAD: Final = 1 << 20
 """Bytes that a client may leave unread before its connection is closed."""
+PATIENCE_S: Final = 0.5
+"""Time for a client to leave before the next one is sent away."""
+PATIENCE: Final = 50
+"""Looks within that time."""
 STARTING_S: Final = 10.0
 
 
@@ -34,7 +38,7 @@ class DmeServer:
     ) -> None:
         self.machine = SimulatedMachine(settings)
         self.host, self.port, self.version = host, port, version
-        self._busy = False
+        self._free = asyncio.Lock()
 
     async def serve(self, listening: Callable[[], None]) -> None:
         """Serve until cancelled; ControllerError when the port cannot be had."""
@@ -49,11 +53,19 @@ class DmeServer:
             await server.serve_forever()
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Talk to a client until it leaves, or says what no client says."""
-        if self._busy:
+        """Take a client, unless there is one already."""
+        for _ in range(PATIENCE):
+            if not self._free.locked():
+                break
+            await asyncio.sleep(PATIENCE_S / PATIENCE)  # the one before may be leaving
+        if self._free.locked():
             writer.close()
             return
-        self._busy = True
+        async with self._free:
+            await self._talk(reader, writer)
+
+    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Take what comes until the client leaves or the server ends."""
 
         def write(line: bytes) -> None:
             if not writer.is_closing():
@@ -67,10 +79,9 @@ class DmeServer:
                 conversation.take(received)
         except ProtocolError:
             write(str(error_line(UNASKED, Fault.known(7, "Server"))).encode() + END)
-        except OSError:
-            pass
+        except (OSError, asyncio.CancelledError):
+            pass  # the client is gone, or this server is ended
         finally:
-            self._busy = False
             await conversation.end()
             writer.close()
 
