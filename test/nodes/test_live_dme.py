@@ -75,13 +75,3 @@ def test_the_truth_is_found_through_tcp_and_the_bag_repeats_it(cell):
     finite = normalized[np.isfinite(normalized)]
     assert np.mean(np.abs(finite) <= 1.0) > 0.88  # 95 % expected, of about 70 values
     assert np.abs(finite).max() < 2.2
-
-
-def test_a_cancel_in_the_middle_aborts_the_machine_until_a_person_clears(cell):
-    cell.start(*SUITE, "dme_adapter")
-    client = cell.client()
-    client.wait_for_step(2)
-    client.cancel()
-    assert client.result()["error_code"] == 607
-    adapter = cell.log("dme_adapter")
-    assert "refused" not in adapter
