@@ -30,6 +30,8 @@ from rotcal_ros.units import MILLIMETRE
 NOT_STARTED: Final = "no session was started"
 FIRST_DISTANCE_MM: Final = 1000.0
 """Way between reports of a moving machine: so long that the time alone counts."""
+SHORTEST_PERIOD_S: Final = 0.1
+"""More reports in a second than ten the specification forbids."""
 RADIUS: Final = "Tool.AvrRadius"
 POLLS: Final = 4
 """Questions where the machine stands while it settles."""
@@ -83,8 +85,10 @@ class DmeClient:
         self._take_tool()
         self._do(call("SetCoordSystem", Word(s.coordinate_system)))
         self._do(call("OnPtMeasReport", *REPORTED))
-        period = (call("Time", s.report_period_s), call("Dis", FIRST_DISTANCE_MM))
-        self._do(call("OnMoveReportE", *period, *REPORTED), event=True)
+        if s.report_period_s:
+            period_s = max(s.report_period_s, SHORTEST_PERIOD_S)
+            period = (call("Time", period_s), call("Dis", FIRST_DISTANCE_MM))
+            self._do(call("OnMoveReportE", *period, *REPORTED), event=True)
         self._turned = None
         self.where()
 

@@ -66,7 +66,10 @@ class DmeSettings:
         0.5, doc="um, standard deviation of a point along each axis", minimum=1e-4, maximum=1e3
     )
     report_period_s: float = setting(
-        0.2, doc="s, between reports while the machine moves", minimum=0.1, maximum=60.0
+        0.2,
+        doc="s, between reports while the machine moves, at least 0.1; 0: none are asked for",
+        minimum=0.0,
+        maximum=60.0,
     )
     idle_period_s: float = setting(
         0.5, doc="s, between questions where the machine stands while it has no order",
