@@ -119,8 +119,8 @@ class DmeLink:
             with self._changed:
                 self._pending.pop(tag, None)
         if transaction.stopped:
-            told = "; ".join(str(fault) for fault in transaction.faults)
-            raise RefusedError(f"{_short(call)}: {told}", tuple(transaction.faults))
+            words = "; ".join(str(fault) for fault in transaction.faults)
+            raise RefusedError(f"{_short(call)}: {words}", tuple(transaction.faults))
         for fault in transaction.faults:
             self._on_warning(fault)
         return transaction.data
