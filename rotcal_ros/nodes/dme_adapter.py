@@ -6,6 +6,7 @@ thread may wait; this node only passes on.
 
 from __future__ import annotations
 
+from concurrent.futures import TimeoutError as FutureTimeout
 from threading import Thread
 from typing import Any, Final
 
@@ -86,7 +87,7 @@ class DmeAdapter(CellNode):
         try:
             response.message = await self.answer_of(self._driver.clear(), self._limit_s)
             response.success = True
-        except (DmeError, TimeoutError) as error:
+        except (DmeError, FutureTimeout) as error:
             response.message = str(error) or f"no answer within {self._limit_s:g} s"
         return response
 
