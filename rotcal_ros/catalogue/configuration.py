@@ -22,6 +22,7 @@ from rotcal_ros.catalogue.air_settings import AirSettings
 from rotcal_ros.catalogue.method import Method, find_method, method_names
 from rotcal_ros.catalogue.plan_files import PlanFile, with_contents
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
+from rotcal_ros.dme.settings import DmeSettings
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.identity import Identity
 from rotcal_ros.page.settings import PageSettings
@@ -39,6 +40,7 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "planner": PlannerSettings,
     "recorder": RecorderSettings,
     "bridge": BridgeSettings,
+    "dme": DmeSettings,
     "topics": TopicSettings,
     "identity": Identity,
     "page": PageSettings,
@@ -46,7 +48,7 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
     "identity", "cell", "plan", "capture", "air", "solver", "planner", "recorder", "bridge",
-    "topics", "page", "simulation",
+    "dme", "topics", "page", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
 SIMULATION: Final = "simulation"
@@ -89,6 +91,7 @@ class Configuration:
     planner: PlannerSettings
     recorder: RecorderSettings
     bridge: BridgeSettings
+    dme: DmeSettings
     topics: TopicSettings
     identity: Identity
     page: PageSettings

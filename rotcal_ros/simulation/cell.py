@@ -60,10 +60,10 @@ class SimulatedCell:
         self.settings, self.now_ns = settings, start_ns
         seed, table = settings.seed, settings.table
         self._external = ExternalTable(table, start_ns) if table.external else None
-        self._table: Table = self._external or SimulatedTable(table, seed, start_ns)
+        self.table: Table = self._external or SimulatedTable(table, seed, start_ns)
         self._temperature = SimulatedTemperature(settings.temperature, seed, start_ns)
         self._air = SimulatedAir(settings.air, self._temperature, seed, start_ns)
-        self.instrument = settings.make_instrument(self._table, self._temperature, start_ns)
+        self.instrument = settings.make_instrument(self.table, self._temperature, start_ns)
         self._table_ticks = Ticks(start_ns, table.feedback_rate_hz)
         self._temperature_ticks = Ticks(start_ns, settings.temperature.rate_hz)
         self._table_order: tuple[int, int] | None = None
@@ -71,13 +71,13 @@ class SimulatedCell:
     @property
     def busy(self) -> bool:
         """Whether something moves, settles, waits to be reported, or did a short while ago."""
-        rest = max(self._table.rest_ns, self.instrument.rest_ns)
+        rest = max(self.table.rest_ns, self.instrument.rest_ns)
         hold = round(self.settings.hold_s / NANOSECOND)
         return self.instrument.pending is not None or self.now_ns < rest + hold
 
     def order_table(self, command: Command) -> None:
         """Turn the table to ``command.table_angle``."""
-        self._table.order(self.now_ns, command.table_angle, command.approach)
+        self.table.order(self.now_ns, command.table_angle, command.approach)
         self._table_order = (command.step, command.attempt)
 
     def follow_table(self, stamp_ns: int, angle: float) -> CellOutput:
@@ -101,7 +101,7 @@ class SimulatedCell:
         number, seconds = self._temperature_ticks.until(self.now_ns)
         return CellOutput(
             tracer=self.instrument.lengths(self.now_ns),
-            table=self._table.feedback(first, stamps),
+            table=self.table.feedback(first, stamps),
             probe=self.instrument.report(before, self.now_ns, self._table_rest_ns()),
             temperature=self._temperature.readings(number, seconds),
             air=self._air.readings(number, seconds),
@@ -127,5 +127,5 @@ class SimulatedCell:
         """Return when the table is at rest for the probe's order; far away: not ordered yet."""
         order = self.instrument.pending
         if order is not None and self._table_order == (order.step, order.attempt):
-            return self._table.rest_ns
+            return self.table.rest_ns
         return 1 << 62

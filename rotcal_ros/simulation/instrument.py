@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Stamps
+from rotcal_ros.errors import ControllerError
 from rotcal_ros.observations import Approach, Command, PointKind, ProbeSample, TracerSample
 from rotcal_ros.simulation.external_table import ExternalTable
 from rotcal_ros.simulation.table import SimulatedTable
@@ -39,6 +40,24 @@ class Instrument(ABC):
     @abstractmethod
     def report(self, after_ns: int, now_ns: int, table_rest_ns: int) -> tuple[ProbeSample, ...]:
         """Return the points that fall in ``after_ns`` < t <= ``now_ns``."""
+
+    def go(self, now_ns: int, place: Floats) -> bool:
+        """Move in a straight line to ``place`` (3,), m; False: something stands in the way.
+
+        Raises ControllerError where the instrument goes nowhere by itself.
+        """
+        raise ControllerError(f"{type(self).__name__} is not moved point by point")
+
+    def touched(
+        self, stamp_ns: int, surface: Floats, direction: Floats, search: tuple[float, float]
+    ) -> Floats | None:
+        """Return the centre (3,) of the tip that meets a surface on its way; None: it meets none.
+
+        The tip comes against ``direction`` (3,), by which ``surface`` (3,) is left, from
+        ``search[0]`` before the surface to ``search[1]`` behind it, m. Raises ControllerError
+        where the instrument touches nothing.
+        """
+        raise ControllerError(f"{type(self).__name__} touches nothing")
 
     def positions(self, stamps: Stamps) -> Floats:
         """Return where it believes to be (n, 3), m: by itself the origin of its frame."""

@@ -18,6 +18,8 @@ from rotcal_ros.simulation.noise import IndexedNoise, Source
 from rotcal_ros.simulation.table import rotations
 from rotcal_ros.units import ARCSEC, DEGREE, MICROMETRE, NANOSECOND
 
+_PLAY_M = 1e-4
+"""By which a way may come too near to a ball, whose true place the driver does not know."""
 _WAVES = 12
 """Plane waves that the machine's error is made of."""
 
@@ -87,22 +89,55 @@ class SimulatedTouchProbe(Instrument):
         self._noise = IndexedNoise(seed, Source.TOUCH)
         self._dirt = IndexedNoise(seed, Source.DIRT)
         self._from = self._place = settings.initial_position_m
+        self._lift = 0.0
         self._motion = Motion(start_ns, [0.0], self._limits)
         self._touched = self._touches = 0
 
     def order(self, now_ns: int, command: Command) -> None:
         """Go to the ball at the position of ``command`` and touch it."""
         way, height = dist(self._place, command.position), self.settings.clearance_m
+        self._lift = height
         lifted = [-height, 0.0, way, way + height] if way else [0.0]
         self._motion = Motion(now_ns, lifted, self._limits)
         self.rest_ns = max(now_ns, self._motion.end_ns)
         self._from, self._place = self._place, command.position
         self.pending, self._touched = command, 0
 
+    def go(self, now_ns: int, place: Floats) -> bool:
+        """Move in a straight line to ``place`` (3,), m; False: a ball stands in the way."""
+        x, y, z = place.tolist()
+        start = self.positions(np.array([now_ns]))[0]
+        line = place - start
+        length = float(np.linalg.norm(line))
+        if length:
+            to_balls = self._standing_balls(now_ns) - start
+            along = np.clip(to_balls @ line / length**2, 0.0, 1.0)
+            nearest = np.linalg.norm(to_balls - np.multiply.outer(along, line), axis=1)
+            if nearest.min() < self._reach - _PLAY_M:
+                return False
+        self._from, self._place, self._lift = tuple(start.tolist()), (x, y, z), 0.0
+        self._motion = Motion(now_ns, [0.0, length] if length else [0.0], self._limits)
+        self.rest_ns = max(now_ns, self._motion.end_ns)
+        return True
+
+    def touched(
+        self, stamp_ns: int, surface: Floats, direction: Floats, search: tuple[float, float]
+    ) -> Floats | None:
+        """Return where the machine believes the tip's centre is when it meets a ball."""
+        self._touches += 1
+        start = surface + self.settings.tip_radius_m * direction
+        to_start = start - self._nearest_ball(stamp_ns, surface)
+        middle = float(to_start @ direction)
+        inside = middle**2 - float(to_start @ to_start) + (self._reach + self._dirt_now()) ** 2
+        way = -middle + np.sqrt(max(inside, 0.0))
+        if inside < 0.0 or not -search[1] <= way <= search[0]:
+            return None
+        return self._believed(start + way * direction)
+
     def positions(self, stamps: Stamps) -> Floats:
         """Return the nominal positions (n, 3) of the tip, m: up, across and down again."""
         start, stop = np.array(self._from), np.array(self._place)
-        length, height = dist(self._from, self._place), self.settings.clearance_m
+        length, height = dist(self._from, self._place), self._lift
         if not length:
             return np.tile(stop, (len(stamps), 1))
         way = self._motion.state(stamps)[0]
@@ -133,20 +168,36 @@ class SimulatedTouchProbe(Instrument):
     def _sample(self, stamp_ns: int, order: Command, number: int, count: int) -> ProbeSample:
         """Return one touch point, or the centre that the machine computes."""
         self._touches += 1
-        rotation, translation = self._table.poses(np.array([stamp_ns]))
-        balls = self._balls @ rotation[0].T + translation[0]
-        away = np.linalg.norm(balls - np.array(order.position), axis=1)
-        place = balls[int(np.argmin(away))]
-        noise = self.settings.noise_um * MICROMETRE * self._noise.normal(3 * self._touches, 3)
+        place = self._nearest_ball(stamp_ns, np.array(order.position))
         tip = 0.0
         if order.kind == PointKind.SURFACE:
-            dirty = self._dirt.uniform(self._touches, 1)[0] < self.settings.dirt_probability
-            reach = self._reach + dirty * self.settings.dirt_um * MICROMETRE
-            place = place + reach * upper_half(count)[number]
+            place = place + (self._reach + self._dirt_now()) * upper_half(count)[number]
             tip = self.settings.tip_radius_m
-        place = place + self._error(place[None])[0] + noise
+        place = self._believed(place)
         std = self.settings.noise_um * MICROMETRE
         return self.point(stamp_ns, order, place, std, number, tip)
+
+    def _standing_balls(self, stamp_ns: int) -> Floats:
+        """Return the true ball centres (R, 3) in the machine frame, m."""
+        rotation, translation = self._table.poses(np.array([stamp_ns]))
+        balls: Floats = self._balls @ rotation[0].T + translation[0]
+        return balls
+
+    def _nearest_ball(self, stamp_ns: int, place: Floats) -> Floats:
+        balls = self._standing_balls(stamp_ns)
+        nearest: Floats = balls[int(np.argmin(np.linalg.norm(balls - place, axis=1)))]
+        return nearest
+
+    def _dirt_now(self) -> float:
+        """Return the thickness (m) of the dirt under this touch."""
+        dirty = self._dirt.uniform(self._touches, 1)[0] < self.settings.dirt_probability
+        return float(dirty * self.settings.dirt_um * MICROMETRE)
+
+    def _believed(self, place: Floats) -> Floats:
+        """Return where the machine believes to be with the tip at ``place`` (3,), m."""
+        noise = self.settings.noise_um * MICROMETRE * self._noise.normal(3 * self._touches, 3)
+        believed: Floats = place + self._error(place[None])[0] + noise
+        return believed
 
 
 def _nanoseconds(duration_s: float) -> int:

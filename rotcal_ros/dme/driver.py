@@ -1,0 +1,146 @@
+"""The thread that drives a machine behind I++ DME: orders in, feedback and points out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from queue import Empty, SimpleQueue
+from threading import Thread
+
+from rotcal_ros.dme.client import DmeClient
+from rotcal_ros.dme.faults import DmeError, Fault
+from rotcal_ros.dme.measuring import Measuring
+from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.observations import Command, ProbeSample, TableSample
+from rotcal_ros.planning.plan import Point, Step
+
+
+@dataclass
+class _Clear:
+    """A person's word that the errors may be cleared."""
+
+    done: Future[str] = field(default_factory=Future)
+
+
+class Driver:
+    """Carries out the latest order, and asks where the machine stands while there is none.
+
+    ``publish_table``, ``publish_point`` and ``complain`` are called by the threads of the driver.
+    ``state`` says in words what it does, ``busy`` whether an order is being carried out.
+    """
+
+    def __init__(
+        self,
+        settings: DmeSettings,
+        publish_table: Callable[[TableSample], None],
+        publish_point: Callable[[ProbeSample], None],
+        complain: Callable[[str], None],
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.client = DmeClient(settings, self._heard, self._warned, now_ns)
+        self.state, self.busy, self.refused, self.warnings = "starting a session", False, 0, 0
+        self._publish_table, self._publish_point = publish_table, publish_point
+        self._complain = complain
+        self._measuring = Measuring(self.client, now_ns)
+        self._orders: SimpleQueue[tuple[Command, Step] | _Clear | None] = SimpleQueue()
+        self._stopping = False
+        self._thread = Thread(target=self._work, name="DME", daemon=True)
+        self._thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread still works."""
+        return self._thread.is_alive()
+
+    def order(self, command: Command, step: Step) -> None:
+        """Carry out ``command``; the order before it is given up at its next motion."""
+        self._orders.put((command, step))
+
+    def clear(self) -> Future[str]:
+        """Clear the machine's errors, as a person orders; the future says what came of it.
+
+        It has the DmeError of an attempt that failed.
+        """
+        request = _Clear()
+        self._orders.put(request)
+        return request.done
+
+    def abort(self, why: str) -> None:
+        """Stop all motion now; nothing moves again before :meth:`clear`."""
+        try:
+            self.client.abort(why)
+        except DmeError as error:
+            self._complain(f"{why}; {error}")
+
+    def stop(self) -> None:
+        """End: an order that is being carried out is aborted, then the session is closed."""
+        self._stopping = True
+        if self.busy:
+            self.abort("the adapter was ended in the middle of a step")
+        self._orders.put(None)
+
+    def _work(self) -> None:
+        self._try(self.client.start)
+        while not self._stopping:
+            self.state = self.client.blocked or "ready"
+            try:
+                job = self._orders.get(timeout=self.client.settings.idle_period_s)
+            except Empty:
+                if not self.client.blocked:
+                    self._try(self._tell_where)
+                continue
+            if isinstance(job, _Clear):
+                self._clear(job)
+            elif job is not None:
+                self._obey(*job)
+        self.client.close()
+
+    def _obey(self, command: Command, step: Step) -> None:
+        """Carry out an order, or say why not."""
+        name = f"step {command.step}, attempt {command.attempt}"
+        if self.client.blocked:
+            self.refused += 1
+            self._complain(f"{name} refused before a person clears: {self.client.blocked}")
+            return
+        self.state, self.busy = name, True
+
+        def carry_out() -> None:
+            for point in self._measuring.carry_out(command, step, self._given_up):
+                self._publish_point(point)
+            self._tell_where()
+
+        self._try(carry_out)
+        self.busy = False
+
+    def _given_up(self) -> bool:
+        return self._stopping or not self._orders.empty() or bool(self.client.blocked)
+
+    def _clear(self, request: _Clear) -> None:
+        why = self.client.blocked or "nothing"
+        try:
+            self.client.clear()
+        except DmeError as error:
+            request.done.set_exception(error)
+        else:
+            request.done.set_result(f"cleared: {why}")
+
+    def _tell_where(self) -> None:
+        """Tell the position unasked, so that a preflight hears the machine."""
+        self._publish_point(self._measuring.unasked(self.client.where().position))
+
+    def _try(self, work: Callable[[], None]) -> None:
+        """Do work whose errors are told, not raised: the session is blocked then."""
+        try:
+            work()
+        except DmeError as error:
+            self._complain(str(error))
+
+    def _heard(self, feedback: TableSample | None, _position: Point) -> None:
+        if feedback is not None:
+            self._publish_table(feedback)
+
+    def _warned(self, fault: Fault) -> None:
+        self.warnings += 1
+        self._complain(f"the machine tells: {fault}")

@@ -1,0 +1,84 @@
+"""The settings of a machine behind I++ DME: group ``dme`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from rotcal_ros.settings import setting
+
+AUTO: Final = "auto"
+GOTO_R: Final = "goto_r"
+ALIGN_PART: Final = "align_part"
+PORT: Final = 1294
+"""The port that I++ DME reserves."""
+
+
+@dataclass(frozen=True)
+class DmeSettings:
+    """A coordinate measuring machine with a rotary table that speaks I++ DME (VDMA 8722)."""
+
+    host: str = setting("127.0.0.1", doc="host name or IP address of the DME server")
+    port: int = setting(PORT, doc="its TCP port", minimum=1, maximum=65_535)
+    tool: str = setting("", doc="tool to change to at the start; empty: the one that is active")
+    home: bool = setting(
+        False, doc="home the machine at the start when it is not homed; it moves, so a person asks"
+    )
+    coordinate_system: str = setting(
+        "MachineCsy",
+        doc="coordinate system of the plan's positions; it must not turn with the table",
+        choices=("MachineCsy", "MoveableMachineCsy"),
+    )
+    turn_by: str = setting(
+        AUTO,
+        doc="how the table is turned: by GoTo(R()), by AlignPart(), or as the version of the "
+        "server demands (AlignPart before 2.0)",
+        choices=(AUTO, GOTO_R, ALIGN_PART),
+    )
+    table_zero_deg: float = setting(0.0, doc="deg, R where the table's angle is 0")
+    table_reversed: bool = setting(False, doc="R increases clockwise, seen from above the table")
+    overshoot_deg: float = setting(
+        2.0, doc="deg, by which the table passes an angle to approach it from the other side",
+        minimum=1e-3, maximum=90.0,
+    )  # fmt: skip
+    settle_s: float = setting(
+        1.0,
+        doc="s, from the end of a motion to the first point; the speed of the table is taken over "
+        "this time",
+        minimum=1e-3,
+        maximum=600.0,
+    )
+    clearance_m: float = setting(
+        0.05, doc="m, height above the balls in which the tip travels", minimum=1e-4, maximum=1.0
+    )
+    approach_m: float = setting(
+        0.002, doc="m, distance from a ball at which the probing motion begins", minimum=1e-5,
+        maximum=0.1,
+    )  # fmt: skip
+    search_m: float = setting(
+        0.003, doc="m, how far behind the nominal surface it is looked for", minimum=1e-5,
+        maximum=0.1,
+    )  # fmt: skip
+    tip_radius_m: float = setting(
+        0.0, doc="m, radius of the probe tip; 0: ask the server for it", minimum=0.0, maximum=0.1
+    )
+    point_std_um: float = setting(
+        0.5, doc="um, standard deviation of a point along each axis", minimum=1e-4, maximum=1e3
+    )
+    report_period_s: float = setting(
+        0.2,
+        doc="s, between reports while the machine moves, at least 0.1; 0: none are asked for",
+        minimum=0.0,
+        maximum=60.0,
+    )
+    idle_period_s: float = setting(
+        0.5, doc="s, between questions where the machine stands while it has no order",
+        minimum=0.01, maximum=60.0,
+    )  # fmt: skip
+    reply_timeout_s: float = setting(
+        5.0, doc="s, time to acknowledge a command, and to do one that moves nothing",
+        minimum=0.05, maximum=600.0,
+    )  # fmt: skip
+    motion_timeout_s: float = setting(
+        120.0, doc="s, time to do a command that moves", minimum=0.05, maximum=86_400.0
+    )

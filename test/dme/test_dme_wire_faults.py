@@ -1,0 +1,205 @@
+"""Every command answered late, never, wrongly, cut in the middle: no hang, always a sentence."""
+
+import socket
+import time
+
+import pytest
+from wire import ScriptedServer
+
+from rotcal_ros.dme.client import DmeClient
+from rotcal_ros.dme.driver import Driver
+from rotcal_ros.dme.faults import DmeError, NotClearedError
+from rotcal_ros.dme.settings import DmeSettings
+from rotcal_ros.observations import Approach, Command, PointKind
+from rotcal_ros.planning.plan import Step
+
+STARTING = (
+    "EndSession", "StartSession", "GetDMEVersion", "IsHomed", "Home", "EnumTools", "ChangeTool",
+    "EnumAllProp", "SetProp", "GetProp", "SetCoordSystem", "OnPtMeasReport", "OnMoveReportE",
+)  # fmt: skip
+MEASURING = ("GoTo", "AlignPart", "PtMeas", "Get")
+FAULTS = (
+    "never", "accepted, never done", "error", "error without end", "error at once",
+    "cut in the middle", "closed", "no line of the protocol", "a line without end",
+)  # fmt: skip
+UNANSWERED = ("never", "accepted, never done")
+SLOW_FAULTS = ("accepted, never done", "error without end")
+"""Faults of which every case waits as long as the client does: for commands that move."""
+CASES = [
+    (harmed, fault)
+    for harmed in STARTING + MEASURING
+    for fault in FAULTS
+    if fault not in SLOW_FAULTS or harmed in ("Home", "GoTo", "AlignPart", "PtMeas")
+]
+LIMIT_S = 0.25
+DEADLINE_S = 10.0
+TARGET = Command(3, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0))
+STEP = Step(3, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0), 0, 2, 0.025)
+
+
+@pytest.fixture
+def serve():
+    servers = []
+
+    def make(*harm):
+        servers.append(ScriptedServer(*harm))
+        return servers[-1]
+
+    yield make
+    for server in servers:
+        server.close()
+
+
+def client_of(server, **others):
+    limit_s = LIMIT_S if server.fault in (*UNANSWERED, *SLOW_FAULTS) else DEADLINE_S
+    values = {
+        "port": server.port, "home": True, "tool": "Probe1", "settle_s": 0.004,
+        "reply_timeout_s": limit_s, "motion_timeout_s": limit_s, "table_zero_deg": 0.0,
+    }  # fmt: skip
+    return DmeClient(DmeSettings(**(values | others)), lambda *_: None, lambda _: None)
+
+
+def use(client):
+    """Do all that an order leads to."""
+    client.start()
+    client.go(None, None, 0.3)
+    client.turn(0.0, Approach.UNKNOWN)
+    client.touch((0.1, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(("harmed", "fault"), CASES)
+def test_a_fault_is_a_sentence_that_names_the_command_and_nothing_more_is_sent(
+    serve, harmed, fault
+):
+    server = serve(harmed, fault)
+    client = client_of(server)
+    with pytest.raises(DmeError) as caught:
+        use(client)
+    text = str(caught.value)
+    assert harmed in text
+    assert client.blocked == text
+    if fault in UNANSWERED:
+        wait_for(lambda: "AbortE" in server.names())
+        assert f"within {LIMIT_S:g} s" in text
+        assert "AbortE was " in text  # obeyed, unless this machine is too busy
+    if "error" in fault:
+        assert "2500" in text
+        assert "Machine limit encountered" in text
+    heard = len(server.heard)
+    with pytest.raises(NotClearedError, match="before a person clears"):
+        client.where()
+    client.close()
+    assert "ClearAllErrors" not in server.names()
+    assert server.heard[heard:] == []
+
+
+@pytest.mark.parametrize("harmed", STARTING + MEASURING)
+def test_a_late_answer_is_waited_for(serve, harmed):
+    client = client_of(serve(harmed, "late"), reply_timeout_s=2.0, motion_timeout_s=2.0)
+    use(client)
+    assert client.blocked == ""
+    client.close()
+
+
+def test_a_motion_without_end_is_aborted(serve):
+    client = client_of(serve("GoTo", "accepted, never done"), reply_timeout_s=DEADLINE_S)
+    client.start()
+    with pytest.raises(DmeError, match=r"GoTo.*not done .* within 0\.25 s; AbortE was obeyed"):
+        client.go(None, None, 0.3)
+
+
+def test_a_server_that_answers_nothing_at_all_is_told_so_too(serve):
+    server = serve("GoTo", "never")
+    client = client_of(server)
+    client.start()
+    server._answer = lambda *_: None  # half open: it takes lines, and is dead
+    with pytest.raises(DmeError, match="AbortE was not answered either"):
+        client.go(None, None, 0.3)
+
+
+def test_nobody_at_the_port_is_a_sentence():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    client = DmeClient(DmeSettings(port=port), lambda *_: None, lambda _: None)
+    with pytest.raises(DmeError, match=r"no DME server answers at 127\.0\.0\.1"):
+        client.start()
+
+
+def test_a_person_clears_on_a_living_connection_or_begins_a_new_session(serve):
+    server = serve("GoTo", "error")
+    client = client_of(server)
+    client.start()
+    with pytest.raises(DmeError):
+        client.go(None, None, 0.3)
+    client.clear()
+    assert server.names()[-2:] == ["ClearAllErrors", "Get"]
+    assert client.blocked == ""
+    server.fault = "closed"
+    with pytest.raises(DmeError):
+        client.go(None, None, 0.3)
+    server.harmed = ""
+    sessions = server.names().count("StartSession")
+    client.clear()
+    assert server.names().count("StartSession") == sessions + 1
+    client.go(None, None, 0.3)
+    client.close()
+    assert server.names()[-1] == "EndSession"
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def driver_of(server):
+    complaints, points = [], []
+    settings = DmeSettings(
+        port=server.port, home=True, settle_s=0.004, reply_timeout_s=DEADLINE_S,
+        motion_timeout_s=DEADLINE_S, idle_period_s=0.02, turn_by="goto_r", table_zero_deg=-28.6479,
+    )  # fmt: skip
+    driver = Driver(settings, lambda _: None, points.append, complaints.append)
+    return driver, points, complaints
+
+
+def test_an_order_is_refused_before_a_person_clears(serve):
+    server = serve("PtMeas", "error")
+    driver, points, complaints = driver_of(server)
+    wait_for(lambda: driver.state == "ready")
+    driver.order(TARGET, STEP)
+    wait_for(lambda: complaints)
+    assert "PtMeas" in complaints[0]
+    driver.order(TARGET, STEP)
+    wait_for(lambda: driver.refused == 1)
+    assert "step 3, attempt 0 refused before a person clears: PtMeas" in complaints[1]
+    server.harmed = ""
+    assert "cleared: PtMeas" in driver.clear().result(DEADLINE_S)
+    driver.order(TARGET, STEP)
+    wait_for(lambda: sum(p.kind == PointKind.SURFACE for p in points) == 2)
+    driver.stop()
+    wait_for(lambda: not driver.alive)
+    assert server.names()[-1] == "EndSession"
+
+
+def test_a_cancel_aborts_what_moves_and_only_a_person_goes_on(serve):
+    server = serve("GoTo", "accepted, never done")
+    driver, points, _complaints = driver_of(server)
+    wait_for(lambda: driver.state == "ready")
+    driver.order(TARGET, STEP)
+    wait_for(lambda: "GoTo" in server.names())
+    driver.abort("the calibration ended")
+    assert server.names()[-1] == "AbortE"
+    assert driver.client.blocked == "the calibration ended"
+    assert not [p for p in points if p.kind == PointKind.SURFACE]
+    driver.stop()
+
+
+def test_the_end_in_the_middle_of_a_motion_aborts_it(serve):
+    server = serve("PtMeas", "accepted, never done")
+    driver, _points, _complaints = driver_of(server)
+    wait_for(lambda: driver.state == "ready")
+    driver.order(TARGET, STEP)
+    wait_for(lambda: "PtMeas" in server.names())
+    driver.stop()
+    wait_for(lambda: "AbortE" in server.names())
