@@ -29,6 +29,7 @@ from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
 from rotcal_ros.plugins import nearest
+from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.settings import declarations, load, to_mapping
 from rotcal_ros.untrusted import load_yaml, read_text, why
 
@@ -42,11 +43,12 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "topics": TopicSettings,
     "identity": Identity,
     "page": PageSettings,
+    "table_adapter": TableAdapterSettings,
 }
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
     "identity", "cell", "plan", "capture", "air", "solver", "planner", "recorder", "bridge",
-    "topics", "page", "simulation",
+    "topics", "page", "table_adapter", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
 SIMULATION: Final = "simulation"
@@ -92,6 +94,7 @@ class Configuration:
     topics: TopicSettings
     identity: Identity
     page: PageSettings
+    table_adapter: TableAdapterSettings
     simulation: Any
     simulated: bool
     given: frozenset[str]
