@@ -50,8 +50,8 @@ class TableAdapter(CellNode):
         self._waiting: TableAngle | None = None
         self._others: tuple[str, ...] = ()
         self._state = "waiting for feedback"
-        self._told = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
-        self._passes_on = self._told.topic_name != self.resolve_topic_name(self._settings.feedback)
+        self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
+        self._passes_on = self._feedback.topic_name != self.resolve_topic_name(self._settings.feedback)
         listen_to_instrument(
             self, JointState, self._settings.feedback, self.health.guarded(self._hear)
         )
@@ -84,9 +84,9 @@ class TableAdapter(CellNode):
             if sample is None:
                 self._others = tuple(message.name)
                 continue
-            told = self._watch.hear(sample, time.monotonic())
-            if told is not None and self._passes_on:
-                self._told.publish(conversions.table_message(told, self._joint))
+            feedback = self._watch.hear(sample, time.monotonic())
+            if feedback is not None and self._passes_on:
+                self._feedback.publish(conversions.table_message(feedback, self._joint))
         self._send()
 
     def _look(self) -> None:
