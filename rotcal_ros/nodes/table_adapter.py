@@ -51,7 +51,9 @@ class TableAdapter(CellNode):
         self._others: tuple[str, ...] = ()
         self._state = "waiting for feedback"
         self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
-        self._passes_on = self._feedback.topic_name != self.resolve_topic_name(self._settings.feedback)
+        self._passes_on = self._feedback.topic_name != self.resolve_topic_name(
+            self._settings.feedback
+        )
         listen_to_instrument(
             self, JointState, self._settings.feedback, self.health.guarded(self._hear)
         )
