@@ -78,6 +78,7 @@ setup(
             "ros-sensor-msgs",
             "ros-std-msgs",
             "ros-std-srvs",
+            "ros-trajectory-msgs",
             "ros-visualization-msgs",
         ],
         "many": ["distributed", "duckdb", "fsspec", "pyarrow"],

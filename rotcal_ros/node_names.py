@@ -7,7 +7,11 @@ from typing import Final
 
 NODES: Final = ("planner", "capture", "solver", "recorder")
 """Nodes of every cell."""
-FURTHER_NODES: Final[Mapping[str, str]] = {"bridge": "bridge", "simulation": "simulated_cell"}
+FURTHER_NODES: Final[Mapping[str, str]] = {
+    "bridge": "bridge",
+    "table_adapter": "table_adapter",
+    "simulation": "simulated_cell",
+}
 """Nodes that are started when the configuration has a group: group -> node."""
 VIEWERS: Final[Mapping[str, str]] = {"page": "operator_page", "scene": "scene"}
 """Nodes for people: how they are asked for -> node. No calibration needs one or ends with it."""

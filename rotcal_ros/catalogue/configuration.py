@@ -30,6 +30,7 @@ from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
 from rotcal_ros.plugins import nearest
+from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.settings import declarations, load, to_mapping
 from rotcal_ros.untrusted import load_yaml, read_text, why
 
@@ -44,11 +45,12 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "topics": TopicSettings,
     "identity": Identity,
     "page": PageSettings,
+    "table_adapter": TableAdapterSettings,
 }
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
     "identity", "cell", "plan", "capture", "air", "solver", "planner", "recorder", "bridge",
-    "dme", "topics", "page", "simulation",
+    "dme", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
 SIMULATION: Final = "simulation"
@@ -95,6 +97,7 @@ class Configuration:
     topics: TopicSettings
     identity: Identity
     page: PageSettings
+    table_adapter: TableAdapterSettings
     simulation: Any
     simulated: bool
     given: frozenset[str]

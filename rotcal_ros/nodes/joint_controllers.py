@@ -1,0 +1,90 @@
+"""The two ways in which a controller of ros2_control takes where a joint shall go."""
+
+from __future__ import annotations
+
+import time
+from typing import Final, Protocol
+
+from builtin_interfaces.msg import Duration
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.qos import EVENT
+from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.ros2_control.travel import Way
+from rotcal_ros.units import NANOSECOND
+
+SETPOINT_PERIOD_S: Final = 0.02
+
+
+class JointController(Protocol):
+    """Takes ways; a new one takes the place of the one under way."""
+
+    def heard(self) -> bool:
+        """Return whether anybody listens to it."""
+
+    def send(self, way: Way) -> None:
+        """Let the joint go that way from now on."""
+
+
+def joint_controller(
+    node: CellNode, settings: TableAdapterSettings, joint: str
+) -> JointController:
+    """Return the controller that the settings name."""
+    kind = TrajectoryController if settings.interface == "trajectory" else PositionController
+    return kind(node, settings.controller, joint)
+
+
+class TrajectoryController:
+    """joint_trajectory_controller: all stops at once, each with time and no velocity."""
+
+    def __init__(self, node: CellNode, controller: str, joint: str) -> None:
+        self._joint = joint
+        self._publisher = node.create_publisher(
+            JointTrajectory, f"{controller}/joint_trajectory", EVENT
+        )
+
+    def heard(self) -> bool:
+        """Return whether anybody listens to it."""
+        return bool(self._publisher.get_subscription_count())
+
+    def send(self, way: Way) -> None:
+        """Publish a trajectory that begins when it arrives: its stamp is zero."""
+        points = [
+            JointTrajectoryPoint(positions=[angle], velocities=[0.0], time_from_start=_lasting(at))
+            for angle, at in zip(way.angles, way.times_s, strict=True)
+        ]
+        self._publisher.publish(JointTrajectory(joint_names=[self._joint], points=points))
+
+
+class PositionController:
+    """A controller that passes positions on at once: it gets the way in small steps."""
+
+    def __init__(self, node: CellNode, controller: str, joint: str) -> None:
+        self._publisher = node.create_publisher(Float64MultiArray, f"{controller}/commands", EVENT)
+        self._way: Way | None = None
+        self._begun_s = 0.0
+        node.every(SETPOINT_PERIOD_S, self._step)
+
+    def heard(self) -> bool:
+        """Return whether anybody listens to it."""
+        return bool(self._publisher.get_subscription_count())
+
+    def send(self, way: Way) -> None:
+        """Begin to go that way."""
+        self._way, self._begun_s = way, time.monotonic()
+
+    def _step(self) -> None:
+        """Publish where the joint shall be now; the last position once."""
+        if self._way is None:
+            return
+        elapsed = time.monotonic() - self._begun_s
+        self._publisher.publish(Float64MultiArray(data=[self._way.position(elapsed)]))
+        if elapsed >= self._way.times_s[-1]:
+            self._way = None
+
+
+def _lasting(seconds: float) -> Duration:
+    whole, rest = divmod(round(seconds / NANOSECOND), 1_000_000_000)
+    return Duration(sec=whole, nanosec=rest)

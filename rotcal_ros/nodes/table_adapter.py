@@ -1,0 +1,135 @@
+"""A joint of ros2_control as the table: orders become trajectories, its feedback the cell's.
+
+Whether the table is where it was sent is told by the feedback of its joint alone; what cannot be,
+or does not happen, is logged and stands in the diagnostics.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Final
+
+from rotcal_msgs.msg import TableAngle
+from sensor_msgs.msg import JointState
+
+from rotcal_ros import messages
+from rotcal_ros.bags import names
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.draining import Batch, listen_to_instrument
+from rotcal_ros.nodes.joint_controllers import joint_controller
+from rotcal_ros.nodes.qos import EVENT, STREAM
+from rotcal_ros.nodes.running import run
+from rotcal_ros.observations import Approach
+from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.ros2_control.obeyed import JointWatch
+from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.ros2_control.travel import way_to
+from rotcal_ros.units import DEGREE
+
+LOOK_PERIOD_S: Final = 0.2
+COMPLAINT: Final = "table"
+"""Name of what is wrong, among the values of the diagnostics."""
+
+
+class TableAdapter(CellNode):
+    """Sends the newest order, once it knows where the joint stands, and passes feedback on."""
+
+    def __init__(self) -> None:
+        super().__init__("table_adapter")
+        self._settings = self.settings("table_adapter", TableAdapterSettings)
+        self._joint = self.settings("cell", CellSettings).joint
+        if not self._joint:
+            raise ConfigurationError(
+                "table_adapter: cell.joint is not set; name the joint of the table, as in "
+                f"{self._settings.feedback}"
+            )
+        self._watch = JointWatch(self._settings)
+        self._controller = joint_controller(self, self._settings, self._joint)
+        self._waiting: TableAngle | None = None
+        self._others: tuple[str, ...] = ()
+        self._state = "waiting for feedback"
+        self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
+        self._passes_on = self._feedback.topic_name != self.resolve_topic_name(
+            self._settings.feedback
+        )
+        listen_to_instrument(
+            self, JointState, self._settings.feedback, self.health.guarded(self._hear)
+        )
+        self.listen(TableAngle, names.TABLE_ANGLE, self._obey, EVENT)
+        self.every(LOOK_PERIOD_S, self._look)
+
+    def _obey(self, message: TableAngle) -> None:
+        """Take an order; it takes the place of one that is under way."""
+        self._waiting = message
+        self._send()
+
+    def _send(self) -> None:
+        """Send what waits, as soon as it is known where the joint stands and who listens."""
+        order, here = self._waiting, self._watch.latest
+        if order is None or here is None or self._watch.doubt() or not self._controller.heard():
+            return
+        self._waiting = None
+        self._state = f"step {order.step}, attempt {order.attempt}"
+        try:
+            way = way_to(order.angle, Approach(order.approach), here.angle, self._settings)
+        except DataError as error:
+            self._complain(str(error))
+            return
+        self._controller.send(way)
+        self._watch.begin(way, time.monotonic())
+
+    def _hear(self, batch: Batch) -> None:
+        for message, _ in batch:
+            sample = messages.table_sample(message, self._joint)
+            if sample is None:
+                self._others = tuple(message.name)
+                continue
+            feedback = self._watch.hear(sample, time.monotonic())
+            if feedback is not None and self._passes_on:
+                self._feedback.publish(conversions.table_message(feedback, self._joint))
+        self._send()
+
+    def _look(self) -> None:
+        """Send what waited for a listener, and look for what is wrong."""
+        self._send()
+        if complaint := self._wrong():
+            self._complain(complaint)
+        elif self._watch.arrived():
+            self.health.concerns.pop(COMPLAINT, None)
+
+    def _wrong(self) -> str:
+        if self._watch.latest is None and self._others:
+            return (
+                f"no joint {self._joint!r} in {self._settings.feedback}, which has "
+                f"{', '.join(self._others)}: set cell.joint"
+            )
+        if self._waiting is not None:
+            if doubt := self._watch.doubt():
+                return doubt
+            if self._watch.latest is None:
+                return f"nobody publishes {self._settings.feedback}: nothing can be moved"
+            return f"nobody listens to {self._settings.controller}: is the controller active?"
+        return self._watch.complaint(time.monotonic())
+
+    def _complain(self, text: str) -> None:
+        """Put ``text`` into the diagnostics; log it where it is news, numbers apart."""
+        before = self.health.concerns.get(COMPLAINT, "")
+        self.health.concerns[COMPLAINT] = text
+        if text[:24] != before[:24]:
+            self.get_logger().error(text)
+
+    def _report(self) -> tuple[str, dict[str, Any]]:
+        latest = self._watch.latest
+        angle = {} if latest is None else {"angle_deg": f"{latest.angle / DEGREE:.5f}"}
+        return self._state, angle
+
+
+def main() -> None:
+    """Run the adapter."""
+    run(TableAdapter)
+
+
+if __name__ == "__main__":
+    main()

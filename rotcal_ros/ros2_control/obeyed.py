@@ -1,0 +1,145 @@
+"""Whether the joint does as it was told, by its feedback alone: controllers promise much."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import isfinite, isnan, nan
+
+from rotcal_ros.observations import TableSample
+from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.ros2_control.travel import TURN, Way
+from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+
+_AT_REST = 1e-9
+"""rad between two readings that are no motion."""
+_LATE = 1.5
+"""Times its duration that a way may take before it is called late."""
+_BASE_NS = 50_000_000
+"""Time over which a velocity is taken from angles: long against the noise of an encoder."""
+_FAR = 2 * TURN
+"""rad, an angle at the start that is more likely one in degrees."""
+
+
+@dataclass
+class ObeyedOrder:
+    """An order under way: how far its joint has come. Times are monotonic, in seconds."""
+
+    way: Way
+    begun_s: float
+    moved: bool = False
+    moved_s: float = 0.0
+
+
+class JointWatch:
+    """Follows the joint through its feedback; says what to tell the cell, and what is wrong."""
+
+    def __init__(self, settings: TableAdapterSettings) -> None:
+        self._settings = settings
+        self._tolerance = settings.tolerance_arcsec * ARCSEC
+        self._heard_s = 0.0
+        self._readings: deque[TableSample] = deque()
+        self.latest: TableSample | None = None
+        self.order: ObeyedOrder | None = None
+
+    def doubt(self) -> str:
+        """Return why nothing may move yet, in one sentence; empty where it may."""
+        if self.latest is None or self._settings.many_turns or abs(self.latest.angle) <= _FAR:
+            return ""
+        angle = self.latest.angle
+        return (
+            f"the table tells {angle:.6g} rad before its first order, {angle / TURN:.1f} turns: "
+            f"if these are degrees, let joint_states be in rad; if they are turns, set "
+            "table_adapter.many_turns: true"
+        )
+
+    def begin(self, way: Way, now_s: float) -> None:
+        """Note an order that was just sent."""
+        self.order = ObeyedOrder(way, now_s, moved_s=now_s)
+
+    def hear(self, sample: TableSample, now_s: float) -> TableSample | None:
+        """Return ``sample`` as the cell shall hear it, with a velocity; None: not to be told.
+
+        A joint that has an order and has not begun to move is not at rest where it was sent: if
+        it stands there by chance, before it comes again from the other side, nobody hears of it.
+        """
+        before, self.latest = self.latest, sample
+        self._heard_s = now_s
+        if not isfinite(sample.angle):
+            return None
+        sample = TableSample(sample.stamp_ns, sample.angle, self._velocity(sample))
+        order = self.order
+        if order is None:
+            return sample
+        if before is not None and abs(sample.angle - before.angle) > _AT_REST:
+            order.moved_s = now_s
+        order.moved = order.moved or (
+            abs(sample.angle - order.way.start) > self._tolerance or not self._must_move(order.way)
+        )
+        return sample if order.moved else None
+
+    def arrived(self) -> bool:
+        """Return whether the joint is where it was sent last, whole turns apart."""
+        return self.order is None or self._off(self.order.way) <= self._tolerance
+
+    def complaint(self, now_s: float) -> str:
+        """Return in one sentence what is wrong with the table, empty while all is well."""
+        patience = self._settings.silence_s
+        if self.latest is None:
+            return ""
+        if now_s - self._heard_s > patience:
+            return f"no feedback of the table for {now_s - self._heard_s:.1f} s"
+        if not isfinite(self.latest.angle):
+            return "the feedback of the table is no number"
+        order = self.order
+        if order is None or self.arrived():
+            return ""
+        goal, angle = order.way.goal, self.latest.angle
+        if self._in_degrees(goal, angle):
+            return (
+                f"the table tells {angle:.6g} where {goal:.6g} rad were ordered: its feedback is "
+                "in degrees, joint_states must be in rad"
+            )
+        still_s = now_s - order.moved_s
+        if not order.moved and still_s > patience:
+            return (
+                f"the table has not moved for {still_s:.1f} s since it was sent to "
+                f"{goal / DEGREE:.4f} deg: is {self._settings.controller} active, and did it "
+                "accept the order?"
+            )
+        late_s = now_s - order.begun_s - _LATE * order.way.times_s[-1]
+        if late_s > patience and still_s > patience:
+            return (
+                f"the table stopped at {angle / DEGREE:.4f} deg, "
+                f"{self._off(order.way) / ARCSEC:.4g} arcsec from where it was sent "
+                f"({goal / DEGREE:.4f} deg)"
+            )
+        return ""
+
+    def _off(self, way: Way) -> float:
+        if self.latest is None or not isfinite(self.latest.angle):
+            return float("inf")
+        off = self.latest.angle - way.goal
+        return abs(off - TURN * round(off / TURN))
+
+    def _must_move(self, way: Way) -> bool:
+        return any(abs(angle - way.start) > self._tolerance for angle in way.angles)
+
+    def _velocity(self, sample: TableSample) -> float:
+        """Return the velocity that was told (rad/s), else that of the latest readings."""
+        readings = self._readings
+        while len(readings) > 1 and sample.stamp_ns - readings[1].stamp_ns >= _BASE_NS:
+            readings.popleft()
+        if not readings or sample.stamp_ns > readings[-1].stamp_ns:
+            readings.append(sample)
+        if not isnan(sample.velocity):
+            return sample.velocity
+        first = readings[0]
+        if sample.stamp_ns <= first.stamp_ns:
+            return nan
+        return (sample.angle - first.angle) / ((sample.stamp_ns - first.stamp_ns) * NANOSECOND)
+
+    def _in_degrees(self, goal: float, angle: float) -> bool:
+        """Return whether a joint stands at the number of degrees that was ordered in rad."""
+        degrees = goal / DEGREE
+        return abs(degrees) > 1.0 and abs(angle - degrees) <= 1e-3 * abs(degrees)

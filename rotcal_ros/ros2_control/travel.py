@@ -1,0 +1,110 @@
+"""Which way a joint goes to a table angle: turns, the side of approach, ends of the travel, time.
+
+All angles in rad, positive as the joint's; those of a way are in the turns that the controller
+counts, so that nobody goes round once more than he was asked to.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from math import ceil, floor, inf, pi, sqrt
+
+from rotcal_ros.errors import DataError
+from rotcal_ros.observations import Approach
+from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.units import DEGREE
+
+TURN = 2 * pi
+SHORTEST_S = 0.1
+"""Even a step to where the joint stands already takes so long: controllers refuse less."""
+_TOWARDS = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """The ``angles`` (rad) that a joint is sent to one after the other, at rest in each.
+
+    ``start`` is where it stands, ``times_s`` when it shall be at each angle. In between it moves
+    as a cubic in time, as joint_trajectory_controller does it from positions and velocities.
+    """
+
+    start: float
+    angles: tuple[float, ...]
+    times_s: tuple[float, ...]
+
+    @property
+    def goal(self) -> float:
+        """Where it ends."""
+        return self.angles[-1]
+
+    def position(self, time_s: float) -> float:
+        """Return where the joint shall be ``time_s`` after the start."""
+        if time_s >= self.times_s[-1]:
+            return self.goal
+        stops, times = (self.start, *self.angles), (0.0, *self.times_s)
+        time_s = max(time_s, 0.0)
+        leg = bisect_right(times, time_s) - 1
+        part = (time_s - times[leg]) / (times[leg + 1] - times[leg])
+        return stops[leg] + (stops[leg + 1] - stops[leg]) * part * part * (3 - 2 * part)
+
+
+def way_to(angle: float, approach: Approach, start: float, settings: TableAdapterSettings) -> Way:
+    """Return the shortest way from ``start`` to a table ``angle`` (any turn of it).
+
+    An ordered ``approach`` is kept on the last ``overshoot_deg`` at least. Raises DataError where
+    the travel ends before.
+    """
+    ways = (_legs(goal, approach, start, settings) for goal in _turns(angle, start, settings))
+    possible = [legs for legs in ways if _within(legs, settings)]
+    if not possible:
+        raise DataError(
+            f"the table cannot go to {angle / DEGREE:.4f} deg"
+            f"{' with this side of approach' if approach in _TOWARDS else ''}: its travel is "
+            f"{settings.lower_deg:g} to {settings.upper_deg:g} deg"
+        )
+    angles = min(possible, key=lambda legs: (_length(start, legs), legs))
+    stops = (start, *angles)
+    times = accumulate(_duration_s(abs(b - a), settings) for a, b in pairwise(stops))
+    return Way(start, angles, tuple(times))
+
+
+def _turns(angle: float, start: float, settings: TableAdapterSettings) -> Iterator[float]:
+    """Yield ``angle`` in the turns that may be nearest to ``start``, or in all of the travel."""
+    if settings.lower_deg is None or settings.upper_deg is None:
+        nearest = round((start - angle) / TURN)
+        first, last = nearest - 1, nearest + 1
+    else:
+        first = ceil((settings.lower_deg * DEGREE - angle) / TURN - 1e-12)
+        last = floor((settings.upper_deg * DEGREE - angle) / TURN + 1e-12)
+    return (angle + turn * TURN for turn in range(first, last + 1))
+
+
+def _legs(
+    goal: float, approach: Approach, start: float, settings: TableAdapterSettings
+) -> tuple[float, ...]:
+    """Return the stops on the way: the goal, and before it where the approach begins."""
+    towards = _TOWARDS.get(approach, 0.0)
+    run_up = settings.overshoot_deg * DEGREE
+    if not towards or towards * (goal - start) >= run_up:
+        return (goal,)
+    return (goal - towards * run_up, goal)
+
+
+def _within(legs: tuple[float, ...], settings: TableAdapterSettings) -> bool:
+    lower = -inf if settings.lower_deg is None else settings.lower_deg * DEGREE
+    upper = inf if settings.upper_deg is None else settings.upper_deg * DEGREE
+    return all(lower - 1e-9 <= angle <= upper + 1e-9 for angle in legs)
+
+
+def _length(start: float, legs: tuple[float, ...]) -> float:
+    return sum(abs(b - a) for a, b in pairwise((start, *legs)))
+
+
+def _duration_s(distance: float, settings: TableAdapterSettings) -> float:
+    """Return how long a cubic takes that exceeds neither the speed nor the acceleration."""
+    by_speed = 1.5 * distance / (settings.speed_deg_s * DEGREE)
+    by_acceleration = sqrt(6.0 * distance / (settings.acceleration_deg_s2 * DEGREE))
+    return max(by_speed, by_acceleration, SHORTEST_S)

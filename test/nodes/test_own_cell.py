@@ -1,0 +1,54 @@
+"""The template for machines of others, as its README starts it, against its own truth."""
+
+import json
+import os
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rotcal_ros.api.reading import read_result
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+OWN = Path(__file__).parents[2] / "examples" / "own_cell"
+SCRIPT = OWN / "own_cell.py"
+DEADLINE_S = 180.0
+
+
+def test_the_readme_s_commands_find_the_error_of_its_table(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    log = (tmp_path / "own.log").open("w")
+    own = subprocess.Popen(
+        [sys.executable, SCRIPT, "--ros-args", "-r", "__ns:=/cell"], stdout=log, stderr=log
+    )
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(OWN / "own_cell.yaml"),
+             "--output", str(tmp_path / "out"), "--no-page", "--json"],
+            capture_output=True, text=True, timeout=DEADLINE_S,
+        )  # fmt: skip
+    finally:
+        own.terminate()
+        own.wait(10)
+    assert done.returncode == 0, done.stderr + (tmp_path / "own.log").read_text()
+    outcome = json.loads(done.stdout)
+    assert outcome["verdict"] == "ok"
+    assert not outcome["verdict_line"].count("SIMULATED")
+    result = read_result(tmp_path / "out" / "result.json")
+    error_rad = runpy.run_path(str(SCRIPT))["error_rad"]
+    truth = np.array([error_rad(angle) for angle in result.angles])
+    off = result.deviations["ECC"] - (truth - truth[0])
+    e_n = (off - off[0])[1:] / (2 * result.std["ECC"][1:])
+    assert np.abs(truth - truth[0]).max() > 4e-5
+    assert np.abs(e_n).max() <= 1.5
+    assert np.mean(np.abs(e_n) <= 1.0) >= 0.7
+
+
+def test_the_template_is_short():
+    assert len(SCRIPT.read_text().splitlines()) < 150

@@ -1,0 +1,99 @@
+"""The adapter to ros2_control beside a controller of somebody else, over DDS."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_cell import SUITE, wait_until
+
+from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.results import Result
+from rotcal_ros.simulation import SimulatedCell
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+pytestmark = pytest.mark.ros
+
+MACHINE = Path(__file__).parent / "joint_controller.py"
+CHANGES = (
+    "cell.joint=rotary",
+    "table_adapter.controller=/drive",
+    "table_adapter.speed_deg_s=360.0",
+    "table_adapter.acceleration_deg_s2=3600.0",
+    "simulation.table.external=true",
+    "simulation.time_scale=1.0",
+    "simulation.probe.speed_m_s=20.0",
+    "simulation.probe.acceleration_m_s2=1000.0",
+    "simulation.faults.blocked_targets=[]",
+    "capture.settle_time_s=0.05",
+    "capture.step_timeout_s=10.0",
+    "plan.table_positions=4",
+)
+
+
+@pytest.fixture
+def adapted(cell):
+    """Return a function that makes a cell with its machine, and starts the nodes named."""
+
+    def make(*changes, wrong="", since=0, nodes=("table_adapter",)):
+        live = cell(*CHANGES, *changes)
+        command = [sys.executable, str(MACHINE), wrong, str(since), "--ros-args", "-r",
+                   "__ns:=/cell"]  # fmt: skip
+        live.processes.start("machine", command)
+        live.start(*nodes)
+        return live
+
+    return make
+
+
+@pytest.mark.parametrize("interface", ["trajectory", "positions"])
+def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface):
+    live = adapted(
+        f"table_adapter.interface={interface}",
+        nodes=(*SUITE, "simulated_cell", "table_adapter"),
+    )
+    outcome = live.client().result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert outcome["n_rejected"] == 0
+    result = Result.from_dict(json.loads((live.session / "result.json").read_text()))
+    settings = parse_configuration(live.file.read_text()).simulation
+    truth = SimulatedCell(settings).truth(result.angles)["ECC"]
+    error = result.deviations["ECC"] - truth
+    assert np.all(np.abs(error - error[0]) <= 5 * result.std["ECC"] + 1e-12)
+    recording = read_recording(live.bag)
+    assert recording.same_as_recorded
+    assert recording.verdicts[0].topics["/cell/joint_states"].messages > 100
+
+
+@pytest.mark.parametrize(
+    ("wrong", "since", "said"),
+    [
+        ("rejects", 2, "the table has not moved for"),
+        ("stalls", 2, "the table stopped at"),
+        ("falls silent", 2, "no feedback of the table for"),
+        ("degrees", 0, "its feedback is in degrees"),
+    ],
+)
+def test_what_the_controller_does_wrong_is_named_while_a_calibration_runs(
+    adapted, wrong, since, said
+):
+    live = adapted("table_adapter.silence_s=0.5", "capture.step_timeout_s=5.0", wrong=wrong,
+                   since=since, nodes=(*SUITE, "simulated_cell", "table_adapter"))  # fmt: skip
+    live.client()
+    live.wait_for_log("table_adapter", said)
+
+
+def test_a_joint_that_is_not_there_is_named_with_those_that_are(adapted):
+    live = adapted(wrong="other name")
+    live.wait_for_log("table_adapter", "no joint 'rotary' in /joint_states, which has arm, table")
+
+
+def test_without_a_joint_it_does_not_start(cell):
+    live = cell("table_adapter.controller=/drive")
+    live.start("table_adapter")
+    process = live.processes.children["table_adapter"]
+    wait_until(lambda: process.poll() is not None, "the adapter ends")
+    assert "cell.joint is not set" in live.log("table_adapter")
