@@ -16,9 +16,10 @@ from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
 from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.capture_news import CaptureNews
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, listen_to_instrument
-from rotcal_ros.nodes.latest import NOW, reading
+from rotcal_ros.nodes.latest import JOINT, NOW, WAITING_FOR, reading
 from rotcal_ros.nodes.plans import calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.roll_call import LOADING
@@ -35,6 +36,8 @@ from rotcal_ros.observations import (
 
 CONTINUOUS = (names.TRACER_LENGTH, names.JOINT_STATES)
 """Streams that never pause: their silence means that the instrument is lost."""
+MOST_JOINTS = 32
+"""So many joints are told to others at most."""
 
 
 class CaptureNode(CellNode):
@@ -51,12 +54,12 @@ class CaptureNode(CellNode):
         self._heard_s: dict[str, float] = {}
         self._latest: dict[str, Record] = {}
         self._verdicts: Counter[str] = Counter()
+        self._joints: dict[str, tuple[float, float]] = {}
+        self._news = CaptureNews(self.health, self.get_logger())
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
         self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
         self._listen(TracerLength, names.TRACER_LENGTH, messages.tracer_sample)
-        self._listen(
-            JointState, names.JOINT_STATES, lambda m: messages.table_sample(m, self._joint)
-        )
+        self._listen(JointState, names.JOINT_STATES, self._table_sample)
         self._listen(ProbePoint, names.PROBE_POINT, messages.probe_sample)
         self._listen(Temperature, names.TEMPERATURE, messages.temperature_sample)
         self._listen(FluidPressure, names.AIR_PRESSURE, messages.pressure_sample)
@@ -77,16 +80,28 @@ class CaptureNode(CellNode):
 
         listen_to_instrument(self, kind, topic, self.health.guarded(handle))
 
+    def _table_sample(self, message: JointState) -> Record | None:
+        """Return the feedback of the table; note what the topic says of its joints."""
+        if len(self._joints) < MOST_JOINTS:
+            velocities = (*message.velocity, *(math.nan for _ in message.position))
+            for name, angle, velocity in zip(
+                message.name, message.position, velocities, strict=False
+            ):
+                self._joints[name] = angle, velocity
+        return messages.table_sample(message, self._joint)
+
     def _feed(self, record: Record) -> None:
         if self._capture is None:
             return
         for observation in self._capture.feed(record):
             self._verdicts["accepted" if observation.accepted else "rejected"] += 1
+            self._news.observed(observation)
             self._observations.publish(conversions.observation_message(observation))
 
     def _take_plan(self, message: CalibrationPlan) -> None:
         self._capture, self._run = None, ""
         self._orders.clear()
+        self._news.begin()
         self._state = LOADING
         self.health.beat()
         try:
@@ -107,12 +122,14 @@ class CaptureNode(CellNode):
         values: dict[str, Any] = {"run": self._run, **self._verdicts}
         values |= {f"valid.{topic}": self._valid[topic] for topic in self._heard_s}
         values |= {f"{NOW}{topic}": reading(record) for topic, record in self._latest.items()}
+        values |= {f"{JOINT}{n}": f"{a:.9f} {v:.9f}" for n, (a, v) in self._joints.items()}
         for topic in set(CONTINUOUS) & set(self._needed) & self._heard_s.keys():
             values[f"silent_s.{topic}"] = f"{now - self._heard_s[topic]:.2f}"
         if self._capture is not None:
             for stream, counts in self._capture.counts.items():
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}
-            values["waiting_for"] = self._capture.waiting_for
+            values[WAITING_FOR] = self._capture.waiting_for
+            self._news.complain(self._capture.complaint())
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)
         return self._state, values

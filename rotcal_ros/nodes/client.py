@@ -22,8 +22,10 @@ from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 
+from rotcal_ros.capture.rejections import kind_of
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
 from rotcal_ros.nodes.clock_news import jumps_in_words
+from rotcal_ros.nodes.concerns import concerns_told
 from rotcal_ros.nodes.outcome import Feedback, Outcome
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
@@ -42,7 +44,7 @@ class Client:
         self._spoken_s = time.monotonic()
         self._listening = True
         self._shown: Feedback | None = None
-        self._jumped: set[str] = set()
+        self._warned: set[str] = set()
 
     def run(self) -> None:
         """Wait for the planner, send the goal and follow it."""
@@ -96,12 +98,14 @@ class Client:
             _say("alive", planner=self._calibrator.planner_state)
 
     def _warn(self) -> None:
-        """Tell of a jump of the clock once, though all nodes of one machine do."""
-        for text in jumps_in_words(self._calibrator.health):
-            how_far, _, _ = text.partition(" at ")
-            if how_far not in self._jumped:
+        """Tell of a jump of the clock once, though all nodes do, and of each kind of concern."""
+        health = self._calibrator.health
+        jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
+        concerns = ((kind_of(text), text) for text in concerns_told(health))
+        for kind, text in (*jumps, *concerns):
+            if kind not in self._warned:
                 _say("warning", text=text)
-            self._jumped.add(how_far)
+            self._warned.add(kind)
 
     def _show(self, feedback: Feedback | None) -> None:
         if feedback is None or feedback is self._shown:

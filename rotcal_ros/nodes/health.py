@@ -41,7 +41,7 @@ class Health:
     """The health of one node.
 
     ``lost`` is name -> silence (s) of the others that fell silent, as of the last beat,
-    ``concerns`` what a person should look at.
+    ``concerns`` what a person should look at, ``alarms`` what a person must look at.
     ``report`` returns (state in words, values) at any time for every beat; without it the node
     only listens, and nobody will miss it. ``on_lost`` is called once for every other node that
     falls silent, with its name.
@@ -63,6 +63,7 @@ class Health:
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
         self.concerns: dict[str, str] = {}
+        self.alarms: dict[str, str] = {}
         self.clock = ClockNews(node.get_logger())
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
@@ -153,7 +154,7 @@ class Health:
         self._diagnostics.publish(array)
 
     def _status(self, state: str, values: Values) -> DiagnosticStatus:
-        trouble: dict[str, object] = dict(self.errors)
+        trouble: dict[str, object] = {**self.errors, **self.alarms}
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
         concerns = self.clock.concerns | self.concerns

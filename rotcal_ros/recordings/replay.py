@@ -38,7 +38,7 @@ from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
 from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
-from rotcal_ros.recordings.nothing_captured import why_nothing
+from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 from rotcal_ros.results import Result
@@ -94,7 +94,14 @@ class Recording:
         It has the warnings about the bag too, and is suspect at best where a file is missing.
         """
         self._require_observations()
-        return self.with_warnings(self.calibration.solve(self.observations, self.announced))
+        try:
+            result = self.calibration.solve(self.observations, self.announced)
+        except DataError as error:
+            why = doubtful(self.observations, self.counts)
+            if not why:
+                raise
+            raise DataError("; ".join([str(error), *why]), error.log) from error
+        return self.with_warnings(result)
 
     def with_warnings(self, result: Result) -> Result:
         """Return a ``result`` of these observations with what its reader must know of the bag."""
@@ -179,6 +186,7 @@ class Recording:
         texts += losses_in_words(session_losses(self.verdicts))
         texts += self.unreadable.values()
         texts += self.clock
+        texts += doubtful(self.observations, self.counts)
         texts += sentences(self.dropouts)
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:

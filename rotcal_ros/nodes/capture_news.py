@@ -1,0 +1,38 @@
+"""What the capture tells people of its attempts: on the console, in its beat and diagnostics."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from rotcal_ros.capture.rejections import Rejections, kind_of
+from rotcal_ros.nodes.concerns import COMPLAINT, REJECTED, show
+from rotcal_ros.observations import Observation
+
+
+class CaptureNews:
+    """Tells of rejections and of what keeps an order from being measured, each kind once."""
+
+    def __init__(self, health: Any, logger: Any) -> None:
+        self._health, self._logger = health, logger
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what belongs to an earlier plan."""
+        self._rejections, self._complained = Rejections(), ""
+        for key in (REJECTED, COMPLAINT):
+            show(self._health, key, "")
+
+    def observed(self, observation: Observation) -> None:
+        """Take an observation: three rejected running are an error, fewer a warning."""
+        if line := self._rejections.note(observation, time.monotonic()):
+            self._logger.warning(line)
+        alarm, text = self._rejections.alarming, self._rejections.in_words()
+        show(self._health, REJECTED, text, alarm=alarm)
+
+    def complain(self, text: str) -> None:
+        """Take what is wrong just now; empty: nothing."""
+        if text and kind_of(text) != self._complained:
+            self._logger.warning(text)
+            self._complained = kind_of(text)
+        show(self._health, COMPLAINT, text)
