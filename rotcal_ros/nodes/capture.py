@@ -20,8 +20,9 @@ from rotcal_ros.nodes.capture_news import CaptureNews
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, listen_to_instrument
 from rotcal_ros.nodes.latest import JOINT, NOW, WAITING_FOR, reading
-from rotcal_ros.nodes.plans import calibration_of, run_name
-from rotcal_ros.nodes.qos import EVENT, LATCHED
+from rotcal_ros.nodes.planners_plans import PlannersPlans
+from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
+from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import (
@@ -57,7 +58,7 @@ class CaptureNode(CellNode):
         self._joints: dict[str, tuple[float, float]] = {}
         self._news = CaptureNews(self.health, self.get_logger())
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
-        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
+        PlannersPlans(self, self._take_plan)
         self._listen(TracerLength, names.TRACER_LENGTH, messages.tracer_sample)
         self._listen(JointState, names.JOINT_STATES, self._table_sample)
         self._listen(ProbePoint, names.PROBE_POINT, messages.probe_sample)
@@ -119,7 +120,7 @@ class CaptureNode(CellNode):
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         now = time.monotonic()
-        values: dict[str, Any] = {"run": self._run, **self._verdicts}
+        values: dict[str, Any] = {RUN: self._run, **self._verdicts}
         values |= {f"valid.{topic}": self._valid[topic] for topic in self._heard_s}
         values |= {f"{NOW}{topic}": reading(record) for topic, record in self._latest.items()}
         values |= {f"{JOINT}{n}": f"{a:.9f} {v:.9f}" for n, (a, v) in self._joints.items()}

@@ -24,6 +24,7 @@ from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import show
 from rotcal_ros.nodes.matching import deaf_listeners
+from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.observations import Command, Observation
 
@@ -157,7 +158,7 @@ class CellLinks:
         return [
             f"node {name} has not taken the plan ({self.health.state(name) or 'silent'})"
             for name in ("capture", "solver")
-            if self.health.values(name).get("run") != run
+            if self.health.values(name).get(RUN) != run
         ]
 
     def _observed(self, message: ObservationMsg) -> None:

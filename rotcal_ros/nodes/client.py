@@ -26,11 +26,14 @@ from rotcal_ros.capture.rejections import kind_of
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
 from rotcal_ros.nodes.clock_news import jumps_in_words
 from rotcal_ros.nodes.concerns import concerns_told
+from rotcal_ros.nodes.identity import other_session
 from rotcal_ros.nodes.outcome import Feedback, Outcome
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
+LISTEN_S: Final = 0.6
+"""So long a client listens at least for nodes of another session: three beats."""
 RESUME: Final = b"resume"
 STDIN: Final = 0
 
@@ -68,8 +71,11 @@ class Client:
     def _planner_came(self, timeout_s: float) -> bool:
         """Wait for the planner; False when the client has to end, CalibratorError if in vain."""
         deadline = time.monotonic() + timeout_s
-        while not self._calibrator.is_ready(PERIOD_S):
+        listen_until = time.monotonic() + LISTEN_S
+        while not self._calibrator.is_ready(PERIOD_S) or time.monotonic() < listen_until:
             self._live()
+            if text := other_session(self._calibrator.health, os.environ):
+                raise GoalRefusedError(text)
             if self._end:
                 return False
             if time.monotonic() > deadline:

@@ -13,11 +13,9 @@ PREFLIGHT: Final = "preflight"
 """What looks wrong about the instruments before anything moves."""
 OFFSET: Final = "clock_offset"
 """Streams whose clocks differ, and by how much."""
-SECOND: Final = "second_node"
-"""A node of the same name that was started meanwhile."""
 FOREIGN_PLAN: Final = "foreign_plan"
 """A plan that is not of the planner."""
-TOLD: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, SECOND, FOREIGN_PLAN)
+TOLD: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN)
 """Values in a beat that the person who runs a calibration is told."""
 
 

@@ -19,7 +19,7 @@ from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.concerns import PREFLIGHT
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
-from rotcal_ros.nodes.plans import run_name
+from rotcal_ros.nodes.plans import RUN, run_name
 from rotcal_ros.nodes.preflight import doubts, expected_air, faults, without_air
 from rotcal_ros.session_folder import SessionFolder
 
@@ -40,6 +40,7 @@ class GoalRun:
         self._folder: SessionFolder | None = None
         self._bag_is_open = False
         self.verdict_line = ""
+        self._run = ""
         self.watch = watch
         self.measuring = Measuring(calibration, continuation, watch)
 
@@ -67,6 +68,12 @@ class GoalRun:
         outcome.n_rejected = progress.rejected
         outcome.skipped_steps = progress.skipped
         return outcome
+
+    def values(self) -> dict[str, object]:
+        """Return what the planner tells of the goal in its beat."""
+        progress = self.watch.progress
+        own = {"accepted": len(progress.accepted), "rejected": progress.rejected}
+        return {RUN: self._run, **own} if self._run else own
 
     async def _preflight(self) -> None:
         """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
@@ -135,9 +142,11 @@ class GoalRun:
             start_index=self._continuation.start_index,
             run=self._continuation.run,
         )
+        run = self._run = run_name(message)
+        links.health.beat()  # it vouches for the plan
         links.announce(message)
-        run = run_name(message)
         await self.watch.have(lambda: links.missing_plan(run), Codes.NODE_LOST)
+        self.watch.run = run
 
     async def _solve(self) -> FinishCalibration.Response:
         """Return the solver's answer, which holds a result."""

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 
+from rotcal_ros.bags import names
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.clock_news import jumps_told
@@ -20,6 +21,8 @@ from rotcal_ros.planning.policy.names import AS_LISTED
 SILENCE: Final = "silent_s."
 """How the values of the capture begin that tell the silence of a stream in seconds."""
 
+ASTRAY_TIMEOUT_S: Final = 5.0
+"""So long capture and solver may be without the plan of the goal."""
 Codes = Calibrate.Result
 """The message that holds the error codes of the action."""
 
@@ -69,7 +72,8 @@ class GoalWatch:
 
     ``show`` is called with every progress, ``canceled`` tells of a cancel request. ``stopping``
     says why the planner gives the goal up. ``nodes`` must beat; ``recording`` says that a bag is
-    open, from then on the recorder and the streams are watched too.
+    open, from then on the recorder and the streams are watched too; ``run`` is what capture and
+    solver have to work for, empty before they do.
     """
 
     settings: PlannerSettings
@@ -80,6 +84,8 @@ class GoalWatch:
     stopping: str = ""
     nodes: set[str] = field(default_factory=set)
     recording: bool = False
+    run: str = ""
+    _astray_s: float | None = None
     _stream_beat: object = None
     _bag_open: bool = False
 
@@ -137,6 +143,23 @@ class GoalWatch:
                     f"the recorder has closed the bag {place}: node planner stood still too long",
                 )
             self._check_streams(place)
+            self._check_plan(place)
+
+    def _check_plan(self, place: str) -> None:
+        """Raise when capture or solver have been at work for another plan for long."""
+        astray = self.links.missing_plan(self.run) if self.run else []
+        if not astray:
+            self._astray_s = None
+            return
+        self._astray_s = self._astray_s or time.monotonic()
+        if time.monotonic() - self._astray_s > ASTRAY_TIMEOUT_S:
+            topic = self.links.resolve(names.PLAN)
+            publishers = ", ".join(self.links.publishers(topic)) or "nobody"
+            raise GoalError(
+                Codes.NODE_LOST,
+                f"{'; '.join(astray)} any more {place}: does somebody else publish on {topic} "
+                f"(its publishers: {publishers}), or was it started anew?",
+            )
 
     def _check_streams(self, place: str) -> None:
         """Raise when the capture tells of an instrument that fell silent after it had spoken."""

@@ -187,7 +187,7 @@ class Planner(CellNode, LifecycleNode):
         progress = self._run.watch.progress
         return (
             f"{CALIBRATING}: step {progress.step} of {progress.total}, {progress.activity}",
-            {"accepted": len(progress.accepted), "rejected": progress.rejected},
+            self._run.values(),
         )
 
 
