@@ -14,7 +14,8 @@ from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Tempera
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
-from rotcal_ros.capture import Capture, Record
+from rotcal_ros.capture import Capture, CaptureSettings, Record
+from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.capture_news import CaptureNews
 from rotcal_ros.nodes.cell_node import CellNode
@@ -37,6 +38,8 @@ from rotcal_ros.observations import (
 
 CONTINUOUS = (names.TRACER_LENGTH, names.JOINT_STATES)
 """Streams that never pause: their silence means that the instrument is lost."""
+TIMED = (*CONTINUOUS, names.PROBE_POINT)
+"""Streams by whose stamps an observation is made: their clocks must agree."""
 MOST_JOINTS = 32
 """So many joints are told to others at most."""
 
@@ -56,6 +59,7 @@ class CaptureNode(CellNode):
         self._latest: dict[str, Record] = {}
         self._verdicts: Counter[str] = Counter()
         self._joints: dict[str, tuple[float, float]] = {}
+        self._offsets = StampOffsets(CaptureSettings().stamp_offset_s)
         self._news = CaptureNews(self.health, self.get_logger())
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
         PlannersPlans(self, self._take_plan)
@@ -72,6 +76,10 @@ class CaptureNode(CellNode):
 
         def handle(batch: Batch) -> None:
             self._heard_s[topic] = time.monotonic()
+            message, info = batch[-1]
+            received_ns = info["received_timestamp"] or time.time_ns()
+            if topic in TIMED:
+                self._offsets.note(topic, messages.stamp_ns(message.header.stamp), received_ns)
             for message, _ in batch:
                 record = convert(message)
                 if record is not None:
@@ -94,7 +102,7 @@ class CaptureNode(CellNode):
     def _feed(self, record: Record) -> None:
         if self._capture is None:
             return
-        for observation in self._capture.feed(record):
+        for observation in map(self._offsets.judged, self._capture.feed(record)):
             self._verdicts["accepted" if observation.accepted else "rejected"] += 1
             self._news.observed(observation)
             self._observations.publish(conversions.observation_message(observation))
@@ -109,6 +117,7 @@ class CaptureNode(CellNode):
             calibration = calibration_of(message)
             self._joint = calibration.configuration.cell.joint
             self._capture = calibration.capture(message.run)
+            self._offsets.limit_s = calibration.configuration.capture.stamp_offset_s
         except Exception as error:
             self._state = f"plan refused: {error}"
             raise
@@ -126,6 +135,7 @@ class CaptureNode(CellNode):
         values |= {f"{JOINT}{n}": f"{a:.9f} {v:.9f}" for n, (a, v) in self._joints.items()}
         for topic in set(CONTINUOUS) & set(self._needed) & self._heard_s.keys():
             values[f"silent_s.{topic}"] = f"{now - self._heard_s[topic]:.2f}"
+        self._news.offset(self._offsets.in_words())
         if self._capture is not None:
             for stream, counts in self._capture.counts.items():
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}

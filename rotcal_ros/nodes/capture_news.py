@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 from rotcal_ros.capture.rejections import Rejections, kind_of
-from rotcal_ros.nodes.concerns import COMPLAINT, REJECTED, show
+from rotcal_ros.nodes.concerns import COMPLAINT, OFFSET, REJECTED, show
 from rotcal_ros.observations import Observation
 
 
@@ -19,7 +19,7 @@ class CaptureNews:
 
     def begin(self) -> None:
         """Forget what belongs to an earlier plan."""
-        self._rejections, self._complained = Rejections(), ""
+        self._rejections, self._told = Rejections(), dict[str, str]()
         for key in (REJECTED, COMPLAINT):
             show(self._health, key, "")
 
@@ -31,8 +31,16 @@ class CaptureNews:
         show(self._health, REJECTED, text, alarm=alarm)
 
     def complain(self, text: str) -> None:
-        """Take what is wrong just now; empty: nothing."""
-        if text and kind_of(text) != self._complained:
+        """Take what is wrong with the present order; empty: nothing."""
+        self._tell(COMPLAINT, text)
+
+    def offset(self, text: str) -> None:
+        """Take which clocks differ; empty: none does."""
+        self._tell(OFFSET, text)
+
+    def _tell(self, key: str, text: str) -> None:
+        """Show a text as long as it lasts; each kind is one line."""
+        if text and kind_of(text) != self._told.get(key):
             self._logger.warning(text)
-            self._complained = kind_of(text)
-        show(self._health, COMPLAINT, text)
+            self._told[key] = kind_of(text)
+        show(self._health, key, text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from typing import Final
 
@@ -19,6 +20,7 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
+from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
@@ -122,12 +124,14 @@ class CellLinks:
     def missing_topics(self, topics: Sequence[str]) -> list[str]:
         """Return what is missing around the instrument topics and the orders, in words."""
         found: list[str] = []
+        here: list[str] = []
         heard = self.health.values("capture")
         for topic in topics:
             name = self.resolve(topic)
             publishers = self.publishers(topic)
             if not publishers:
                 found.append(f"nobody publishes {name}: start its instrument")
+                here = [discovery_in_words(os.environ)]
             elif len(publishers) > 1:
                 found.append(
                     f"{len(publishers)} publishers on {name} (nodes {', '.join(publishers)}): "
@@ -141,7 +145,11 @@ class CellLinks:
         found += [text for topic in ORDERS for text in self._deaf_machine(topic)]
         recorded = (*topics, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE)
         unheard = (topic for topic in recorded if "recorder" not in self.listeners(topic))
-        return found + [f"the recorder does not listen to {self.resolve(t)} yet" for t in unheard]
+        return (
+            found
+            + here
+            + [f"the recorder does not listen to {self.resolve(t)} yet" for t in unheard]
+        )
 
     def _deaf_machine(self, topic: str) -> list[str]:
         """Return why no machine hears an order, in words; a deaf one beside another is let be."""

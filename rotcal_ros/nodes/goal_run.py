@@ -58,7 +58,9 @@ class GoalRun:
             await self._close_bag()
             outcome.result_file = _keep(answer.result_json, folder.result)
         except GoalError as error:
-            outcome.error_code, outcome.error_msg = error.code, str(error)
+            begun = self._folder is not None or error.code == Codes.CANCELED
+            onward = self.watch.how_to_go_on(error.code) if begun else ""
+            outcome.error_code, outcome.error_msg = error.code, f"{error}{onward}"
             await self._close_bag_after_failure()
         if self._folder is not None:
             outcome.bag_folder = str(self._folder.bag)

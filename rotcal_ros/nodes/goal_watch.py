@@ -37,7 +37,10 @@ class GoalError(Exception):
 
 @dataclass
 class Progress:
-    """How far a goal has come; ``uncertainty`` and ``goal`` are those of the policy, rad."""
+    """How far a goal has come; ``uncertainty`` and ``goal`` are those of the policy, rad.
+
+    ``started_s`` and ``paused_s`` are monotonic; None: no pause is on.
+    """
 
     total: int
     step: int = 0
@@ -50,12 +53,27 @@ class Progress:
     uncertainty: float = math.nan
     goal: float = math.nan
     started_s: float = field(default_factory=time.monotonic)
+    paused_s: float | None = None
 
     def time_left(self) -> float:
-        """Return the estimated seconds to the last step; NaN before the first is done."""
+        """Return the estimated seconds to the last step; NaN before the first is done.
+
+        They stand still during a pause.
+        """
         if not self.done:
             return math.nan
-        return (time.monotonic() - self.started_s) / self.done * self.left
+        now_s = time.monotonic() if self.paused_s is None else self.paused_s
+        return (now_s - self.started_s) / self.done * self.left
+
+    def pause(self) -> None:
+        """Begin a pause."""
+        self.paused_s = time.monotonic()
+
+    def go_on(self) -> None:
+        """End a pause: it does not count."""
+        if self.paused_s is not None:
+            self.started_s += time.monotonic() - self.paused_s
+        self.paused_s = None
 
     def note(self, index: int, *, accepted: bool) -> None:
         """Note how step ``index`` ended; what was noted of it before no longer counts."""
@@ -94,6 +112,16 @@ class GoalWatch:
         self.progress.activity = activity
         self.show(self.progress)
 
+    def how_to_go_on(self, code: int) -> str:
+        """Return how to go on after an error of the goal, for those that end it half-way."""
+        if code not in (Codes.NODE_LOST, Codes.CANCELED):
+            return ""
+        if self.settings.policy != AS_LISTED:
+            return "; continue with rotcal run --resume"
+        new_zero = "rotcal run --resume where an instrument was started anew, else with "
+        how = new_zero if code == Codes.NODE_LOST else ""
+        return f"; continue with {how}start_index {self.progress.step}"
+
     async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until ``condition``; False after the time-out, GoalError when all is in vain."""
         return await until(condition, timeout_s, self._check)
@@ -124,9 +152,7 @@ class GoalWatch:
         if self.stopping:
             raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
         if self.canceled():
-            listed = self.settings.policy == AS_LISTED
-            how = f"start_index {self.progress.step}" if listed else "rotcal run --resume"
-            raise GoalError(Codes.CANCELED, f"canceled {place}; continue with {how}")
+            raise GoalError(Codes.CANCELED, f"canceled {place}")
         if missing := self.links.health.missing(self.nodes):
             lost = [name for name in missing if name in self.links.health.lost]
             how = "fell silent" if lost else "was ended"

@@ -172,7 +172,9 @@ class Health:
     def _diagnose(self) -> None:
         if self._report is None:
             return
-        array = DiagnosticArray(status=[self._status(*self._report())])
+        status = self._status(*self._report())
+        status.name = self._node.get_fully_qualified_name()  # cells share this topic
+        array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 

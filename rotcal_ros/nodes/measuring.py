@@ -98,8 +98,8 @@ class Measuring:
 
     async def _ask(self, pause: Pause, text: str) -> None:
         """Show the instruction and wait for the end of the work, as long as it takes."""
-        asked_s = time.monotonic()
         progress = self._watch.progress
+        progress.pause()
         progress.step = pause.first
         self.waiting = True
         try:
@@ -108,7 +108,7 @@ class Measuring:
                 await self._watch.wait(lambda: not self.waiting, REPEAT_PERIOD_S)
         finally:
             self.waiting = False
-        progress.started_s += time.monotonic() - asked_s
+            progress.go_on()
 
     def _complaints(self) -> tuple[str, bool]:
         """Return what the observations so far say against the work; hopeless or not."""

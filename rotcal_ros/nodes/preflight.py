@@ -13,6 +13,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.escapes import printable
+from rotcal_ros.nodes.concerns import OFFSET
 from rotcal_ros.nodes.latest import JOINT, NOW
 
 _RANGES: Final = {
@@ -34,7 +35,9 @@ Values = Mapping[str, str]
 
 def faults(values: Values, configuration: Configuration) -> list[str]:
     """Return why no observation can come of these instruments, in words."""
-    return [*_of_the_joint(values, configuration.cell.joint), *_of_lengths(values, configuration)]
+    clocks = [values[OFFSET]] if OFFSET in values else []
+    joint = configuration.cell.joint
+    return [*_of_the_joint(values, joint), *_of_lengths(values, configuration), *clocks]
 
 
 def doubts(values: Values, configuration: Configuration) -> list[str]:

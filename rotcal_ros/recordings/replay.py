@@ -97,10 +97,8 @@ class Recording:
         try:
             result = self.calibration.solve(self.observations, self.announced)
         except DataError as error:
-            why = doubtful(self.observations, self.counts)
-            if not why:
-                raise
-            raise DataError("; ".join([str(error), *why]), error.log) from error
+            why = [str(error), *doubtful(self.observations, self.counts)]
+            raise DataError("; ".join(why), error.log) from error
         return self.with_warnings(result)
 
     def with_warnings(self, result: Result) -> Result:
@@ -224,6 +222,7 @@ def read_recording(
         StepFinder(calibration.plan, configuration.capture),
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
+        configuration.capture.stamp_offset_s,
     )
     found = _read(files, topics, feeder if source == "streams" else None, progress)
     verdicts = tuple(scan.verdict() for scan in found.scans)
@@ -247,7 +246,7 @@ def read_recording(
         choices=tuple(found.choices),
         announced=frozenset(found.announced),
         unreadable=dict(topics.unreadable),
-        clock=clock_in_words(found.scans, found.log_times),
+        clock=(*clock_in_words(found.scans, found.log_times), *filter(None, [feeder.offset])),
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts),
     )

@@ -50,6 +50,10 @@ def test_lengths_in_millimetres_are_a_fault():
     assert "says 350 m, plausible are 20 m" in fault
 
 
+def test_clocks_that_differ_are_a_fault():
+    assert faults({**GOOD, "clock_offset": "4.0 s behind"}, TRACER) == ["4.0 s behind"]
+
+
 @pytest.mark.parametrize(
     ("value", "words"),
     [
