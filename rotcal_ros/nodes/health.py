@@ -64,7 +64,7 @@ class Health:
         self.lost: dict[str, float] = {}
         self._roll = RollCall(timeout_s)
         self._holders = NameHolders()
-        self.identity = Identity.own(os.environ)
+        self.identity = Identity.own(os.environ, time.monotonic())
         self.refused = ""
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
@@ -140,21 +140,22 @@ class Health:
         for status, _ in batch:
             identity = next((v.value for v in status.values if v.key == IDENTITY), "")
             if status.message == LEAVING:
-                if self._holders.leave(status.name, identity):
+                if self._holders.leave(status.name, identity, now):
                     self._roll.seen.pop(status.name, None)
                     self.others.pop(status.name, None)
             elif status.name == self._node.get_name():
-                self._meet(identity)
+                self._meet(Identity.read(identity, now))
             elif self._holders.is_holder(status.name, identity, now):
                 self._roll.hear(status.name, status.message, now)
                 self.others[status.name] = status
 
-    def _meet(self, identity: str) -> None:
+    def _meet(self, other: Identity | None) -> None:
         """Hear a beat of this node's own name: of two nodes the younger one ends."""
-        if self._report is None or Identity.read(identity) in (None, self.identity):
+        if self._report is None or other is None or other.process == self.identity.process:
             return
         name, place = self._node.get_name(), self._node.get_namespace()
-        self.refused = refusal(name, place, self.identity, identity, os.environ)
+        domain = os.environ.get("ROS_DOMAIN_ID", "")
+        self.refused = refusal(name, place, self.identity, other, domain)
         if not self.refused:
             text = f"a second node {name} was started in {place}: it is refused"
             self._node.get_logger().warning(text, once=True)
@@ -184,7 +185,8 @@ class Health:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
         concerns = self.clock.concerns | self.concerns
         rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
-        further = {**self.clock.values(), **concerns, **trouble, IDENTITY: self.identity}
+        own = self.identity.told(time.monotonic())
+        further = {**self.clock.values(), **concerns, **trouble, IDENTITY: own}
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),

@@ -43,5 +43,5 @@ def node_environment() -> dict[str, str]:
     }
     environment = {name: os.environ.get(name) or value for name, value in environment.items()}
     environment |= middleware(os.environ)
-    session = f"{time.time_ns()}-{os.getpid()}"
+    session = f"{time.monotonic_ns()}-{os.getpid()}"
     return environment | {"ROTCAL_SUPERVISOR": str(os.getpid()), "ROTCAL_SESSION": session}
