@@ -97,8 +97,8 @@ class Recording:
         try:
             result = self.calibration.solve(self.observations, self.announced)
         except DataError as error:
-            why = [str(error), *doubtful(self.observations, self.counts)]
-            raise DataError("; ".join(why), error.log) from error
+            why = "; ".join([str(error), *doubtful(self.observations, self.counts)])
+            raise DataError(why, error.log) from error
         return self.with_warnings(result)
 
     def with_warnings(self, result: Result) -> Result:
@@ -182,10 +182,8 @@ class Recording:
         texts = [*self.session.missing, *self.session.repaired]
         texts += [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
-        texts += self.unreadable.values()
-        texts += self.clock
+        texts += [*self.unreadable.values(), *self.clock, *sentences(self.dropouts)]
         texts += doubtful(self.observations, self.counts)
-        texts += sentences(self.dropouts)
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
