@@ -19,7 +19,7 @@ class CaptureNews:
 
     def begin(self) -> None:
         """Forget what belongs to an earlier plan."""
-        self._rejections, self._told = Rejections(), dict[str, str]()
+        self._rejections, self._kinds = Rejections(), dict[str, str]()
         for key in (REJECTED, COMPLAINT):
             show(self._health, key, "")
 
@@ -40,7 +40,7 @@ class CaptureNews:
 
     def _tell(self, key: str, text: str) -> None:
         """Show a text as long as it lasts; each kind is one line."""
-        if text and kind_of(text) != self._told.get(key):
+        if text and kind_of(text) != self._kinds.get(key):
             self._logger.warning(text)
-            self._told[key] = kind_of(text)
+            self._kinds[key] = kind_of(text)
         show(self._health, key, text)

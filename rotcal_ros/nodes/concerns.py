@@ -15,7 +15,7 @@ OFFSET: Final = "clock_offset"
 """Streams whose clocks differ, and by how much."""
 FOREIGN_PLAN: Final = "foreign_plan"
 """A plan that is not of the planner."""
-TOLD: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN)
+FOR_PEOPLE: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN)
 """Values in a beat that the person who runs a calibration is told."""
 
 
@@ -31,4 +31,4 @@ def concerns_told(health: Any) -> Iterator[str]:
     """Yield what the other nodes tell people just now."""
     for name in health.others:
         values = health.values(name)
-        yield from (f"{name}: {values[key]}" for key in TOLD if key in values)
+        yield from (f"{name}: {values[key]}" for key in FOR_PEOPLE if key in values)

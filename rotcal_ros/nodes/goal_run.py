@@ -74,7 +74,10 @@ class GoalRun:
     def values(self) -> dict[str, object]:
         """Return what the planner tells of the goal in its beat."""
         progress = self.watch.progress
-        own = {"accepted": len(progress.accepted), "rejected": progress.rejected}
+        own: dict[str, object] = {
+            "accepted": len(progress.accepted),
+            "rejected": progress.rejected,
+        }
         return {RUN: self._run, **own} if self._run else own
 
     async def _preflight(self) -> None:

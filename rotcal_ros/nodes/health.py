@@ -185,7 +185,7 @@ class Health:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
         concerns = self.clock.concerns | self.concerns
         rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
-        own = self.identity.told(time.monotonic())
+        own = self.identity.in_a_beat(time.monotonic())
         further = {**self.clock.values(), **concerns, **trouble, IDENTITY: own}
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,

@@ -54,7 +54,7 @@ class Identity:
             return None
         return cls(parts[0], parts[1], now_s - int(parts[2]) * NANOSECOND)
 
-    def told(self, now_s: float) -> str:
+    def in_a_beat(self, now_s: float) -> str:
         """Return the identity as a beat holds it, with the age in ns."""
         return f"{self.session} {self.process} {round(max(0.0, now_s - self.born_s) / NANOSECOND)}"
 
@@ -89,8 +89,8 @@ class NameHolders:
         return True
 
 
-def _same(one: Identity | None, other: Identity | None) -> bool:
-    return (one and one.process) == (other and other.process)
+def _same(first: Identity | None, second: Identity | None) -> bool:
+    return (first and first.process) == (second and second.process)
 
 
 def refusal(name: str, place: str, own: Identity, other: Identity, domain: str) -> str:

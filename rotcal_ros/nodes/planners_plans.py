@@ -40,8 +40,8 @@ class PlannersPlans:
         if self._held is None:
             return
         message, since_s = self._held
-        told = self._node.health.values("planner").get(RUN, "")
-        if not told or "planner" in self._node.health.lost or told == run_name(message):
+        goals_run = self._node.health.values("planner").get(RUN, "")
+        if not goals_run or "planner" in self._node.health.lost or goals_run == run_name(message):
             self._held = None
             show(self._node.health, FOREIGN_PLAN, "")
             self._take(message)

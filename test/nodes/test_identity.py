@@ -11,11 +11,11 @@ SECOND = Identity("two", "b", -50.0)
 def held(*beats):
     """Return which of the beats (identity or None, s) are those of the node."""
     holders = NameHolders()
-    return [holders.is_holder("capture", who.told(s) if who else "", s) for who, s in beats]
+    return [holders.is_holder("capture", who.in_a_beat(s) if who else "", s) for who, s in beats]
 
 
 def test_an_identity_goes_through_a_beat_by_its_age():
-    heard = Identity.read(FIRST.told(7.0), 1007.0)  # another machine's monotonic clock
+    heard = Identity.read(FIRST.in_a_beat(7.0), 1007.0)  # another machine's monotonic clock
     assert heard == Identity("one", "a", pytest.approx(900.0))
     for text in ("", "1 2", "one a x", "one a -5", "one a " + "9" * 30):
         assert Identity.read(text, 0.0) is None
@@ -52,12 +52,12 @@ def test_nodes_without_an_identity_are_known_by_their_name_alone():
 
 def test_only_the_farewell_of_the_holder_counts():
     holders = NameHolders()
-    holders.is_holder("capture", FIRST.told(0.0), 0.0)
-    assert not holders.leave("capture", SECOND.told(0.1), 0.1)
+    holders.is_holder("capture", FIRST.in_a_beat(0.0), 0.0)
+    assert not holders.leave("capture", SECOND.in_a_beat(0.1), 0.1)
     assert not holders.leave("capture", "", 0.1)
-    assert holders.leave("capture", FIRST.told(0.1), 0.1)
-    assert holders.is_holder("capture", SECOND.told(0.2), 0.2)
-    assert holders.leave("never heard", SECOND.told(0.3), 0.3)
+    assert holders.leave("capture", FIRST.in_a_beat(0.1), 0.1)
+    assert holders.is_holder("capture", SECOND.in_a_beat(0.2), 0.2)
+    assert holders.leave("never heard", SECOND.in_a_beat(0.3), 0.3)
 
 
 def test_the_younger_of_two_ends_with_a_sentence():
@@ -75,7 +75,7 @@ class Heard:
         self._identity = identity
 
     def values(self, name):
-        return {"identity": self._identity.told(0.0)} if name == "planner" else {}
+        return {"identity": self._identity.in_a_beat(0.0)} if name == "planner" else {}
 
     def state(self, _name):
         return "calibrating: step 3 of 60"

@@ -2,15 +2,13 @@
 
 import pytest
 
-pytest.importorskip("rotcal_msgs")
-
-from rotcal_ros.nodes import goal_watch
-from rotcal_ros.nodes.goal_watch import Progress
+from rotcal_ros.nodes import progress as module
+from rotcal_ros.nodes.progress import Progress
 
 
 def test_a_pause_neither_lengthens_nor_shortens_it(monkeypatch):
     now_s = [100.0]
-    monkeypatch.setattr(goal_watch.time, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(module.time, "monotonic", lambda: now_s[0])
     progress = Progress(total=10, done=2, left=8, started_s=100.0)
     left = []
     for event, at_s in (
