@@ -10,6 +10,7 @@ RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST: Final = "LOCALHOST"
 ROS_DEFAULT_RANGE: Final = "SUBNET"
 _PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
+_LOOPBACK: Final = "fastdds_loopback.xml"
 _TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
 _OWN: Final = (_PROFILES, "ROS_STATIC_PEERS")
 _FAST_DDS: Final = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
@@ -31,10 +32,21 @@ def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -
         return {RANGE: wanted}
     folder = files("rotcal_ros") / "nodes"
     if wanted == LOCALHOST:
-        return {RANGE: "SYSTEM_DEFAULT", _PROFILES: str(folder / "fastdds_loopback.xml")}
+        return {RANGE: "SYSTEM_DEFAULT", _PROFILES: str(folder / _LOOPBACK)}
     transports = environment.get(_TRANSPORTS) or "UDPv4"
     return {
         RANGE: wanted,
         _TRANSPORTS: transports,
         _PROFILES: str(folder / "fastdds_network.xml"),
     }
+
+
+def discovery_in_words(environment: Mapping[str, str]) -> str:
+    """Return where a process looks for others, and what those on other machines need."""
+    confined = environment.get(_PROFILES, "").endswith(_LOOPBACK)
+    reach = LOCALHOST if confined else environment.get(RANGE) or ROS_DEFAULT_RANGE
+    domain = environment.get("ROS_DOMAIN_ID") or "0"
+    return (
+        f"looked for with ROS_DOMAIN_ID={domain} and {RANGE}={reach}: others need the same domain"
+        + (f", and those on other machines {RANGE}=SUBNET here" if reach == LOCALHOST else "")
+    )

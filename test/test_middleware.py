@@ -2,7 +2,7 @@
 
 import pytest
 
-from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
+from rotcal_ros.middleware import ROS_DEFAULT_RANGE, discovery_in_words, middleware
 
 
 def test_one_machine_is_the_loopback_interface_without_shared_memory():
@@ -32,3 +32,13 @@ def test_what_the_user_has_set_stays(own):
     assert middleware(own) == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     own["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
     assert middleware(own) == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+
+
+def test_where_others_are_looked_for_is_told_as_the_user_would_set_it():
+    loopback = {"ROS_DOMAIN_ID": "7", **middleware({})}
+    text = discovery_in_words(loopback)
+    assert "ROS_DOMAIN_ID=7 and ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST" in text
+    assert "other machines ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" in text
+    text = discovery_in_words(middleware({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}))
+    assert "ROS_DOMAIN_ID=0 and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" in text
+    assert "other machines" not in text

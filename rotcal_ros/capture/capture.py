@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 from rotcal_ros.arrays import Stamps
 from rotcal_ros.capture.air import QUANTITIES, AirSample, AirStreams
+from rotcal_ros.capture.answers import Answers
 from rotcal_ros.capture.attempt import Attempt, Streams, Wait, nanoseconds, seconds
 from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
+from rotcal_ros.capture.table import why_not_at_rest
 from rotcal_ros.capture.window import TracerStream
 from rotcal_ros.observations import (
     Command,
@@ -35,6 +37,8 @@ Observations = tuple[Observation, ...]
 _MAX_PENDING = 64
 _SETTLED_NS: Final = 1_000_000_000
 """What is stamped so soon behind a clock's setting back is not used: streams may follow late."""
+_PATIENCE_NS: Final = 3_000_000_000
+"""A table that is not at rest so long after the probe is in position is worth a word."""
 _WORDS: Final = {"tracer": "tracer readings", "table": "table feedbacks"}
 """What the samples of a stream are called; those of the air after their stream."""
 
@@ -78,6 +82,7 @@ class Capture:
         )
         self._tolerance_ns = tolerance
         self._commands, self._probe = StreamCounts(), StreamCounts()
+        self._answers = Answers()
         self._probe_stamp: int | None = None
         self._set_backs = 0
         self._next_attempt = [0] * len(plan.steps)
@@ -130,15 +135,32 @@ class Capture:
 
     @property
     def waiting_for(self) -> str:
-        """What the oldest undecided attempt waits for, in words; empty: none is undecided."""
+        """What the oldest undecided attempt waits for, in words; empty: nothing is waited for."""
         if not self._pending or self._waiting is None:
-            return ""
+            return self._answers.waited_for()
         attempt, wait = self._pending[0], self._waiting
         return (
             f"step {attempt.step.index}, attempt {attempt.number}: waiting for "
             f"{self._name(wait.stream)}, now {seconds(self._lag_ns(attempt, wait)):.3g} s behind "
             "the other streams"
         )
+
+    def complaint(self) -> str:
+        """Return what keeps the latest order from being measured, for people; empty: nothing.
+
+        That is said long before the attempt is given up.
+        """
+        if not self._pending:
+            return self._answers.complaint()
+        attempt, table = self._pending[-1], self._streams.table
+        reached_ns = self._reached(table, attempt)
+        if reached_ns - attempt.begin_ns < _PATIENCE_NS or attempt.search_ns <= reached_ns:
+            return ""
+        step = attempt.step
+        found = why_not_at_rest(
+            table, attempt.begin_ns, reached_ns, step.table_angle, self._settings
+        )
+        return f"step {step.index}, attempt {attempt.number}: {found}"
 
     def remarks(self) -> tuple[str, ...]:
         """Return and clear what was wrong with records that belong to no observation."""
@@ -163,7 +185,10 @@ class Capture:
         if not 0 <= command.step < len(self._plan.steps):
             self._commands.unknown_step += 1
             self._remarks.append(f"a command for {self._not_in_plan(command.step)}")
-        elif command != (planned := self._plan.steps[command.step].command(command.attempt)):
+            return ()
+        self._answers.order(command)
+        self._commands.unanswered = self._answers.unanswered
+        if command != (planned := self._plan.steps[command.step].command(command.attempt)):
             self._commands.off_plan += 1
             self._remarks.append(
                 f"the command for step {command.step} is not the plan's: found {command}, "
@@ -174,6 +199,7 @@ class Capture:
     def _take_probe(self, sample: ProbeSample) -> Observations:
         """Start an attempt, or add a point to the newest one."""
         self._probe.received += 1
+        self._answers.hear(sample)
         if sample.kind == PointKind.UNKNOWN:  # a position sent unasked: no attempt begins
             return ()
         self._admit()
@@ -297,7 +323,7 @@ class Capture:
             return attempt.rejection(
                 f"{self._name(outcome.stream)} are {seconds(lag_ns):.3g} s behind the other "
                 f"streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or stamped by "
-                "another clock"
+                f"another clock{self._never_came(outcome.stream)}"
             )
         if len(self._pending) > _MAX_PENDING:
             return attempt.rejection(f"undecided while {_MAX_PENDING} later attempts were begun")
@@ -348,6 +374,12 @@ class Capture:
     def _name(self, stream: Stream) -> str:
         name = next(n for n, known in self._streams.by_name().items() if known is stream)
         return _WORDS.get(name, f"{name} readings")
+
+    def _never_came(self, stream: Stream) -> str:
+        if stream.latest is not None or stream.counts.received:
+            return ""
+        of_table = ": does cell.joint name a joint of the feedback?"
+        return f"; none has come yet{of_table if stream is self._streams.table else ''}"
 
     def _not_in_plan(self, step: int) -> str:
         last = len(self._plan.steps) - 1

@@ -94,6 +94,13 @@ class CaptureSettings:
         minimum=0.01,
         maximum=86_400.0,
     )
+    stamp_offset_s: float = setting(
+        1.0,
+        doc="s, how much later a stream may arrive behind its stamps than the table's feedback, "
+        "always alike: more are two clocks, and nothing measured meanwhile is accepted",
+        minimum=0.01,
+        maximum=1e9,
+    )
     temperature_expected: bool = setting(
         True, doc="an observation carries a temperature and waits for it"
     )

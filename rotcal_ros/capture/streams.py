@@ -29,6 +29,7 @@ class StreamCounts:
     ``lost`` counts the samples missing according to the sequence numbers, ``out_of_order``
     sequence numbers going backwards (two publishers?). Samples that are ``duplicates``, stamped
     ``backwards`` or by a ``foreign_clock`` are dropped. ``set_back`` is how often the clock was.
+    Commands are ``unanswered`` when the next one came before any probe sample echoed them.
     """
 
     received: int = 0
@@ -44,6 +45,7 @@ class StreamCounts:
     unknown_step: int = 0
     off_plan: int = 0
     set_back: int = 0
+    unanswered: int = 0
 
 
 class Stream:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import fsum, pi
+from math import fsum, isfinite, isnan, pi, remainder
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +17,9 @@ ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""
 
 _CHUNK = 512  # arrivals are found soon or not at all
+_SAME_DEG: Final = 0.05
+"""A feedback so close to the commanded angle in degrees is one in degrees."""
+_FULL_TURN_DEG: Final = 360.0
 
 
 def offset(angles: Floats, commanded: float) -> Floats:
@@ -91,6 +95,8 @@ def why_not_at_rest(
         if last < len(table.stamps):
             ahead = (int(table.stamps[last]) - begin_ns) * NANOSECOND
             text += f"; the next is stamped {ahead:.3g} s later (another clock?)"
+        elif table.latest is None:
+            text += ", and none before: does cell.joint name a joint of the feedback?"
         return text
     angle, velocity = table.values[last - 1].tolist()
     off = float(offset(np.array([angle]), commanded)[0])
@@ -99,4 +105,25 @@ def why_not_at_rest(
         f" is {off / ARCSEC:.4g} arcsec off the commanded {commanded / DEGREE:.4f} deg"
         f" (allowed {settings.position_tolerance_arcsec:g}) at {velocity / DEGREE:.3g} deg/s"
         f" (allowed {settings.velocity_tolerance_deg_s:g})"
+        f"{_wrongly_told(angle, velocity, commanded)}"
     )
+
+
+def in_degrees(angle: float, commanded: float) -> bool:
+    """Tell whether a feedback ``angle`` is where the table was commanded to (rad), in degrees."""
+    if not isfinite(angle):
+        return False
+    off_deg = remainder(angle - commanded / DEGREE, _FULL_TURN_DEG)
+    return abs(off_deg) <= _SAME_DEG and abs(angle - commanded) > DEGREE
+
+
+def _wrongly_told(angle: float, velocity: float, commanded: float) -> str:
+    """Say what a feedback that is never in position has wrong by itself; empty: nothing."""
+    if isnan(velocity):
+        return "; the feedback has no velocity: publish it beside the position, in rad/s"
+    if in_degrees(angle, commanded):
+        return (
+            f"; it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
+            "commanded: degrees? Publish radians"
+        )
+    return ""

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import IntEnum
 from math import fsum, sqrt
+from typing import Final
 
 import numpy as np
 
@@ -26,6 +27,9 @@ LONG_PAUSE = 10.0
 
 _MAD_TO_STD = 1.4826  # of a normal distribution
 
+BEAM_BROKEN: Final = "beam broken"
+"""What a reason says when something stood in the beam."""
+
 
 class Fault(IntEnum):
     """Why a reading cannot be used."""
@@ -40,7 +44,7 @@ class Fault(IntEnum):
 
 
 _WORDS = {
-    Fault.BEAM_BROKEN: "beam broken",
+    Fault.BEAM_BROKEN: BEAM_BROKEN,
     Fault.UNSTABLE: "unstable by its own status",
     Fault.UNKNOWN: "of unknown status",
     Fault.NON_FINITE: "not a finite number",

@@ -10,6 +10,7 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import takewhile
 from typing import Final
 
 from rotcal_ros.errors import DataError
@@ -59,17 +60,21 @@ def continued(
     *,
     max_attempts: int,
     join_steps: int,
+    max_failed_steps: int = 0,
 ) -> Continuation:
     """Return how run number ``run`` goes on after what the earlier runs observed.
 
     A step is done when it has an accepted observation or was given up after ``max_attempts`` in
-    one run. Up to ``join_steps`` done steps are measured again, evenly spread over those at
+    one run. Where ``max_failed_steps`` or more failed running at the end, the planner gave up, not
+    those steps. Up to ``join_steps`` done steps are measured again, evenly spread over those at
     table angles that have missing steps; with none there, over all. An instrument that has left a
     station does not go back for that.
     """
     accepted = {o.step for o in observations if o.accepted}
     rejected = Counter((o.step, o.run) for o in observations if not o.accepted)
     given_up = {step for (step, _), count in rejected.items() if count >= max_attempts}
+    if 0 < max_failed_steps <= len(failed := _failed_last(observations)):
+        given_up -= failed
     missing = [s.index for s in plan.steps if s.index not in accepted | given_up]
     again = _spread(_joining(plan, accepted, missing), join_steps) if missing else ()
     return Continuation(
@@ -80,6 +85,12 @@ def continued(
         steps=(*again, *missing),
         observations=tuple(o for o in observations if o.accepted),
     )
+
+
+def _failed_last(observations: Sequence[Observation]) -> set[int]:
+    """Return the steps that were attempted in vain behind the last accepted observation."""
+    last = takewhile(lambda o: not o.accepted, reversed(observations))
+    return {observation.step for observation in last}
 
 
 def _joining(plan: Plan, accepted: set[int], missing: Sequence[int]) -> Sequence[int]:

@@ -14,13 +14,16 @@ from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Tempera
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
-from rotcal_ros.capture import Capture, Record
+from rotcal_ros.capture import Capture, CaptureSettings, Record
+from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.capture_news import CaptureNews
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, listen_to_instrument
-from rotcal_ros.nodes.latest import NOW, reading
-from rotcal_ros.nodes.plans import calibration_of, run_name
-from rotcal_ros.nodes.qos import EVENT, LATCHED
+from rotcal_ros.nodes.latest import JOINT, NOW, WAITING_FOR, reading
+from rotcal_ros.nodes.planners_plans import PlannersPlans
+from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
+from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import (
@@ -35,6 +38,10 @@ from rotcal_ros.observations import (
 
 CONTINUOUS = (names.TRACER_LENGTH, names.JOINT_STATES)
 """Streams that never pause: their silence means that the instrument is lost."""
+TIMED = (*CONTINUOUS, names.PROBE_POINT)
+"""Streams by whose stamps an observation is made: their clocks must agree."""
+MOST_JOINTS = 32
+"""So many joints are told to others at most."""
 
 
 class CaptureNode(CellNode):
@@ -51,12 +58,13 @@ class CaptureNode(CellNode):
         self._heard_s: dict[str, float] = {}
         self._latest: dict[str, Record] = {}
         self._verdicts: Counter[str] = Counter()
+        self._joints: dict[str, tuple[float, float]] = {}
+        self._offsets = StampOffsets(CaptureSettings().stamp_offset_s)
+        self._news = CaptureNews(self.health, self.get_logger())
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
-        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
+        PlannersPlans(self, self._take_plan)
         self._listen(TracerLength, names.TRACER_LENGTH, messages.tracer_sample)
-        self._listen(
-            JointState, names.JOINT_STATES, lambda m: messages.table_sample(m, self._joint)
-        )
+        self._listen(JointState, names.JOINT_STATES, self._table_sample)
         self._listen(ProbePoint, names.PROBE_POINT, messages.probe_sample)
         self._listen(Temperature, names.TEMPERATURE, messages.temperature_sample)
         self._listen(FluidPressure, names.AIR_PRESSURE, messages.pressure_sample)
@@ -68,6 +76,10 @@ class CaptureNode(CellNode):
 
         def handle(batch: Batch) -> None:
             self._heard_s[topic] = time.monotonic()
+            message, info = batch[-1]
+            received_ns = info["received_timestamp"] or time.time_ns()
+            if topic in TIMED:
+                self._offsets.note(topic, messages.stamp_ns(message.header.stamp), received_ns)
             for message, _ in batch:
                 record = convert(message)
                 if record is not None:
@@ -77,22 +89,35 @@ class CaptureNode(CellNode):
 
         listen_to_instrument(self, kind, topic, self.health.guarded(handle))
 
+    def _table_sample(self, message: JointState) -> Record | None:
+        """Return the feedback of the table; note what the topic says of its joints."""
+        if len(self._joints) < MOST_JOINTS:
+            velocities = (*message.velocity, *(math.nan for _ in message.position))
+            for name, angle, velocity in zip(
+                message.name, message.position, velocities, strict=False
+            ):
+                self._joints[name] = angle, velocity
+        return messages.table_sample(message, self._joint)
+
     def _feed(self, record: Record) -> None:
         if self._capture is None:
             return
-        for observation in self._capture.feed(record):
+        for observation in map(self._offsets.judged, self._capture.feed(record)):
             self._verdicts["accepted" if observation.accepted else "rejected"] += 1
+            self._news.observed(observation)
             self._observations.publish(conversions.observation_message(observation))
 
     def _take_plan(self, message: CalibrationPlan) -> None:
         self._capture, self._run = None, ""
         self._orders.clear()
+        self._news.begin()
         self._state = LOADING
         self.health.beat()
         try:
             calibration = calibration_of(message)
             self._joint = calibration.configuration.cell.joint
             self._capture = calibration.capture(message.run)
+            self._offsets.limit_s = calibration.configuration.capture.stamp_offset_s
         except Exception as error:
             self._state = f"plan refused: {error}"
             raise
@@ -104,15 +129,18 @@ class CaptureNode(CellNode):
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         now = time.monotonic()
-        values: dict[str, Any] = {"run": self._run, **self._verdicts}
+        values: dict[str, Any] = {RUN: self._run, **self._verdicts}
         values |= {f"valid.{topic}": self._valid[topic] for topic in self._heard_s}
         values |= {f"{NOW}{topic}": reading(record) for topic, record in self._latest.items()}
+        values |= {f"{JOINT}{n}": f"{a:.9f} {v:.9f}" for n, (a, v) in self._joints.items()}
         for topic in set(CONTINUOUS) & set(self._needed) & self._heard_s.keys():
             values[f"silent_s.{topic}"] = f"{now - self._heard_s[topic]:.2f}"
+        self._news.offset(self._offsets.in_words())
         if self._capture is not None:
             for stream, counts in self._capture.counts.items():
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}
-            values["waiting_for"] = self._capture.waiting_for
+            values[WAITING_FOR] = self._capture.waiting_for
+            self._news.complain(self._capture.complaint())
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)
         return self._state, values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from typing import Final
 
@@ -19,13 +20,19 @@ from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
-from rotcal_ros.node_names import PREFLIGHT_NODES
+from rotcal_ros.middleware import discovery_in_words
+from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.concerns import show
+from rotcal_ros.nodes.matching import deaf_listeners
+from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.observations import Command, Observation
 
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
+NO_MACHINE: Final = frozenset({"capture", "recorder", *VIEWERS.values()})
+"""Nodes that listen to orders without obeying them."""
 Attempt = tuple[int, int]
 """Step and attempt."""
 
@@ -81,6 +88,12 @@ class CellLinks:
         self._tables.publish(table)
         self._probes.publish(probe)
 
+    def warn(self, key: str, texts: Sequence[str]) -> None:
+        """Tell people what looks wrong, and that it is over when there is nothing."""
+        for text in texts:
+            self.node.get_logger().warning(text)
+        show(self.health, key, "; ".join(texts))
+
     def publishers(self, topic: str) -> list[str]:
         """Return the names of the nodes that publish ``topic``."""
         infos = self.node.get_publishers_info_by_topic(self.resolve(topic))
@@ -111,12 +124,14 @@ class CellLinks:
     def missing_topics(self, topics: Sequence[str]) -> list[str]:
         """Return what is missing around the instrument topics and the orders, in words."""
         found: list[str] = []
+        here: list[str] = []
         heard = self.health.values("capture")
         for topic in topics:
             name = self.resolve(topic)
             publishers = self.publishers(topic)
             if not publishers:
                 found.append(f"nobody publishes {name}: start its instrument")
+                here = [discovery_in_words(os.environ)]
             elif len(publishers) > 1:
                 found.append(
                     f"{len(publishers)} publishers on {name} (nodes {', '.join(publishers)}): "
@@ -124,18 +139,34 @@ class CellLinks:
                 )
             elif heard.get(f"valid.{topic}", "0") == "0":
                 found.append(f"{name} has not delivered a valid message (node {publishers[0]})")
-        disobeyed = (t for t in ORDERS if not set(self.listeners(t)) - {"capture", "recorder"})
+            found += deaf_listeners(self.node, name, {"capture", "recorder"}.__contains__)
+        disobeyed = (t for t in ORDERS if not set(self.listeners(t)) - NO_MACHINE)
         found += [f"nobody obeys {self.resolve(t)}: start the machine's node" for t in disobeyed]
+        found += [text for topic in ORDERS for text in self._deaf_machine(topic)]
         recorded = (*topics, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE)
         unheard = (topic for topic in recorded if "recorder" not in self.listeners(topic))
-        return found + [f"the recorder does not listen to {self.resolve(t)} yet" for t in unheard]
+        return (
+            found
+            + here
+            + [f"the recorder does not listen to {self.resolve(t)} yet" for t in unheard]
+        )
+
+    def _deaf_machine(self, topic: str) -> list[str]:
+        """Return why no machine hears an order, in words; a deaf one beside another is let be."""
+        machines = set(self.listeners(topic)) - NO_MACHINE
+        deaf = list(deaf_listeners(self.node, self.resolve(topic), machines.__contains__))
+        return deaf if len(deaf) >= len(machines) else []
+
+    def missing_air(self, expected: Iterable[str]) -> list[str]:
+        """Return the absolute names of those ``expected`` topics that nobody publishes."""
+        return [self.resolve(topic) for topic in expected if not self.publishers(topic)]
 
     def missing_plan(self, run: str) -> list[str]:
         """Return which nodes have not taken the plan of this run, with their reason."""
         return [
             f"node {name} has not taken the plan ({self.health.state(name) or 'silent'})"
             for name in ("capture", "solver")
-            if self.health.values(name).get("run") != run
+            if self.health.values(name).get(RUN) != run
         ]
 
     def _observed(self, message: ObservationMsg) -> None:

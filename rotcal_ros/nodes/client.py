@@ -22,13 +22,18 @@ from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 
+from rotcal_ros.capture.rejections import kind_of
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
 from rotcal_ros.nodes.clock_news import jumps_in_words
+from rotcal_ros.nodes.concerns import concerns_told
+from rotcal_ros.nodes.identity import other_session
 from rotcal_ros.nodes.outcome import Feedback, Outcome
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
 PERIOD_S: Final = 0.1
 ALIVE_PERIOD_S: Final = 1.0
+LISTEN_S: Final = 0.6
+"""So long a client listens at least for nodes of another session: three beats."""
 RESUME: Final = b"resume"
 STDIN: Final = 0
 
@@ -42,7 +47,7 @@ class Client:
         self._spoken_s = time.monotonic()
         self._listening = True
         self._shown: Feedback | None = None
-        self._jumped: set[str] = set()
+        self._warned: set[str] = set()
 
     def run(self) -> None:
         """Wait for the planner, send the goal and follow it."""
@@ -66,8 +71,11 @@ class Client:
     def _planner_came(self, timeout_s: float) -> bool:
         """Wait for the planner; False when the client has to end, CalibratorError if in vain."""
         deadline = time.monotonic() + timeout_s
-        while not self._calibrator.is_ready(PERIOD_S):
+        listen_until = time.monotonic() + LISTEN_S
+        while not self._calibrator.is_ready(PERIOD_S) or time.monotonic() < listen_until:
             self._live()
+            if text := other_session(self._calibrator.health, os.environ):
+                raise GoalRefusedError(text)
             if self._end:
                 return False
             if time.monotonic() > deadline:
@@ -96,12 +104,14 @@ class Client:
             _say("alive", planner=self._calibrator.planner_state)
 
     def _warn(self) -> None:
-        """Tell of a jump of the clock once, though all nodes of one machine do."""
-        for text in jumps_in_words(self._calibrator.health):
-            how_far, _, _ = text.partition(" at ")
-            if how_far not in self._jumped:
+        """Tell of a jump of the clock once, though all nodes do, and of each kind of concern."""
+        health = self._calibrator.health
+        jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
+        concerns = ((kind_of(text), text) for text in concerns_told(health))
+        for kind, text in (*jumps, *concerns):
+            if kind not in self._warned:
                 _say("warning", text=text)
-            self._jumped.add(how_far)
+            self._warned.add(kind)
 
     def _show(self, feedback: Feedback | None) -> None:
         if feedback is None or feedback is self._shown:

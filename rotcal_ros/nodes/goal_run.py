@@ -9,15 +9,18 @@ from typing import Any, Final
 from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
+from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.files import write_atomically
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import until
+from rotcal_ros.nodes.concerns import PREFLIGHT
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
-from rotcal_ros.nodes.plans import run_name
+from rotcal_ros.nodes.plans import RUN, run_name
+from rotcal_ros.nodes.preflight import doubts, expected_air, faults, without_air
 from rotcal_ros.session_folder import SessionFolder
 
 BAG_TIMEOUT_S: Final = 10.0
@@ -37,6 +40,7 @@ class GoalRun:
         self._folder: SessionFolder | None = None
         self._bag_is_open = False
         self.verdict_line = ""
+        self._run = ""
         self.watch = watch
         self.measuring = Measuring(calibration, continuation, watch)
 
@@ -54,7 +58,9 @@ class GoalRun:
             await self._close_bag()
             outcome.result_file = _keep(answer.result_json, folder.result)
         except GoalError as error:
-            outcome.error_code, outcome.error_msg = error.code, str(error)
+            begun = self._folder is not None or error.code == Codes.CANCELED
+            onward = self.watch.how_to_go_on(error.code) if begun else ""
+            outcome.error_code, outcome.error_msg = error.code, f"{error}{onward}"
             await self._close_bag_after_failure()
         if self._folder is not None:
             outcome.bag_folder = str(self._folder.bag)
@@ -65,16 +71,35 @@ class GoalRun:
         outcome.skipped_steps = progress.skipped
         return outcome
 
+    def values(self) -> dict[str, object]:
+        """Return what the planner tells of the goal in its beat."""
+        progress = self.watch.progress
+        own: dict[str, object] = {
+            "accepted": len(progress.accepted),
+            "rejected": progress.rejected,
+        }
+        return {RUN: self._run, **own} if self._run else own
+
     async def _preflight(self) -> None:
         """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
         watch, links = self.watch, self.watch.links
-        topics = self._calibration.method.topics
+        configuration, topics = self._calibration.configuration, self._calibration.method.topics
+        needed, wished = expected_air(self._calibration)
+
+        def missing() -> list[str]:
+            air = [f"nobody publishes {name}, without which the index of refraction is unknown"
+                   for name in links.missing_air(needed)]  # fmt: skip
+            wrong = faults(links.health.values("capture"), configuration)
+            return links.missing_topics(topics) + air + wrong
+
         links.forget()
         watch.tell("preflight: nodes")
         await watch.have(links.missing_nodes, Codes.NODE_LOST)
         watch.nodes = (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS}
         watch.tell("preflight: topics")
-        await watch.have(lambda: links.missing_topics(topics), Codes.TOPIC_MISSING)
+        await watch.have(missing, Codes.TOPIC_MISSING)
+        unheard = [without_air(name, configuration) for name in links.missing_air(wished)]
+        links.warn(PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration))
         watch.nodes |= links.health.present()
         watch.nodes -= set(VIEWERS.values())
 
@@ -122,9 +147,11 @@ class GoalRun:
             start_index=self._continuation.start_index,
             run=self._continuation.run,
         )
+        run = self._run = run_name(message)
+        links.health.beat()  # it vouches for the plan
         links.announce(message)
-        run = run_name(message)
         await self.watch.have(lambda: links.missing_plan(run), Codes.NODE_LOST)
+        self.watch.run = run
 
     async def _solve(self) -> FinishCalibration.Response:
         """Return the solver's answer, which holds a result."""
@@ -139,7 +166,9 @@ class GoalRun:
         if not answer.success:
             few = not accepted and not self._continuation.observations
             code = Codes.TOO_FEW_OBSERVATIONS if few else Codes.SOLVER_FAILED
-            raise GoalError(code, f"no result: {answer.message}")
+            why = Commonest.of(self.measuring.reasons)
+            more = f"; rejected: {why.in_words()}" if why else ""
+            raise GoalError(code, f"no result: {answer.message}{more}")
         return answer
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,16 +9,20 @@ from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 
+from rotcal_ros.bags import names
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.clock_news import jumps_told
 from rotcal_ros.nodes.health import RECORDING_FAILED
+from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
 
 SILENCE: Final = "silent_s."
 """How the values of the capture begin that tell the silence of a stream in seconds."""
 
+ASTRAY_TIMEOUT_S: Final = 5.0
+"""So long capture and solver may be without the plan of the goal."""
 Codes = Calibrate.Result
 """The message that holds the error codes of the action."""
 
@@ -33,43 +36,13 @@ class GoalError(Exception):
 
 
 @dataclass
-class Progress:
-    """How far a goal has come; ``uncertainty`` and ``goal`` are those of the policy, rad."""
-
-    total: int
-    step: int = 0
-    activity: str = "preflight"
-    accepted: list[int] = field(default_factory=list)
-    skipped: list[int] = field(default_factory=list)
-    rejected: int = 0
-    done: int = 0
-    left: int = 0
-    uncertainty: float = math.nan
-    goal: float = math.nan
-    started_s: float = field(default_factory=time.monotonic)
-
-    def time_left(self) -> float:
-        """Return the estimated seconds to the last step; NaN before the first is done."""
-        if not self.done:
-            return math.nan
-        return (time.monotonic() - self.started_s) / self.done * self.left
-
-    def note(self, index: int, *, accepted: bool) -> None:
-        """Note how step ``index`` ended; what was noted of it before no longer counts."""
-        for book in (self.accepted, self.skipped):
-            if index in book:
-                book.remove(index)
-        (self.accepted if accepted else self.skipped).append(index)
-        self.done += 1
-
-
-@dataclass
 class GoalWatch:
     """One goal's view of the cell.
 
     ``show`` is called with every progress, ``canceled`` tells of a cancel request. ``stopping``
     says why the planner gives the goal up. ``nodes`` must beat; ``recording`` says that a bag is
-    open, from then on the recorder and the streams are watched too.
+    open, from then on the recorder and the streams are watched too; ``run`` is what capture and
+    solver have to work for, empty before they do.
     """
 
     settings: PlannerSettings
@@ -80,6 +53,8 @@ class GoalWatch:
     stopping: str = ""
     nodes: set[str] = field(default_factory=set)
     recording: bool = False
+    run: str = ""
+    _astray_s: float | None = None
     _stream_beat: object = None
     _bag_open: bool = False
 
@@ -87,6 +62,16 @@ class GoalWatch:
         """Show what is done now."""
         self.progress.activity = activity
         self.show(self.progress)
+
+    def how_to_go_on(self, code: int) -> str:
+        """Return how to go on after an error of the goal, for those that end it half-way."""
+        if code not in (Codes.NODE_LOST, Codes.CANCELED):
+            return ""
+        if self.settings.policy != AS_LISTED:
+            return "; continue with rotcal run --resume"
+        new_zero = "rotcal run --resume where an instrument was started anew, else with "
+        how = new_zero if code == Codes.NODE_LOST else ""
+        return f"; continue with {how}start_index {self.progress.step}"
 
     async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until ``condition``; False after the time-out, GoalError when all is in vain."""
@@ -118,9 +103,7 @@ class GoalWatch:
         if self.stopping:
             raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
         if self.canceled():
-            listed = self.settings.policy == AS_LISTED
-            how = f"start_index {self.progress.step}" if listed else "rotcal run --resume"
-            raise GoalError(Codes.CANCELED, f"canceled {place}; continue with {how}")
+            raise GoalError(Codes.CANCELED, f"canceled {place}")
         if missing := self.links.health.missing(self.nodes):
             lost = [name for name in missing if name in self.links.health.lost]
             how = "fell silent" if lost else "was ended"
@@ -137,6 +120,23 @@ class GoalWatch:
                     f"the recorder has closed the bag {place}: node planner stood still too long",
                 )
             self._check_streams(place)
+            self._check_plan(place)
+
+    def _check_plan(self, place: str) -> None:
+        """Raise when capture or solver have been at work for another plan for long."""
+        astray = self.links.missing_plan(self.run) if self.run else []
+        if not astray:
+            self._astray_s = None
+            return
+        self._astray_s = self._astray_s or time.monotonic()
+        if time.monotonic() - self._astray_s > ASTRAY_TIMEOUT_S:
+            topic = self.links.resolve(names.PLAN)
+            publishers = ", ".join(self.links.publishers(topic)) or "nobody"
+            raise GoalError(
+                Codes.NODE_LOST,
+                f"{'; '.join(astray)} any more {place}: does somebody else publish on {topic} "
+                f"(its publishers: {publishers}), or was it started anew?",
+            )
 
     def _check_streams(self, place: str) -> None:
         """Raise when the capture tells of an instrument that fell silent after it had spoken."""

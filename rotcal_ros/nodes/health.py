@@ -6,6 +6,7 @@ that a hung node falls silent like a dead one) and reports on ``/diagnostics`` a
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
@@ -19,6 +20,7 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.nodes.clock_news import ClockNews
 from rotcal_ros.nodes.draining import Batch, DrainedSubscription
+from rotcal_ros.nodes.identity import IDENTITY, Identity, NameHolders, refusal
 from rotcal_ros.nodes.memory import end_without_memory
 from rotcal_ros.nodes.roll_call import RollCall
 from rotcal_ros.nodes.steady import steady_timer
@@ -41,10 +43,11 @@ class Health:
     """The health of one node.
 
     ``lost`` is name -> silence (s) of the others that fell silent, as of the last beat,
-    ``concerns`` what a person should look at.
+    ``concerns`` what a person should look at, ``alarms`` what a person must look at.
     ``report`` returns (state in words, values) at any time for every beat; without it the node
     only listens, and nobody will miss it. ``on_lost`` is called once for every other node that
-    falls silent, with its name.
+    falls silent, with its name. ``refused`` says why this node must end: an older one of its name
+    is there; empty: it need not.
     """
 
     def __init__(
@@ -60,9 +63,13 @@ class Health:
         self._on_lost = on_lost
         self.lost: dict[str, float] = {}
         self._roll = RollCall(timeout_s)
+        self._holders = NameHolders()
+        self.identity = Identity.own(os.environ, time.monotonic())
+        self.refused = ""
         self.others: dict[str, DiagnosticStatus] = {}
         self.errors: Counter[str] = Counter()
         self.concerns: dict[str, str] = {}
+        self.alarms: dict[str, str] = {}
         self.clock = ClockNews(node.get_logger())
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
@@ -122,6 +129,8 @@ class Health:
 
     def leave(self) -> None:
         """Tell the others that this node ends on purpose, and let the word reach them."""
+        if self.refused:
+            return
         self._beats.publish(self._status(LEAVING, {}))
         self._beats.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
 
@@ -131,13 +140,29 @@ class Health:
             self._beats.publish(self._status(*self._report()))
 
     def _hear(self, batch: Batch) -> None:
+        now = time.monotonic()
         for status, _ in batch:
+            identity = next((v.value for v in status.values if v.key == IDENTITY), "")
             if status.message == LEAVING:
-                self._roll.seen.pop(status.name, None)
-                self.others.pop(status.name, None)
-            elif status.name != self._node.get_name():
-                self._roll.hear(status.name, status.message, time.monotonic())
+                if self._holders.leave(status.name, identity, now):
+                    self._roll.seen.pop(status.name, None)
+                    self.others.pop(status.name, None)
+            elif status.name == self._node.get_name():
+                self._meet(Identity.read(identity, now))
+            elif self._holders.is_holder(status.name, identity, now):
+                self._roll.hear(status.name, status.message, now)
                 self.others[status.name] = status
+
+    def _meet(self, other: Identity | None) -> None:
+        """Hear a beat of this node's own name: of two nodes the younger one ends."""
+        if self._report is None or other is None or other.process == self.identity.process:
+            return
+        name, place = self._node.get_name(), self._node.get_namespace()
+        domain = os.environ.get("ROS_DOMAIN_ID", "")
+        self.refused = refusal(name, place, self.identity, other, domain)
+        if not self.refused:
+            text = f"a second node {name} was started in {place}: it is refused"
+            self._node.get_logger().warning(text, once=True)
 
     def _beat(self) -> None:
         self.clock.look()
@@ -152,17 +177,20 @@ class Health:
     def _diagnose(self) -> None:
         if self._report is None:
             return
-        array = DiagnosticArray(status=[self._status(*self._report())])
+        status = self._status(*self._report())
+        status.name = self._node.get_fully_qualified_name()  # cells share this topic
+        array = DiagnosticArray(status=[status])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
     def _status(self, state: str, values: Values) -> DiagnosticStatus:
-        trouble: dict[str, object] = dict(self.errors)
+        trouble: dict[str, object] = {**self.errors, **self.alarms}
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
         concerns = self.clock.concerns | self.concerns
         rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
-        further = {**self.clock.values(), **concerns, **trouble}
+        own = self.identity.in_a_beat(time.monotonic())
+        further = {**self.clock.values(), **concerns, **trouble, IDENTITY: own}
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),

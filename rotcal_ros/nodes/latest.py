@@ -8,15 +8,26 @@ from __future__ import annotations
 from typing import Final
 
 from rotcal_ros.capture import Record
-from rotcal_ros.observations import LengthStatus, ProbeSample, TableSample, TracerSample
+from rotcal_ros.observations import (
+    HumiditySample,
+    LengthStatus,
+    PressureSample,
+    ProbeSample,
+    TableSample,
+    TracerSample,
+)
 from rotcal_ros.observations import TemperatureSample as Thermometer
 
 NOW: Final = "now."
 """How the values of the capture begin that tell the latest reading of a topic."""
+WAITING_FOR: Final = "waiting_for"
+"""Value of the capture: what its oldest undecided attempt waits for, in words."""
+JOINT: Final = "joint."
+"""How the values of the capture begin that tell angle (rad) and velocity (rad/s) of a joint."""
 
 
 def reading(record: Record) -> str:
-    """Return a reading in SI: length and status, point, angle, or degC and sensor."""
+    """Return a reading in SI: length and status, point, angle, or the air and its sensor."""
     match record:
         case TracerSample():
             return f"{record.length:.9f} {LengthStatus(record.status).name}"
@@ -26,4 +37,8 @@ def reading(record: Record) -> str:
             return f"{record.angle:.9f}"
         case Thermometer():
             return f"{record.temperature_c:.4f} {record.sensor}"
+        case PressureSample():
+            return f"{record.pressure_pa:.1f} {record.sensor}"
+        case HumiditySample():
+            return f"{record.humidity:.4f} {record.sensor}"
     return ""

@@ -6,12 +6,14 @@ import time
 from itertools import count
 from typing import Final
 
+from rotcal_ros.capture.failed_steps import FailedSteps
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.errors import DataError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_links import Attempt
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
+from rotcal_ros.nodes.latest import WAITING_FOR
 from rotcal_ros.planning.plan import PAUSED, Pause
 from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
 from rotcal_ros.planning.policy.names import AS_LISTED
@@ -26,7 +28,8 @@ SETTLING_S: Final = 1.2
 class Measuring:
     """Measures the steps of one goal; no attempt at a step has a number twice.
 
-    ``waiting`` is True while a person does what the plan pauses for; whoever knows that it is
+    ``reasons`` says why attempts were rejected, or came to nothing. ``waiting`` is True while a
+    person does what the plan pauses for; whoever knows that it is
     done sets it to False.
     """
 
@@ -39,6 +42,8 @@ class Measuring:
         self._policy = calibration.policy(continuation)
         self._chosen = 0
         self._next_attempt: dict[int, int] = {}
+        self._failed = FailedSteps(watch.settings.max_failed_steps)
+        self.reasons: list[str] = []
         self.waiting = False
 
     async def measure_all(self) -> None:
@@ -53,7 +58,9 @@ class Measuring:
             if pause is not None:
                 await self._have_done(pause)
             if pause is None or pause.last < pause.first:
-                await self._measure(choice.step, choice)
+                self._failed.note(choice.step, await self._measure(choice.step, choice))
+                if text := self._failed.why_give_up():
+                    raise GoalError(Codes.TOO_FEW_OBSERVATIONS, text)
             choice = self._policy.choose()
         self._tell(choice, 0)
         progress.uncertainty, progress.left = choice.standing.uncertainty, 0
@@ -91,8 +98,8 @@ class Measuring:
 
     async def _ask(self, pause: Pause, text: str) -> None:
         """Show the instruction and wait for the end of the work, as long as it takes."""
-        asked_s = time.monotonic()
         progress = self._watch.progress
+        progress.pause()
         progress.step = pause.first
         self.waiting = True
         try:
@@ -101,7 +108,7 @@ class Measuring:
                 await self._watch.wait(lambda: not self.waiting, REPEAT_PERIOD_S)
         finally:
             self.waiting = False
-        progress.started_s += time.monotonic() - asked_s
+            progress.go_on()
 
     def _complaints(self) -> tuple[str, bool]:
         """Return what the observations so far say against the work; hopeless or not."""
@@ -111,28 +118,44 @@ class Measuring:
         except DataError as error:
             return str(error), True
 
-    async def _measure(self, index: int, choice: Choice) -> None:
-        """Attempt a step until it is captured without a loss, or attempts are used up."""
+    async def _measure(self, index: int, choice: Choice) -> list[str]:
+        """Attempt a step until it is captured without a loss, or attempts are used up.
+
+        Return why it failed, once for every attempt; nothing when it was captured.
+        """
         progress, limit = self._watch.progress, self._watch.settings.max_attempts
         self._place(index)
         first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
         self._next_attempt[index] = first + limit
         self._tell(choice, first)
-        captured = False
+        captured, reasons = False, list[str]()
         for number in range(limit):
             key = (index, first + number)
             jumps = self._watch.clock_jumps()
             observed = await self._observed(key, number)
             if self._watch.clock_jumps() != jumps:
                 await self._watch.wait(lambda: False, SETTLING_S)
+                reasons.append("a clock was set meanwhile")
             elif observed:
                 captured = True
                 if not await self._lost(key):
                     break
+            else:
+                reasons.append(self._why_not(key))
             progress.rejected += 1
         progress.note(index, accepted=captured)
         attempts = ((index, first + number) for number in range(limit))
         self._policy.note(Outcome(index, self._watch.links.last_accepted(attempts)))
+        self.reasons += reasons
+        return [] if captured else reasons
+
+    def _why_not(self, key: Attempt) -> str:
+        """Return why an attempt is not captured: its rejection, or what the capture waits for."""
+        links, limit_s = self._watch.links, self._watch.settings.step_timeout_s
+        if key in links.observations:
+            return links.observations[key].reason
+        heard = links.health.values("capture").get(WAITING_FOR) or "the capture says nothing"
+        return f"no observation within {limit_s:g} s of the order: {heard}"
 
     def _place(self, index: int) -> None:
         """Show how far the goal is: the step of a list, or how many steps of those expected."""

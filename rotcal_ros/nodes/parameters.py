@@ -51,16 +51,15 @@ def declare_settings(
     """Declare the settings ``cls`` as parameters ``group.*`` and return their values.
 
     What was ``given`` is checked by settings.load, so that a wrong or misspelt one gets the same
-    ConfigurationError text as in ``rotcal run``; it also takes 1 for 1.0.
+    ConfigurationError text as in ``rotcal run``; it also takes 1 for 1.0. An optional setting that
+    has no value becomes no parameter: a listed one without value keeps ``ros2 param dump`` from
+    showing any.
     """
     settings = load(cls, given.get(group), f"{node.get_name()}: parameters {group}")
     for declared in declarations(cls):
-        node.declare_parameter(
-            f"{group}.{declared.name}",
-            _default(attrgetter(declared.name)(settings), declared),
-            _descriptor(declared, read_only),
-            ignore_override=True,
-        )
+        value = attrgetter(declared.name)(settings)
+        if value is not None:
+            _declare(node, f"{group}.{declared.name}", value, declared, read_only)
     return settings
 
 
@@ -88,14 +87,18 @@ def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _default(value: Any, declared: Declaration) -> Any:
-    """Return what gives a parameter its type as well: a value, or a mere type for none.
-
-    rclpy takes an empty list for one of bytes, so that it counts as none.
-    """
-    if value is None or value == ():
-        return _TYPES[declared.kind][declared.is_list]
-    return list(value) if declared.is_list else value
+def _declare(node: Node, name: str, value: Any, declared: Declaration, read_only: bool) -> None:
+    """Declare one setting; rclpy takes an empty list for one of bytes, so it is told the type."""
+    descriptor = _descriptor(declared, read_only)
+    if value != ():
+        given = list(value) if declared.is_list else value
+        node.declare_parameter(name, given, descriptor, ignore_override=True)
+        return
+    kind = _TYPES[declared.kind][True]
+    node.declare_parameter(name, kind, _descriptor(declared, False), ignore_override=True)
+    node.set_parameters([Parameter(name, kind, [])])
+    descriptor.type = kind.value
+    node.set_descriptor(name, descriptor)
 
 
 def _descriptor(declared: Declaration, read_only: bool) -> ParameterDescriptor:

@@ -21,9 +21,10 @@ from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.goal_run import GoalRun
-from rotcal_ros.nodes.goal_watch import Codes, GoalWatch, Progress
+from rotcal_ros.nodes.goal_watch import Codes, GoalWatch
 from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.plans import PlannerParameters, read_continuation
+from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.nodes.running import run
 
 RESULT_TIMEOUT_S: Final = 3600
@@ -185,10 +186,8 @@ class Planner(CellNode, LifecycleNode):
             waiting = "preparing" if self._preparing else "ready"
             return waiting if self._active else "inactive", {}
         progress = self._run.watch.progress
-        return (
-            f"{CALIBRATING}: step {progress.step} of {progress.total}, {progress.activity}",
-            {"accepted": len(progress.accepted), "rejected": progress.rejected},
-        )
+        words = f"{CALIBRATING}: step {progress.step} of {progress.total}, {progress.activity}"
+        return words, self._run.values()
 
 
 def main() -> None:

@@ -30,6 +30,9 @@ from rotcal_ros.untrusted import read_text, why
 ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner")
 """Groups that are parameters of the planner even if it was not given them."""
 
+RUN: Final = "run"
+"""Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
+
 
 class PlannerParameters:
     """The parameters of a planner: the groups of its configured method.

@@ -15,7 +15,7 @@ import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from rotcal_ros.errors import RotcalError
+from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.memory import end_without_memory
@@ -85,11 +85,14 @@ def _spin(make: Callable[[], CellNode]) -> None:
         executor.add_node(node)
         wake_after_jumps(executor)
         with suppress(ExternalShutdownException):
-            while not end and not node.finished():
+            while not (end or node.finished() or node.health.refused):
                 executor.spin_once(timeout_sec=_TURN_S)
             _finish(node, executor)
         executor.shutdown(timeout_sec=1.0)
+        refused = node.health.refused
         node.destroy_node()
+    if refused:
+        raise ConfigurationError(refused)
 
 
 def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:

@@ -18,7 +18,8 @@ from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
-from rotcal_ros.nodes.plans import calibration_of, read_continuation, run_name
+from rotcal_ros.nodes.planners_plans import PlannersPlans
+from rotcal_ros.nodes.plans import RUN, calibration_of, read_continuation, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.roll_call import LOADING, SOLVING
 from rotcal_ros.nodes.running import run
@@ -47,7 +48,7 @@ class SolverNode(CellNode):
         self._solved_count = 0
         self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
-        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
+        PlannersPlans(self, self._take_plan)
         self.listen(TableInForce, names.TABLE_IN_FORCE, self._note_in_force, LATCHED)
         self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
         self.create_service(FinishCalibration, "finish_calibration", self._finish)
@@ -174,7 +175,7 @@ class SolverNode(CellNode):
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         state = SOLVING if self._is_solving() else self._state
-        return state, {"run": self._run, "observations": len(self._observations)}
+        return state, {RUN: self._run, "observations": len(self._observations)}
 
 
 def main() -> None:

@@ -43,6 +43,13 @@ class PlannerSettings:
     max_attempts: int = setting(
         3, doc="attempts at one step before it is skipped", minimum=1, maximum=100
     )
+    max_failed_steps: int = setting(
+        3,
+        doc="steps that may fail running, all attempts used up, before the planner gives up; "
+        "ten times as many where something stood in the beam; 0: it never does",
+        minimum=0,
+        maximum=100_000,
+    )
     preflight_timeout_s: float = setting(
         15.0, doc="s, time for all nodes and topics to appear", minimum=0.1, maximum=3600.0
     )

@@ -70,6 +70,7 @@ def _begun(
         run,
         earlier,
         max_attempts=settings.max_attempts,
+        max_failed_steps=settings.max_failed_steps,
         join_steps=settings.join_steps if calibration.method.joins_runs else 0,
     )
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.observations import Observation
 
 _TOPICS: Final = {
@@ -18,7 +17,6 @@ _TOPICS: Final = {
     "command": f"{names.TABLE_ANGLE} or {names.PROBE_TARGET}",
 }
 """What delivers each stream of the capture."""
-_NUMBER: Final = re.compile(r"-?\d+(\.\d+)?(e-?\d+)?")
 _MAX_NAMED: Final = 8
 
 
@@ -48,17 +46,43 @@ def why_nothing(
         reasons.append(f"it holds none on a topic {names.OBSERVATION}; solve its streams instead")
     elif silent:
         reasons.append(f"nothing was read on {', '.join(silent)}; {_present(topics)}")
+    elif counts.get("command", {}).get("unanswered"):
+        reasons.append(unanswered(counts["command"]))
     else:
         reasons.append("its streams hold no step of the plan that came to its end")
     return "; ".join(reasons)
 
 
 def _rejections(observations: Sequence[Observation]) -> str:
-    """Return how many were rejected, and the commonest reason, its numbers aside."""
-    kinds = Counter(_NUMBER.sub("#", o.reason) for o in observations)
-    ((kind, count),) = kinds.most_common(1)
-    example = next(o.reason for o in observations if _NUMBER.sub("#", o.reason) == kind)
-    return f"all {len(observations)} were rejected, {count} of them like this: {example}"
+    """Return how many were rejected, and the commonest reason."""
+    found = Commonest.of(o.reason for o in observations)
+    assert found is not None
+    return f"all {found.total} were rejected, {found.in_words()}"
+
+
+def doubtful(
+    observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
+) -> tuple[str, ...]:
+    """Return what a reader should know when most attempts failed, though some did not."""
+    texts = []
+    rejected = [o.reason for o in observations if not o.accepted]
+    found = Commonest.of(rejected)
+    if found and 2 * found.total > len(observations):
+        texts.append(
+            f"{found.total} of {len(observations)} attempts were rejected, {found.in_words()}"
+        )
+    commands = counts.get("command", {})
+    if 2 * commands.get("unanswered", 0) > commands.get("received", 0):
+        texts.append(unanswered(commands))
+    return tuple(texts)
+
+
+def unanswered(commands: Mapping[str, int]) -> str:
+    """Say that the machine did not echo its orders."""
+    return (
+        f"{commands['unanswered']} of {commands['received']} orders have no answer: a point on "
+        f"{names.PROBE_POINT} must echo step and attempt of its order"
+    )
 
 
 def _present(topics: Iterable[str]) -> str:

@@ -40,7 +40,7 @@ from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
 from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
-from rotcal_ros.recordings.nothing_captured import why_nothing
+from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 from rotcal_ros.results import Result
@@ -96,7 +96,12 @@ class Recording:
         It has the warnings about the bag too, and is suspect at best where a file is missing.
         """
         self._require_observations()
-        return self.with_warnings(self.calibration.solve(self.observations, self.announced))
+        try:
+            result = self.calibration.solve(self.observations, self.announced)
+        except DataError as error:
+            why = "; ".join([str(error), *doubtful(self.observations, self.counts)])
+            raise DataError(why, error.log) from error
+        return self.with_warnings(result)
 
     def with_warnings(self, result: Result) -> Result:
         """Return a ``result`` of these observations with what its reader must know of the bag."""
@@ -179,9 +184,8 @@ class Recording:
         texts = [*self.session.missing, *self.session.repaired]
         texts += [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
-        texts += self.unreadable.values()
-        texts += self.clock
-        texts += sentences(self.dropouts)
+        texts += [*self.unreadable.values(), *self.clock, *sentences(self.dropouts)]
+        texts += doubtful(self.observations, self.counts)
         texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
@@ -219,6 +223,7 @@ def read_recording(
         StepFinder(calibration.plan, configuration.capture),
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
+        configuration.capture.stamp_offset_s,
     )
     blocks = read_blocks(files, progress, limits)
     found = _read(blocks, topics, feeder if source == "streams" else None)
@@ -244,7 +249,7 @@ def read_recording(
         choices=tuple(found.choices),
         announced=frozenset(found.announced),
         unreadable=dict(topics.unreadable),
-        clock=clock_in_words(found.scans, found.log_times),
+        clock=(*clock_in_words(found.scans, found.log_times), *filter(None, [feeder.offset])),
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
     )

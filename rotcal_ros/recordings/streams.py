@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -17,6 +17,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.orders import Orders
+from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.observations import LengthStatus, Observation, TableSample
 from rotcal_ros.recordings.foreign import FLOAT, POINT, Position, Speedometer, StepFinder
 from rotcal_ros.recordings.topics import Part
@@ -59,7 +60,7 @@ class StreamFeeder:
     streams, by ``slice_ns`` of their stamps at most; as long as that is well within the clock
     tolerance, the capture's answer does not depend on it. ``make`` returns a new
     capture for the run with a number. ``joint`` names the table among the joint states; empty
-    means the first.
+    means the first. ``offset`` says which clocks differ, by more than ``stamp_offset_s``.
     """
 
     def __init__(
@@ -69,7 +70,10 @@ class StreamFeeder:
         finder: StepFinder | None = None,
         topics: TopicSettings | None = None,
         slice_ns: int = SLICE_NS,
+        stamp_offset_s: float = math.inf,
     ) -> None:
+        self.offset = ""
+        self._offsets = StampOffsets(stamp_offset_s)
         self.observations: list[Observation] = []
         self._make = make
         self._captures = [make(0)]
@@ -119,15 +123,38 @@ class StreamFeeder:
             with part.taken_as_expected():
                 if part.role == names.TRACER_LENGTH:
                     readings = self._readings(block, part)
+                    self._hold(part.role, readings, block)
                 elif part.role == names.JOINT_STATES:
                     feedback = self._feedback(block, part)
+                    self._hold(part.role, feedback, block)
                 elif part.role in self._makers:
-                    others.extend(self._single(block, part))
+                    found = list(self._single(block, part))
+                    others.extend(found)
+                    if part.role == names.PROBE_POINT:
+                        self._hold_points(found, block)
         if self._finding:  # a foreign position is the step at which the table stood just then
             others.extend(_samples(feedback))
             feedback = feedback[:0]
         others.sort(key=lambda numbered: numbered[0])
+        before = len(self.observations)
         self._feed_slices(readings, feedback, others)
+        self._judge(before)
+
+    def _hold(self, role: str, records: NDArray[np.void], block: Block) -> None:
+        """Hold stamps against the times at which the messages came."""
+        came = block.headers["log_time"][records["row"]].astype(np.int64)
+        self._offsets.note_many(role, records["stamp_ns"], came)
+
+    def _hold_points(self, points: Iterable[Numbered], block: Block) -> None:
+        for row, point in points:
+            came_ns = int(block.headers["log_time"][row])
+            self._offsets.note(names.PROBE_POINT, point.stamp_ns, came_ns)
+
+    def _judge(self, first: int) -> None:
+        """Reject the observations from ``first`` on where clocks differ, as the live node does."""
+        found = self._offsets.in_words()
+        self.offset = self.offset or found
+        self.observations[first:] = map(self._offsets.judged, self.observations[first:])
 
     def _feed_slices(
         self, readings: NDArray[np.void], feedback: NDArray[np.void], others: list[Numbered]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from importlib.util import find_spec
 from typing import Final
 
@@ -42,4 +43,5 @@ def node_environment() -> dict[str, str]:
     }
     environment = {name: os.environ.get(name) or value for name, value in environment.items()}
     environment |= middleware(os.environ)
-    return environment | {"ROTCAL_SUPERVISOR": str(os.getpid())}
+    session = f"{time.monotonic_ns()}-{os.getpid()}"
+    return environment | {"ROTCAL_SUPERVISOR": str(os.getpid()), "ROTCAL_SESSION": session}

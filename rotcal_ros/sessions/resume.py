@@ -54,6 +54,7 @@ def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
         max(1, len(files)),  # no earlier run can have this number: each wrote a file at least
         _observed(folder.bag, calibration) if files else (),
         max_attempts=settings.max_attempts,
+        max_failed_steps=settings.max_failed_steps,
         join_steps=settings.join_steps if calibration.method.joins_runs else 0,
     )
     require_space(calibration, folder.path, len(continuation.steps))

@@ -85,3 +85,14 @@ def test_an_angle_that_nobody_measured_survives_the_file():
     left = Continuation("0" * 64, 1, 0, (), (0,), (one,))
     (again,) = Continuation.from_json(left.to_json()).observations
     assert math.isnan(again.table_angle_measured)
+
+
+def test_steps_with_which_the_planner_gave_up_are_missing_and_others_were_given_up():
+    """Step 1 was hidden; from step 3 on something was wrong with the set-up."""
+    failed = {s: [observed(s, attempt, accepted=False) for attempt in range(3)] for s in (1, 3, 4)}
+    seen = [observed(0), *failed[1], observed(2), *failed[3], *failed[4]]
+    args = (plan("stations_per_target"), "id", 1, seen)
+    found = continued(*args, max_attempts=3, join_steps=0, max_failed_steps=2)
+    assert found.steps[:3] == (3, 4, 5)
+    found = continued(*args, max_attempts=3, join_steps=0, max_failed_steps=3)
+    assert found.steps[0] == 5

@@ -146,7 +146,7 @@ class Bench:
     def _hear(self, array):
         for status in array.status:
             values = {v.key: v.value for v in status.values}
-            self.others[status.name] = {
+            self.others[status.name.rpartition("/")[2]] = {
                 "message": status.message, "level": status.level, **values
             }  # fmt: skip
 

@@ -10,6 +10,7 @@ from live_cell import SUITE, LiveCell
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.components import COMPONENTS
+from rotcal_ros.errors import DataError
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.results import Result
 from rotcal_ros.simulation import SimulatedCell
@@ -70,18 +71,27 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     assert "/cell/tracer_length" not in topics
 
 
-def test_a_shifted_plate_is_told_at_every_ball_and_ends_without_a_result(plate_cell):
+def test_a_shifted_plate_is_told_and_given_up_after_three_balls(plate_cell):
     live = plate_cell(
         "simulation.plate.azimuth_deg=10.0",
         "planner.max_attempts=1",
         "plan.cmm_positions=[0, 1, 2, 3, 4, 5]",
     )
-    outcome = live.calibrate()
+    live.start(*SUITE, "simulated_cell")
+    client = live.client()
+    warning = client.wait_for("warning")
+    assert "capture: an attempt rejected running" in warning["text"]
+    assert "plate mounted shifted" in warning["text"]
+    outcome = client.result()
     assert outcome["error_code"] == 605  # too few observations
+    assert "3 steps running (0 to 2) failed" in outcome["error_msg"]
+    assert "plate mounted shifted" in outcome["error_msg"]
     assert outcome["n_used"] == 0
-    recorded = read_recording(live.bag).recorded
-    assert len(recorded) == 40
-    assert all("plate mounted shifted" in o.reason for o in recorded)
+    assert "step 0, attempt 0 rejected: " in live.log("capture")
+    recording = read_recording(live.bag)
+    assert len(recording.recorded) == 3
+    with pytest.raises(DataError, match=r"3 of 3 like this: .*plate mounted shifted"):
+        recording.solve()
 
 
 def test_the_parameters_of_the_nodes_are_enough(plate_cell):

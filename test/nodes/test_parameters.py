@@ -128,3 +128,24 @@ def test_a_wrong_override_is_told_with_its_place(context, override, finding):
     with pytest.raises(ConfigurationError, match=finding.replace("[", r"\[")):
         made.settings("g", Example)
     made.destroy_node()
+
+
+@pytest.mark.ros
+def test_whatever_is_listed_has_a_value_and_the_values_give_the_same_settings(context):
+    """What ``ros2 param dump`` shows; it asks for all listed parameters at once."""
+    made = node(sizes_m=[], mode="b", inner__count=4)
+    settings = made.settings("g", Example)
+    listed = made.list_parameters(["g"], 0).names
+    dumped = {p.name: p.value for p in made.get_parameters(listed)}
+    made.destroy_node()
+    assert dumped["g.sizes_m"] is not None
+    again = ExampleNode(
+        "example",
+        parameter_overrides=[
+            Parameter(n, value=list(v) if hasattr(v, "__len__") and not isinstance(v, str) else v)
+            for n, v in dumped.items()
+        ],
+        start_parameter_services=False,
+    )
+    assert again.settings("g", Example) == settings
+    again.destroy_node()

@@ -102,7 +102,7 @@ def test_the_commonest_reason_of_rejections(tmp_path: Path, simulated_run: Run) 
             for role, data in encode(rejected):
                 writer.write(channels[role], data, number, number)
     text = reason(read_recording(folder, "observations"))
-    assert "all 3 were rejected, 2 of them like this: too few readings: 3" in text
+    assert "all 3 were rejected, 2 of 3 like this: too few readings: 4" in text
 
 
 def test_a_bad_topic_does_not_cost_the_others(tmp_path: Path, simulated_run: Run) -> None:

@@ -1,0 +1,109 @@
+"""Clocks of instruments that differ: stamps held against the times at which they arrive.
+
+The streams of one clock arrive alike: that one is always so much later than the other is an
+offset of their clocks (or a delay as long, which spoils as much). Stamps that do not run at the
+pace of arrival, as those of a simulation in fast motion, are not judged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.observations import Observation
+from rotcal_ros.units import NANOSECOND
+
+REFERENCE: Final = "joint_states"
+"""The stream that the others are held against: it never pauses."""
+_BUCKET_NS: Final = 250_000_000
+_BUCKETS: Final = 3
+"""An offset is known when it is the same in so many intervals running."""
+_SPREAD_NS: Final = 200_000_000
+_EVENTS: Final = 4
+"""Of a stream that comes now and then, so many messages must agree."""
+
+
+class StampOffsets:
+    """Estimates constant offsets between streams; more than ``limit_s`` is told."""
+
+    def __init__(self, limit_s: float) -> None:
+        self.limit_s = limit_s
+        self._ahead: dict[str, dict[int, int]] = {}
+        self._events: dict[str, dict[int, int]] = {}
+
+    def note(self, stream: str, stamp_ns: int, received_ns: int) -> None:
+        """Take a message; both times in ns since the same instant."""
+        self._keep(stream, received_ns // _BUCKET_NS, stamp_ns - received_ns)
+        reference_ns = self._offset_ns(REFERENCE)
+        if stream != REFERENCE and reference_ns is not None:
+            events = self._events.setdefault(stream, {})
+            events.setdefault(received_ns // _BUCKET_NS, stamp_ns - received_ns - reference_ns)
+            while len(events) > _EVENTS:
+                del events[next(iter(events))]
+
+    def note_many(self, stream: str, stamps: NDArray[Any], received: NDArray[Any]) -> None:
+        """Take many messages of a stream that never pauses, arrays (n,) of int64 ns."""
+        buckets = received // _BUCKET_NS
+        for bucket in np.unique(buckets)[-_BUCKETS - 1 :].tolist():
+            here = buckets == bucket
+            self._keep(stream, bucket, int((stamps[here] - received[here]).max()))
+
+    def in_words(self) -> str:
+        """Return which stream differs from the table's by how much; empty: none is known to."""
+        reference_ns = self._offset_ns(REFERENCE)
+        for stream in self._ahead.keys() - {REFERENCE}:
+            offset_ns = self._offset_ns(stream)
+            if offset_ns is not None and reference_ns is not None:
+                difference = offset_ns - reference_ns
+            else:
+                difference = _agreed(self._events.get(stream, {}).values()) or 0
+            if abs(difference) * NANOSECOND > self.limit_s:
+                return self._sentence(stream, difference, reference_ns)
+        return ""
+
+    def judged(self, observation: Observation) -> Observation:
+        """Return an observation, rejected where the clocks of its streams differ."""
+        reason = self.in_words() if observation.accepted else ""
+        return replace(observation, accepted=False, reason=reason) if reason else observation
+
+    def _sentence(self, stream: str, difference_ns: int, reference_ns: int | None) -> str:
+        way = "ahead of" if difference_ns > 0 else "behind"
+        off = f"{abs(difference_ns) * NANOSECOND:.1f} s {way}"
+        which = ""
+        if reference_ns is not None:
+            own_ns = difference_ns + reference_ns
+            far = stream if abs(own_ns) > abs(reference_ns) else REFERENCE
+            which = f"; it is {far} whose stamps are not the time of arrival"
+        return (
+            f"by the times of arrival the stamps of {stream} are constantly {off} those of "
+            f"{REFERENCE}, allowed {self.limit_s:g} s (capture.stamp_offset_s): "
+            f"two clocks, set them alike{which}"
+        )
+
+    def _keep(self, stream: str, bucket: int, ahead_ns: int) -> None:
+        known = self._ahead.setdefault(stream, {})
+        known[bucket] = max(ahead_ns, known.get(bucket, ahead_ns))
+        for old in [b for b in known if b < bucket - _BUCKETS]:
+            del known[old]
+
+    def _offset_ns(self, stream: str) -> int | None:
+        """Return how far the stamps of a stream are ahead of their arrival; None: not constant."""
+        known = self._ahead.get(stream)
+        if not known:
+            return None
+        newest = max(bucket for ahead in self._ahead.values() for bucket in ahead)
+        wanted = range(newest - _BUCKETS, newest)  # the newest one is not at its end
+        if not all(bucket in known for bucket in wanted):
+            return None
+        return _agreed([known[bucket] for bucket in wanted])
+
+
+def _agreed(values: Collection[int]) -> int | None:
+    """Return the largest of values (ns) that are about the same: the least delayed one."""
+    if len(values) < _BUCKETS or max(values) - min(values) > _SPREAD_NS:
+        return None
+    return int(max(values))

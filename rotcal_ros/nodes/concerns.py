@@ -1,0 +1,34 @@
+"""What a node tells people to look at: in its beat and in /diagnostics, as long as it lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+REJECTED: Final = "rejected_running"
+"""Attempts that were rejected since the last accepted one, and why."""
+COMPLAINT: Final = "complaint"
+"""What keeps the present order from being measured."""
+PREFLIGHT: Final = "preflight"
+"""What looks wrong about the instruments before anything moves."""
+OFFSET: Final = "clock_offset"
+"""Streams whose clocks differ, and by how much."""
+FOREIGN_PLAN: Final = "foreign_plan"
+"""A plan that is not of the planner."""
+FOR_PEOPLE: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN)
+"""Values in a beat that the person who runs a calibration is told."""
+
+
+def show(health: Any, key: str, text: str, *, alarm: bool = False) -> None:
+    """Show ``text`` as a warning, or as an error with ``alarm``; empty: it is over."""
+    for book, is_its in ((health.concerns, not alarm), (health.alarms, alarm)):
+        book.pop(key, None)
+        if text and is_its:
+            book[key] = text
+
+
+def concerns_told(health: Any) -> Iterator[str]:
+    """Yield what the other nodes tell people just now."""
+    for name in health.others:
+        values = health.values(name)
+        yield from (f"{name}: {values[key]}" for key in FOR_PEOPLE if key in values)

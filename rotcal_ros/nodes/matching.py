@@ -1,0 +1,26 @@
+"""Who cannot hear whom: qualities of service that do not match, before anybody waits in vain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+
+
+def deaf_listeners(node: Node, topic: str, counts: Callable[[str], bool]) -> Iterator[str]:
+    """Yield in words which subscribers of an absolute ``topic`` get nothing of a publisher.
+
+    ``counts`` says by its name whether a subscriber matters.
+    """
+    for source in node.get_publishers_info_by_topic(topic):
+        for reader in node.get_subscriptions_info_by_topic(topic):
+            if not counts(reader.node_name):
+                continue
+            verdict, why = qos_check_compatible(source.qos_profile, reader.qos_profile)
+            if verdict == QoSCompatibility.ERROR:
+                yield (
+                    f"node {reader.node_name} hears nothing on {topic} of node "
+                    f"{source.node_name}: their qualities of service do not match "
+                    f"({why.strip(' ;')})"
+                )

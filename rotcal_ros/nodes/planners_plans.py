@@ -1,0 +1,61 @@
+"""Plans are taken from the planner alone: what somebody else publishes stops no calibration."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+from rotcal_msgs.msg import CalibrationPlan
+
+from rotcal_ros.bags import names
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.concerns import FOREIGN_PLAN, show
+from rotcal_ros.nodes.health import BEAT_PERIOD_S
+from rotcal_ros.nodes.plans import RUN, run_name
+from rotcal_ros.nodes.qos import LATCHED
+
+PATIENCE_S: Final = 2.0
+"""So long a plan waits for the planner to say that it is its own."""
+
+
+class PlannersPlans:
+    """Hands over the plans of the planner: while a goal runs it tells in its beat which one.
+
+    Without a planner, or while it has no goal, every plan is handed over.
+    """
+
+    def __init__(self, node: CellNode, take: Callable[[CalibrationPlan], None]) -> None:
+        self._node, self._take = node, take
+        self._held: tuple[CalibrationPlan, float] | None = None
+        node.listen(CalibrationPlan, names.PLAN, self._offer, LATCHED)
+        node.every(BEAT_PERIOD_S, self._look)
+
+    def _offer(self, message: CalibrationPlan) -> None:
+        self._held = message, time.monotonic()
+        self._look()
+
+    def _look(self) -> None:
+        """Hand over what is held as soon as it is the planner's; refuse it when it is not."""
+        if self._held is None:
+            return
+        message, since_s = self._held
+        goals_run = self._node.health.values("planner").get(RUN, "")
+        if not goals_run or "planner" in self._node.health.lost or goals_run == run_name(message):
+            self._held = None
+            show(self._node.health, FOREIGN_PLAN, "")
+            self._take(message)
+        elif time.monotonic() - since_s > PATIENCE_S:
+            self._held = None
+            self._refuse(message)
+
+    def _refuse(self, message: CalibrationPlan) -> None:
+        topic = self._node.resolve_topic_name(names.PLAN)
+        infos = self._node.get_publishers_info_by_topic(topic)
+        others = sorted({info.node_name for info in infos} - {"planner"})
+        text = (
+            f"a plan on {topic} is not the planner's and was left alone (plan "
+            f"{message.plan_id[:12]!r}, published by {', '.join(others) or 'a node that left'})"
+        )
+        self._node.get_logger().warning(text)
+        show(self._node.health, FOREIGN_PLAN, text)

@@ -1,0 +1,64 @@
+"""A machine that does not echo its orders is told so at once, live and from the bag."""
+
+from dataclasses import replace
+
+from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene, probe_sample
+
+from rotcal_ros.capture import Capture
+from rotcal_ros.capture.answers import Answers
+from rotcal_ros.observations import PointKind
+
+PLAN = make_plan()
+
+
+def order(step, attempt=0):
+    return PLAN.steps[step].command(attempt)
+
+
+def answer(step, attempt=0, kind=PointKind.REFLECTOR):
+    return replace(probe_sample(PLAN.steps[step], 0, attempt), kind=kind)
+
+
+def test_an_echo_answers_an_order_whichever_comes_first():
+    answers = Answers()
+    answers.order(order(0))
+    assert "step 0, attempt 0: no point on probe_point" in answers.waited_for()
+    assert answers.complaint() == ""
+    answers.hear(answer(0))
+    answers.hear(answer(1))  # faster than its order
+    answers.order(order(1))
+    assert (answers.waited_for(), answers.complaint(), answers.unanswered) == ("", "", 0)
+
+
+def test_an_unasked_point_answers_nothing():
+    answers = Answers()
+    answers.order(order(0))
+    answers.hear(answer(0, kind=PointKind.UNKNOWN))
+    assert answers.waited_for()
+    assert not answers.complaint()
+
+
+def test_who_echoes_something_else_is_told_both():
+    answers = Answers()
+    answers.order(order(0, attempt=1))
+    answers.hear(answer(0, attempt=0))
+    assert "step 0, attempt 1: no point" in answers.complaint()
+    assert "names step 0, attempt 0: the machine must echo both" in answers.complaint()
+    answers.order(order(0, attempt=2))
+    assert answers.unanswered == 1
+    assert answers.complaint() == ""
+
+
+def test_the_capture_counts_what_was_not_answered_and_says_it():
+    capture = Capture(PLAN, SETTINGS, RULES)
+    for step in range(3):  # the machine says step 0, attempt 0 every time
+        capture.feed(order(step))
+        capture.feed(probe_sample(PLAN.steps[0], (1 + step) * SECOND))
+        if step == 0:
+            for record in make_scene(PLAN, 1, start_ns=SECOND - 150 * MS).by_stamp():
+                if record != probe_sample(PLAN.steps[0], SECOND):
+                    capture.feed(record)
+    assert capture.counts["command"] == {"received": 3, "unanswered": 1}
+    assert capture.counts["probe"]["duplicates"] == 2
+    assert "names step 0, attempt 0" in capture.complaint()
+    assert "names step 0, attempt 0" in capture.waiting_for

@@ -1,0 +1,56 @@
+"""Feedback that can never be in position says what is wrong with it: no velocity, degrees."""
+
+from dataclasses import replace
+from math import degrees, nan
+
+import pytest
+from capture_scenes import RULES, SECOND, SETTINGS, make_plan, make_scene, replay
+
+from rotcal_ros.capture import Capture
+from rotcal_ros.capture.table import in_degrees
+
+PLAN = make_plan()
+ANGLE = 0.5  # of step 1, rad
+
+
+def at_step_1(change):
+    """Return the streams of the first two steps with all feedback changed."""
+    scene = make_scene(PLAN, 2)
+    scene.edit("table", change, -SECOND, 2 * SECOND)
+    return scene.by_stamp()
+
+
+def test_feedback_without_velocity_is_named():
+    first, second = replay(PLAN, at_step_1(lambda r: replace(r, velocity=nan)))
+    for observation in (first, second):
+        assert not observation.accepted
+        assert "the feedback has no velocity: publish it beside the position" in observation.reason
+
+
+def test_degrees_are_named():
+    first, second = replay(PLAN, at_step_1(lambda r: replace(r, angle=degrees(r.angle))))
+    assert first.accepted  # zero is zero in any unit
+    assert "it says 28.6479 where 0.5 rad = 28.6479 deg was commanded: degrees?" in second.reason
+
+
+@pytest.mark.parametrize("turns", [-2, 0, 1])
+def test_degrees_count_full_turns_too(turns):
+    assert in_degrees(degrees(ANGLE) + 360.0 * turns, ANGLE)
+    assert not in_degrees(ANGLE, ANGLE)
+    assert not in_degrees(degrees(ANGLE) + 1.0, ANGLE)
+
+
+def test_a_table_that_is_not_in_position_is_told_long_before_the_attempt_is_given_up():
+    patient = replace(SETTINGS, step_timeout_s=30.0)
+    capture = Capture(PLAN, patient, RULES)
+    scene = make_scene(PLAN, 6)
+    scene.probe = scene.probe[:2]  # nothing follows step 1
+    at_rest = {"angle": degrees(ANGLE), "velocity": 0.0}
+    scene.edit("table", lambda r: replace(r, **at_rest), SECOND, 7 * SECOND)
+    said = {}
+    for record in scene.by_stamp():
+        capture.feed(record)
+        said[record.stamp_ns // SECOND] = capture.complaint()
+    assert said[3] == ""
+    assert "step 1, attempt 0: table not at rest in position" in said[5]
+    assert "degrees?" in said[5]

@@ -1,0 +1,88 @@
+"""Clocks that differ are told from the times of arrival; a fast or stalled cell is not blamed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from capture_scenes import MS, SECOND, make_plan
+
+from rotcal_ros.capture.stamp_offsets import StampOffsets
+
+ACCEPTED = make_plan().steps[0].observed((0.1,))
+START = 1_700_000_000 * SECOND
+
+
+def told(*, tracer_s=0.0, table_s=0.0, scale=1.0, stall_s=0.0, many=False, seconds=3.0):
+    """Return what is said after streams whose stamps are off by so much (ahead)."""
+    offsets = StampOffsets(1.0)
+    rng = np.random.default_rng(1)
+    for stream, period_ms, off_s in (
+        ("tracer_length", 5, tracer_s),
+        ("joint_states", 20, table_s),
+    ):
+        sent = START + np.arange(0, round(seconds * 1000), period_ms) * MS
+        received = sent + (rng.exponential(0.01, len(sent)) * SECOND).astype(np.int64)
+        if stream == "tracer_length":
+            late = (sent - START > SECOND) & (sent - START < (1.0 + stall_s) * SECOND)
+            received[late] = np.maximum(received[late], START + round((1.0 + stall_s) * SECOND))
+        stamps = START + ((sent - START) * scale).astype(np.int64) + round(off_s * SECOND)
+        if many:
+            offsets.note_many(stream, stamps, received)
+        else:
+            for pair in zip(stamps.tolist(), received.tolist(), strict=True):
+                offsets.note(stream, *pair)
+    return offsets.in_words()
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_a_clock_that_is_four_seconds_off_is_told_with_its_size_and_its_stream(many):
+    text = told(tracer_s=-4.0, many=many)
+    assert "stamps of tracer_length are constantly 4.0 s behind those of joint_states" in text
+    assert "it is tracer_length whose stamps" in text
+    text = told(table_s=-4.0, many=many)
+    assert "tracer_length are constantly 4.0 s ahead of those of joint_states" in text
+    assert "it is joint_states whose stamps" in text
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        {},
+        {"tracer_s": 0.4},
+        {"tracer_s": 3600.0, "table_s": 3600.0},  # one clock, though not that of this machine
+        {"scale": 20.0},
+        {"scale": 20.0, "tracer_s": 4.0},  # nobody can tell
+        {"stall_s": 1.9},
+        {"tracer_s": -4.0, "seconds": 0.4},  # not known yet
+    ],
+)
+def test_one_clock_says_nothing_however_it_runs(cell):
+    assert told(**cell) == ""
+
+
+@pytest.mark.parametrize(
+    ("delays", "is_told"), [((4.0,) * 4, True), ((4.0, 1.5, 3.0, 2.2), False)]
+)
+def test_probe_points_are_held_against_the_table_as_they_come(delays, is_told):
+    offsets = StampOffsets(1.0)
+    for number in range(200):
+        now = START + number * 20 * MS
+        offsets.note("joint_states", now, now)
+        if number % 50 == 49:
+            offsets.note("probe_point", now - round(delays[number // 50] * SECOND), now)
+    found = "stamps of probe_point are constantly 4.0 s behind" in offsets.in_words()
+    assert found == is_told
+
+
+def test_what_is_measured_meanwhile_is_rejected_with_the_reason():
+    offsets = StampOffsets(1.0)
+    assert offsets.judged(ACCEPTED) == ACCEPTED
+    for number in range(200):
+        now = START + number * 20 * MS
+        offsets.note("joint_states", now, now)
+        offsets.note("tracer_length", now - 4 * SECOND, now)
+    reason = offsets.in_words()
+    assert reason
+    assert offsets.judged(ACCEPTED) == replace(ACCEPTED, accepted=False, reason=reason)
+    beaten = replace(ACCEPTED, accepted=False, reason="beam broken")
+    assert offsets.judged(beaten) == beaten

@@ -1,0 +1,88 @@
+"""A name can be taken twice: the first holder keeps it, and a stranger's farewell says nothing."""
+
+import pytest
+
+from rotcal_ros.nodes.identity import Identity, NameHolders, other_session, refusal
+
+FIRST = Identity("one", "a", -100.0)
+SECOND = Identity("two", "b", -50.0)
+
+
+def held(*beats):
+    """Return which of the beats (identity or None, s) are those of the node."""
+    holders = NameHolders()
+    return [holders.is_holder("capture", who.in_a_beat(s) if who else "", s) for who, s in beats]
+
+
+def test_an_identity_goes_through_a_beat_by_its_age():
+    heard = Identity.read(FIRST.in_a_beat(7.0), 1007.0)  # another machine's monotonic clock
+    assert heard == Identity("one", "a", pytest.approx(900.0))
+    for text in ("", "1 2", "one a x", "one a -5", "one a " + "9" * 30):
+        assert Identity.read(text, 0.0) is None
+
+
+def test_processes_of_a_session_are_as_old_as_it_and_never_equal():
+    session = {"ROTCAL_SESSION": "5000000000-77"}
+    one, other = (Identity.own(session, 100.0) for _ in range(2))
+    assert one.born_s == other.born_s == 5.0
+    assert one.session == other.session
+    assert one.is_older(other) != other.is_older(one)
+    alone = Identity.own({}, 100.0)
+    assert one.is_older(alone)
+    assert not alone.is_older(one)
+    for strange in ("?", "1e9-3", f"{10**15}-3"):
+        assert Identity.own({"ROTCAL_SESSION": strange}, 100.0).born_s == 100.0
+
+
+@pytest.mark.parametrize("first_heard", [FIRST, SECOND])
+def test_the_older_one_is_the_node_whoever_is_heard_first(first_heard):
+    beats = [(first_heard, 0.0)]
+    beats += [((FIRST, SECOND)[n % 2], 0.1 + 0.1 * n) for n in range(8)]
+    assert held(*beats)[1:] == [True, False] * 4
+
+
+def test_a_silent_holder_gives_its_name_to_the_one_that_beats():
+    beats = ((FIRST, 0.0), (SECOND, 0.6), (SECOND, 0.8), (SECOND, 1.0))
+    assert held(*beats) == [True, False, True, True]
+
+
+def test_nodes_without_an_identity_are_known_by_their_name_alone():
+    assert held((None, 0.0), (None, 0.2), (FIRST, 0.3), (None, 0.4)) == [True, True, True, False]
+
+
+def test_only_the_farewell_of_the_holder_counts():
+    holders = NameHolders()
+    holders.is_holder("capture", FIRST.in_a_beat(0.0), 0.0)
+    assert not holders.leave("capture", SECOND.in_a_beat(0.1), 0.1)
+    assert not holders.leave("capture", "", 0.1)
+    assert holders.leave("capture", FIRST.in_a_beat(0.1), 0.1)
+    assert holders.is_holder("capture", SECOND.in_a_beat(0.2), 0.2)
+    assert holders.leave("never heard", SECOND.in_a_beat(0.3), 0.3)
+
+
+def test_the_younger_of_two_ends_with_a_sentence():
+    text = refusal("capture", "/cell", SECOND, FIRST, "7")
+    assert "node capture runs already in /cell of ROS domain 7" in text
+    assert "another ROS_DOMAIN_ID" in text
+    assert "ROS domain 0" in refusal("capture", "/cell", SECOND, FIRST, "")
+    assert refusal("capture", "/cell", FIRST, SECOND, "7") == ""
+
+
+class Heard:
+    """Beats of the planner alone."""
+
+    def __init__(self, identity):
+        self._identity = identity
+
+    def values(self, name):
+        return {"identity": self._identity.in_a_beat(0.0)} if name == "planner" else {}
+
+    def state(self, _name):
+        return "calibrating: step 3 of 60"
+
+
+def test_a_session_hears_that_the_cell_is_of_another_one():
+    mine = {"ROTCAL_SESSION": "two"}
+    assert "planner: calibrating: step 3" in other_session(Heard(FIRST), mine)
+    assert other_session(Heard(SECOND), mine) == ""
+    assert other_session(Heard(FIRST), {}) == ""

@@ -1,0 +1,78 @@
+"""What looks wrong before anything moves: joint, velocity, unit, air, each in a sentence."""
+
+from math import nan
+from pathlib import Path
+
+import pytest
+
+from rotcal_ros.catalogue import prepare
+from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.nodes.preflight import doubts, expected_air, faults, without_air
+
+CONFIG = Path(__file__).parents[2] / "config"
+TRACER = read_configuration(CONFIG / "tracer_paper.yaml")
+GOOD = {
+    "joint.table": "0.500000000 0.000000000",
+    "now.tracer_length": "0.350000000 OK",
+    "now.temperature": "20.1000 air",
+    "now.air_pressure": "101325.0 air",
+    "now.relative_humidity": "0.4500 air",
+    "valid.temperature": "3",
+}
+
+
+def configured(*changes):
+    return changed(TRACER, changes)
+
+
+def test_good_instruments_have_no_faults():
+    assert faults(GOOD, TRACER) == doubts(GOOD, TRACER) == []
+    assert faults({}, TRACER) == doubts({}, TRACER) == []
+
+
+def test_a_joint_that_is_not_there_is_told_with_those_that_are():
+    values = {**GOOD, "joint.spindle": "30.0 0.0"}
+    (fault,) = faults(values, configured("cell.joint=C"))
+    assert "no joint 'C' (cell.joint), it has table, spindle" in fault
+    assert faults(values, configured("cell.joint=spindle")) == []
+
+
+def test_a_joint_without_velocity_is_told_where_it_is_the_tables():
+    values = {"joint.x": f"0.5 {nan}", "joint.table": "0.5 0.0"}
+    assert faults(values, configured("cell.joint=table")) == []
+    (fault,) = faults(values, configured("cell.joint=''"))  # the first one
+    assert "joint x has no velocity" in fault
+    assert "rad/s" in fault
+
+
+def test_lengths_in_millimetres_are_a_fault():
+    (fault,) = faults({**GOOD, "now.tracer_length": "350.000000000 OK"}, TRACER)
+    assert "says 350 m, plausible are 20 m" in fault
+
+
+def test_clocks_that_differ_are_a_fault():
+    assert faults({**GOOD, "clock_offset": "4.0 s behind"}, TRACER) == ["4.0 s behind"]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ({"joint.table": "30.0 0.0"}, "the table says 30 rad, 4.8 turns from zero: are these deg"),
+        ({"now.temperature": "293.15 air"}, "temperature says 293.15; degrees Celsius"),
+        ({"now.air_pressure": "1013.2 air"}, "air_pressure says 1013.2; pascal"),
+        ({"now.relative_humidity": "45.0 air"}, "relative_humidity says 45; a share"),
+    ],
+)
+def test_an_implausible_unit_is_a_doubt(value, words):
+    assert faults(GOOD | value, TRACER) == []
+    (doubt,) = doubts(GOOD | value, TRACER)
+    assert words in doubt
+
+
+def test_the_air_that_is_expected_and_that_without_which_nothing_is_measured():
+    assert expected_air(prepare(TRACER)) == ([], ["temperature"])
+    none = prepare(configured("capture.temperature_expected=false"))
+    assert expected_air(none) == ([], [])
+    text = without_air("/cell/temperature", TRACER)
+    assert "nobody publishes /cell/temperature: every observation waits for it as long as" in text
+    assert "capture.temperature_expected: false" in text

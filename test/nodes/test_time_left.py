@@ -1,0 +1,25 @@
+"""The time that is left stands still during a pause, and goes on from there."""
+
+import pytest
+
+from rotcal_ros.nodes import progress as module
+from rotcal_ros.nodes.progress import Progress
+
+
+def test_a_pause_neither_lengthens_nor_shortens_it(monkeypatch):
+    now_s = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now_s[0])
+    progress = Progress(total=10, done=2, left=8, started_s=100.0)
+    left = []
+    for event, at_s in (
+        ("", 120.0),
+        ("pause", 120.0),
+        ("", 720.0),
+        ("go_on", 1020.0),
+        ("", 1030.0),
+    ):
+        now_s[0] = at_s
+        if event:
+            getattr(progress, event)()
+        left.append(progress.time_left())
+    assert left == pytest.approx([80.0, 80.0, 80.0, 80.0, 120.0])
