@@ -162,9 +162,7 @@ def trial(root: Path, cut: bytes, fault: Fault | None = None) -> FaultyDisk:
     faulty.names[path] = faulty.stable_names[path] = File(bytearray(cut), cut)
     with pytest.MonkeyPatch.context() as patch, suppress(BagError):
         faulty.install(patch)
-        end = ended(path)
-        assert end is not None
-        InterruptedSession(open_ends=(end,)).close("next.mcap")
+        InterruptedSession.read(root).close("next.mcap")
     assert not faulty.open
     return faulty
 
