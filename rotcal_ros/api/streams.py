@@ -20,7 +20,7 @@ from rotcal_ros.observations import (
     ProbeSample,
     TemperatureSample,
 )
-from rotcal_ros.recordings.replay import Decoders, find_configuration
+from rotcal_ros.recordings.recorded_setup import Decoders, find_configuration
 from rotcal_ros.recordings.streams import StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 

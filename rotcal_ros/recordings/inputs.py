@@ -12,7 +12,8 @@ from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.catalogue.setup_file import read_setup
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.recordings.replay import Recording, Source, find_configuration, read_recording
+from rotcal_ros.recordings.recorded_setup import find_configuration
+from rotcal_ros.recordings.replay import Recording, Source, read_recording
 from rotcal_ros.recordings.topics import Topics
 from rotcal_ros.tables import is_table
 

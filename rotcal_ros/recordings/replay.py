@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -13,9 +12,7 @@ from rotcal_ros import catalogue
 from rotcal_ros import messages as records
 from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
-from rotcal_ros.bags.decode import Decoder
-from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, scan_file, sha256_of
+from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
@@ -23,16 +20,13 @@ from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.catalogue.configuration import (
-    OFFLINE_GROUPS,
     Configuration,
     parse_configuration,
     read_policy,
-    read_subject,
 )
 from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
 from rotcal_ros.catalogue.method import Trials
-from rotcal_ros.errors import BagError, ConfigurationError, DataError, RotcalError
-from rotcal_ros.identity import Identity
+from rotcal_ros.errors import BagError, DataError, RotcalError
 from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
@@ -41,14 +35,20 @@ from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
 from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
 from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
+from rotcal_ros.recordings.recorded_setup import (
+    Decoders,
+    as_planned,
+    as_recorded,
+    find_configuration,
+    recorded_configurations,
+    recorded_subjects,
+    require_its_method,
+)
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
 from rotcal_ros.results import Result
 
 Source = Literal["streams", "observations"]
-Decoders = dict[ChannelDefinition, Decoder]
-Subject = tuple[Identity, bool]
-"""What is measured, and whether a simulation does."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def read_recording(
     if configuration is None:
         configuration = find_configuration(files, topics, limits)
     topics.renamed = {**configuration.topics.renamed(), **topics.renamed}
-    calibration = _as_planned(configuration, files, topics, limits)
+    calibration = as_planned(configuration, files, topics, limits)
     feeder = StreamFeeder(
         calibration.capture,
         configuration.cell.joint,
@@ -234,10 +234,10 @@ def read_recording(
     attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
     texts = (attached, *found.planned)
-    _require_its_method(configuration, _recorded_configurations(texts), path)
-    subjects = tuple(_recorded_subjects(texts, found.scans))
+    require_its_method(configuration, recorded_configurations(texts), path)
+    subjects = tuple(recorded_subjects(texts, found.scans))
     return Recording(
-        calibration=replace(calibration, configuration=_as_recorded(configuration, subjects)),
+        calibration=replace(calibration, configuration=as_recorded(configuration, subjects)),
         source=source,
         observations=tuple(feeder.observations if source == "streams" else found.recorded),
         recorded=tuple(found.recorded),
@@ -301,105 +301,3 @@ def _run_number(scan: Scan, before: int) -> int:
     """Return the run that is being read; ``before`` where the file says none."""
     number = scan.metadata.get(names.RUN, {}).get("number", "")
     return int(number) if number.isascii() and number.isdigit() and len(number) < 10 else before
-
-
-def find_configuration(
-    files: tuple[Path, ...], topics: Topics, limits: ReadingLimits = DEFAULT_LIMITS
-) -> Configuration:
-    """Return the configuration that a bag was recorded with; reads no further than needed."""
-    for file in files:
-        scan = scan_file(file, limits)
-        for text in _configuration_texts(scan, topics):
-            source = f"{file.name}: {names.CONFIGURATION}"
-            return parse_configuration(text, source, OFFLINE_GROUPS)
-    raise BagError(
-        f"{files[0].parent if len(files) > 1 else files[0]} holds no configuration: neither the "
-        f"attachment {names.CONFIGURATION} nor a message on the topic {names.PLAN}; "
-        "give the set-up (--setup)"
-    )
-
-
-def _recorded_configurations(texts: Iterable[str]) -> Iterator[Configuration]:
-    """Yield the configurations in a bag that can be read."""
-    for text in texts:
-        with suppress(ConfigurationError):
-            yield parse_configuration(text, names.CONFIGURATION, OFFLINE_GROUPS)
-
-
-def _require_its_method(
-    configuration: Configuration, recorded: Iterable[Configuration], path: Path
-) -> None:
-    """Raise DataError when the method of ``configuration`` is not that of those ``recorded``."""
-    for method in (known.method.name for known in recorded):
-        if method != configuration.method.name:
-            raise DataError(
-                f"{path} was recorded with the method {method}, but {configuration.source} "
-                f"sets up {configuration.method.name}: give the set-up that belongs to it, "
-                "or none, then the one in the bag is taken"
-            )
-
-
-def _recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[Subject]:
-    """Yield what a bag says that it measures: its configurations first, then its recorder.
-
-    Settings of an earlier version, which cannot be read today, hide none of it.
-    """
-    for text in texts:
-        with suppress(ConfigurationError):
-            yield read_subject(text, names.CONFIGURATION)
-    for note in (scan.metadata.get(names.SUBJECT, {}) for scan in scans):
-        yield Identity(item=note.get("item", "")), note.get("simulated") == "true"
-
-
-def _as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Configuration:
-    """Return the configuration with what no other set-up can change about a recording.
-
-    A simulation stays one, and who and what was measured stands in the bag unless it is given:
-    what is told first counts.
-    """
-    identity = configuration.identity
-    if "identity" not in configuration.given:
-        stated = (known for known, _ in subjects if known != Identity())
-        identity = next(stated, identity)
-    simulated = configuration.simulated or any(simulated for _, simulated in subjects)
-    return replace(configuration, simulated=simulated, identity=identity)
-
-
-def _as_planned(
-    configuration: Configuration, files: tuple[Path, ...], topics: Topics, limits: ReadingLimits
-) -> catalogue.Calibration:
-    """Return the calibration with the plan that was measured, be it one of an earlier version.
-
-    The number of steps tells, as announced on the ``plan`` topic.
-    """
-    calibration = catalogue.prepare(configuration)
-    older = [plan(configuration) for plan in configuration.method.older_plans]
-    if not older:
-        return calibration
-    scans = (scan_file(file, limits) for file in files)
-    announced = next(_announced_steps(scans, topics), len(calibration.plan.steps))
-    plans = (plan for plan in (calibration.plan, *older) if len(plan.steps) == announced)
-    return replace(calibration, plan=next(plans, calibration.plan))
-
-
-def _announced_steps(scans: Iterable[Scan], topics: Topics) -> Iterator[int]:
-    decoders: Decoders = {}
-    for scan in scans:
-        for block in scan.blocks():
-            for part in topics.split(block, scan.channels, decoders):
-                if part.role == names.PLAN:
-                    with part.taken_as_expected():
-                        yield from (message.total_steps for _, message in part.messages(block))
-
-
-def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
-    decoders: Decoders = {}
-    for block in scan.blocks():
-        if names.CONFIGURATION in scan.attachments:
-            break
-        for part in topics.split(block, scan.channels, decoders):
-            if part.role == names.PLAN:
-                with part.taken_as_expected():
-                    yield from (message.configuration for _, message in part.messages(block))
-    if names.CONFIGURATION in scan.attachments:
-        yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")

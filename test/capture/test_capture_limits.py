@@ -145,7 +145,7 @@ def test_a_stream_may_be_behind_by_the_tolerance(after_ns, rejected):
     assert capture.feed(TableSample(BEGIN + MS, 0.0, 0.0)) == ()
     found = capture.feed(TableSample(BEGIN + 400 * MS + after_ns, 0.0, 0.0))
     words = "tracer readings are 0.4 s behind the other streams, allowed 0.4 s: silent, or "
-    words += "stamped by another clock"
+    words += "stamped by another clock; none has come yet"
     assert [o.reason for o in found] == ([words] if rejected else [])
 
 
@@ -283,7 +283,9 @@ def test_commands_are_counted_and_compared_with_the_plan():
     off = [replace(good[0], table_angle=0.1), replace(good[1], target=0)]
     unknown = [replace(good[0], step=step) for step in (-1, 9, 10)]
     capture, _ = fed(*good, *off, *unknown)
-    assert capture.counts["command"] == {"received": 8, "off_plan": 2, "unknown_step": 3}
+    assert capture.counts["command"] == {
+        "received": 8, "off_plan": 2, "unknown_step": 3, "unanswered": 4,
+    }  # fmt: skip
     texts = capture.remarks()
     assert texts[0] == (
         f"the command for step 0 is not the plan's: found {off[0]}, expected {good[0]}"

@@ -14,7 +14,7 @@ from rotcal_ros.settings import load
     ("cls", "group", "method", "count"),
     [
         (CellSettings, "cell", "", 4),
-        (PlannerSettings, "planner", "", 12),
+        (PlannerSettings, "planner", "", 13),
         (TableAngleSettings, "plan", "plane_mirror", 4),
         (TableAngleSettings, "plan", "tracer_multistation", 4),
     ],

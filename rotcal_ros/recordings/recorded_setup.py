@@ -1,0 +1,131 @@
+"""What a bag says of its own measurement: configuration, plan, subject."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from rotcal_ros import catalogue
+from rotcal_ros.bags import names
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.reader import scan_file
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.scan import Scan
+from rotcal_ros.catalogue.configuration import (
+    OFFLINE_GROUPS,
+    Configuration,
+    parse_configuration,
+    read_subject,
+)
+from rotcal_ros.errors import BagError, ConfigurationError, DataError
+from rotcal_ros.identity import Identity
+from rotcal_ros.recordings.topics import Topics
+
+Decoders = dict[ChannelDefinition, Decoder]
+Subject = tuple[Identity, bool]
+"""What is measured, and whether a simulation does."""
+
+
+def find_configuration(
+    files: tuple[Path, ...], topics: Topics, limits: ReadingLimits = DEFAULT_LIMITS
+) -> Configuration:
+    """Return the configuration that a bag was recorded with; reads no further than needed."""
+    for file in files:
+        scan = scan_file(file, limits)
+        for text in _configuration_texts(scan, topics):
+            source = f"{file.name}: {names.CONFIGURATION}"
+            return parse_configuration(text, source, OFFLINE_GROUPS)
+    raise BagError(
+        f"{files[0].parent if len(files) > 1 else files[0]} holds no configuration: neither the "
+        f"attachment {names.CONFIGURATION} nor a message on the topic {names.PLAN}; "
+        "give the set-up (--setup)"
+    )
+
+
+def recorded_configurations(texts: Iterable[str]) -> Iterator[Configuration]:
+    """Yield the configurations in a bag that can be read."""
+    for text in texts:
+        with suppress(ConfigurationError):
+            yield parse_configuration(text, names.CONFIGURATION, OFFLINE_GROUPS)
+
+
+def require_its_method(
+    configuration: Configuration, recorded: Iterable[Configuration], path: Path
+) -> None:
+    """Raise DataError when the method of ``configuration`` is not that of those ``recorded``."""
+    for method in (known.method.name for known in recorded):
+        if method != configuration.method.name:
+            raise DataError(
+                f"{path} was recorded with the method {method}, but {configuration.source} "
+                f"sets up {configuration.method.name}: give the set-up that belongs to it, "
+                "or none, then the one in the bag is taken"
+            )
+
+
+def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[Subject]:
+    """Yield what a bag says that it measures: its configurations first, then its recorder.
+
+    Settings of an earlier version, which cannot be read today, hide none of it.
+    """
+    for text in texts:
+        with suppress(ConfigurationError):
+            yield read_subject(text, names.CONFIGURATION)
+    for note in (scan.metadata.get(names.SUBJECT, {}) for scan in scans):
+        yield Identity(item=note.get("item", "")), note.get("simulated") == "true"
+
+
+def as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Configuration:
+    """Return the configuration with what no other set-up can change about a recording.
+
+    A simulation stays one, and who and what was measured stands in the bag unless it is given:
+    what is told first counts.
+    """
+    identity = configuration.identity
+    if "identity" not in configuration.given:
+        stated = (known for known, _ in subjects if known != Identity())
+        identity = next(stated, identity)
+    simulated = configuration.simulated or any(simulated for _, simulated in subjects)
+    return replace(configuration, simulated=simulated, identity=identity)
+
+
+def as_planned(
+    configuration: Configuration, files: tuple[Path, ...], topics: Topics, limits: ReadingLimits
+) -> catalogue.Calibration:
+    """Return the calibration with the plan that was measured, be it one of an earlier version.
+
+    The number of steps tells, as announced on the ``plan`` topic.
+    """
+    calibration = catalogue.prepare(configuration)
+    older = [plan(configuration) for plan in configuration.method.older_plans]
+    if not older:
+        return calibration
+    scans = (scan_file(file, limits) for file in files)
+    announced = next(_announced_steps(scans, topics), len(calibration.plan.steps))
+    plans = (plan for plan in (calibration.plan, *older) if len(plan.steps) == announced)
+    return replace(calibration, plan=next(plans, calibration.plan))
+
+
+def _announced_steps(scans: Iterable[Scan], topics: Topics) -> Iterator[int]:
+    decoders: Decoders = {}
+    for scan in scans:
+        for block in scan.blocks():
+            for part in topics.split(block, scan.channels, decoders):
+                if part.role == names.PLAN:
+                    with part.taken_as_expected():
+                        yield from (message.total_steps for _, message in part.messages(block))
+
+
+def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
+    decoders: Decoders = {}
+    for block in scan.blocks():
+        if names.CONFIGURATION in scan.attachments:
+            break
+        for part in topics.split(block, scan.channels, decoders):
+            if part.role == names.PLAN:
+                with part.taken_as_expected():
+                    yield from (message.configuration for _, message in part.messages(block))
+    if names.CONFIGURATION in scan.attachments:
+        yield scan.attachments[names.CONFIGURATION].data.decode(errors="replace")
