@@ -95,7 +95,7 @@ class CaptureSettings:
         maximum=86_400.0,
     )
     stamp_offset_s: float = setting(
-        1.0,
+        2.0,
         doc="s, how much later a stream may arrive behind its stamps than the table's feedback, "
         "always alike: more are two clocks, and nothing measured meanwhile is accepted",
         minimum=0.01,

@@ -16,6 +16,8 @@ from rotcal_ros.ros2_control.travel import Way
 from rotcal_ros.units import NANOSECOND
 
 SETPOINT_PERIOD_S: Final = 0.02
+LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S
+"""Time made up for in one step at most: a machine that is busy goes slower, it never jumps."""
 
 
 class JointController(Protocol):
@@ -64,7 +66,7 @@ class PositionController:
     def __init__(self, node: CellNode, controller: str, joint: str) -> None:
         self._publisher = node.create_publisher(Float64MultiArray, f"{controller}/commands", EVENT)
         self._way: Way | None = None
-        self._begun_s = 0.0
+        self._elapsed_s = self._stepped_s = 0.0
         node.every(SETPOINT_PERIOD_S, self._step)
 
     def heard(self) -> bool:
@@ -73,15 +75,16 @@ class PositionController:
 
     def send(self, way: Way) -> None:
         """Begin to go that way."""
-        self._way, self._begun_s = way, time.monotonic()
+        self._way, self._elapsed_s, self._stepped_s = way, 0.0, time.monotonic()
 
     def _step(self) -> None:
         """Publish where the joint shall be now; the last position once."""
         if self._way is None:
             return
-        elapsed = time.monotonic() - self._begun_s
-        self._publisher.publish(Float64MultiArray(data=[self._way.position(elapsed)]))
-        if elapsed >= self._way.times_s[-1]:
+        before, self._stepped_s = self._stepped_s, time.monotonic()
+        self._elapsed_s += min(self._stepped_s - before, LATEST_S)
+        self._publisher.publish(Float64MultiArray(data=[self._way.position(self._elapsed_s)]))
+        if self._elapsed_s >= self._way.times_s[-1]:
             self._way = None
 
 

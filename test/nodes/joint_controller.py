@@ -57,6 +57,7 @@ class Machine(Node):
             if elapsed < after:
                 part = max(0.0, (elapsed - before) / (after - before))
                 if self.fails("stalls") and part > 0.5:
+                    self.stops = []
                     return self.tell()
                 self.angle = start + (stop - start) * part * part * (3 - 2 * part)
                 return self.tell()
