@@ -36,6 +36,8 @@ _WHOLE: Final[Mapping[str, type]] = {
     "used": np.bool_,
 }
 """Columns of the residuals that are no floats."""
+_ROUNDING: Final = 1e-6
+"""Of the largest variance, by which a covariance may exceed what the variances allow."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def _result(data: Mapping[str, Any]) -> Result:
         angles=angles,
         deviations=deviations,
         std=std,
-        covariance=_columns(data.get("covariance", {}), "covariance", (n, n)),
+        covariance=_covariances(data.get("covariance", {}), n),
         sigma0=plain.sigma0,
         dof=plain.dof,
         n_observations=plain.n_observations,
@@ -142,10 +144,15 @@ def _directions(data: Any) -> dict[str, Directions]:
 
 def _residuals(data: Mapping[str, Any]) -> Residuals:
     names = [field.name for field in fields(Residuals) if field.name not in ("std", "coordinates")]
-    columns: dict[str, Any] = {
-        name: np.asarray(data[FILE_NAMES.get(name, name)], _WHOLE.get(name, np.float64))
-        for name in names
-    }
+    columns: dict[str, Any] = {}
+    for name in names:
+        key = FILE_NAMES.get(name, name)
+        whole = _WHOLE.get(name)
+        columns[name] = (
+            _floats(data[key], f"residuals.{key}")
+            if whole is None
+            else np.asarray(data[key], whole)
+        )
     shape = np.shape(columns["residual"])
     std, coordinates = _optional(data, "std", shape), data.get("coordinates", 1)
     if len(shape) != 1 or any(np.shape(column) != shape for column in columns.values()):
@@ -162,6 +169,17 @@ def _columns(data: Any, where: str, shape: tuple[int, ...]) -> dict[str, Floats]
         if column.shape != shape or not np.all(np.isfinite(column)):
             raise ValueError(f"{where}.{name}: expected finite numbers of the shape {shape}")
     return columns
+
+
+def _covariances(data: Any, n: int) -> dict[str, Floats]:
+    """Return covariance matrices by component; none exceeds what its variances allow."""
+    found = _columns(data, "covariance", (n, n))
+    for name, matrix in found.items():
+        std = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
+        bound = np.outer(std, std) + _ROUNDING * float(np.max(std**2, initial=0.0))
+        if np.any(np.abs(matrix) > bound):
+            raise ValueError(f"covariance.{name}: no covariance, it contradicts its variances")
+    return found
 
 
 def _column(values: Any, where: str) -> Floats:
@@ -187,6 +205,9 @@ def _floats(values: Any, where: str) -> Floats:
         found = np.asarray(values)
         if found.dtype.kind in "US":
             raise ValueError("it holds texts")
-        return found.astype(np.float64)
+        numbers = found.astype(np.float64)
     except (ArithmeticError, TypeError, ValueError) as error:
         raise ValueError(f"{where}: no array of numbers: {error}") from error
+    if np.any(np.isinf(numbers)):
+        raise ValueError(f"{where}: it holds infinite numbers")
+    return numbers
