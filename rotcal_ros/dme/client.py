@@ -18,13 +18,14 @@ from rotcal_ros.dme.faults import (
     Fault,
     NotClearedError,
 )
-from rotcal_ros.dme.feedback import REPORTED, Standing, TableSpeed, parse_standing, standing_of
+from rotcal_ros.dme.feedback import REPORTED, Standing, parse_standing, standing_of
 from rotcal_ros.dme.grammar import Call, Word, call, calls_by_name, parse_values
 from rotcal_ros.dme.link import DmeLink
 from rotcal_ros.dme.settings import AUTO, DmeSettings
 from rotcal_ros.dme.table_axis import TableAxis, way_to_turn
 from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.planning.plan import Point
+from rotcal_ros.table_motion import TableSpeed
 from rotcal_ros.units import MILLIMETRE
 
 NOT_STARTED: Final = "no session was started"

@@ -17,6 +17,7 @@ from rotcal_ros.dme.faults import DmeError
 from rotcal_ros.dme.grammar import Call, call
 from rotcal_ros.dme.settings import ALIGN_PART, AUTO, GOTO_R, DmeSettings
 from rotcal_ros.observations import Approach
+from rotcal_ros.table_motion import approached
 from rotcal_ros.units import DEGREE
 
 FIRST_WITH_R: Final = 2
@@ -70,15 +71,10 @@ class TableAxis:
 
         AlignPart goes the shorter way round: none of its turns is longer than a third of a circle.
         """
-        over = self.settings.overshoot_deg * DEGREE
-        way = [angle]
-        if approach == Approach.POSITIVE and not here <= angle - 0.5 * over:
-            way = [angle - over, angle]
-        elif approach == Approach.NEGATIVE and not here >= angle + 0.5 * over:
-            way = [angle + over, angle]
+        way = approached(here, angle, approach, self.settings.overshoot_deg * DEGREE)
         if self.turn_by == ALIGN_PART:
-            way = _in_thirds(here, way[0]) + way[1:]
-        return way
+            return [*_in_thirds(here, way[0]), *way[1:]]
+        return list(way)
 
     def check_arrival(self, angle: float, ordered: float) -> None:
         """Raise DmeError when the table is somewhere else than ordered (rad)."""

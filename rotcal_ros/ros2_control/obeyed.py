@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
-from math import isfinite, isnan, nan
+from math import isfinite, isnan
 
 from rotcal_ros.observations import TableSample
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.ros2_control.travel import TURN, Way
-from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+from rotcal_ros.table_motion import TableSpeed
+from rotcal_ros.units import ARCSEC, DEGREE
 
 _AT_REST = 1e-9
 """rad between two readings that are no motion."""
 _LATE = 1.5
 """Times its duration that a way may take before it is called late."""
-_BASE_NS = 50_000_000
+_SPEED_S = 0.05
 """Time over which a velocity is taken from angles: long against the noise of an encoder."""
 _FAR = 2 * TURN
 """rad, an angle at the start that is more likely one in degrees."""
@@ -28,7 +28,6 @@ class ObeyedOrder:
     way: Way
     begun_s: float
     moved: bool = False
-    moved_s: float = 0.0
 
 
 class JointWatch:
@@ -37,8 +36,8 @@ class JointWatch:
     def __init__(self, settings: TableAdapterSettings) -> None:
         self._settings = settings
         self._tolerance = settings.tolerance_arcsec * ARCSEC
-        self._heard_s = 0.0
-        self._readings: deque[TableSample] = deque()
+        self._heard_s = self._moved_s = 0.0
+        self._speed = TableSpeed(_SPEED_S)
         self.latest: TableSample | None = None
         self.order: ObeyedOrder | None = None
 
@@ -55,7 +54,7 @@ class JointWatch:
 
     def begin(self, way: Way, now_s: float) -> None:
         """Note an order that was just sent."""
-        self.order = ObeyedOrder(way, now_s, moved_s=now_s)
+        self.order, self._moved_s = ObeyedOrder(way, now_s), now_s
 
     def hear(self, sample: TableSample, now_s: float) -> TableSample | None:
         """Return ``sample`` as the cell shall hear it, with a velocity; None: not to be told.
@@ -67,16 +66,21 @@ class JointWatch:
         self._heard_s = now_s
         if not isfinite(sample.angle):
             return None
-        sample = TableSample(sample.stamp_ns, sample.angle, self._velocity(sample))
+        if before is not None and abs(sample.angle - before.angle) > _AT_REST:
+            self._moved_s = now_s
+        by_angles = self._speed.feed(sample.stamp_ns, sample.angle)
+        feedback = by_angles if isnan(sample.velocity) else sample
+        return feedback if self._begun(sample.angle) else None
+
+    def _begun(self, angle: float) -> bool:
+        """Return whether the joint has begun to obey, or has nothing to do."""
         order = self.order
         if order is None:
-            return sample
-        if before is not None and abs(sample.angle - before.angle) > _AT_REST:
-            order.moved_s = now_s
+            return True
         order.moved = order.moved or (
-            abs(sample.angle - order.way.start) > self._tolerance or not self._must_move(order.way)
+            abs(angle - order.way.start) > self._tolerance or not self._must_move(order.way)
         )
-        return sample if order.moved else None
+        return order.moved
 
     def arrived(self) -> bool:
         """Return whether the joint is where it was sent last, whole turns apart."""
@@ -100,7 +104,7 @@ class JointWatch:
                 f"the table tells {angle:.6g} where {goal:.6g} rad were ordered: its feedback is "
                 "in degrees, joint_states must be in rad"
             )
-        still_s = now_s - order.moved_s
+        still_s = now_s - self._moved_s
         if not order.moved and still_s > patience:
             return (
                 f"the table has not moved for {still_s:.1f} s since it was sent to "
@@ -124,20 +128,6 @@ class JointWatch:
 
     def _must_move(self, way: Way) -> bool:
         return any(abs(angle - way.start) > self._tolerance for angle in way.angles)
-
-    def _velocity(self, sample: TableSample) -> float:
-        """Return the velocity that was told (rad/s), else that of the latest readings."""
-        readings = self._readings
-        while len(readings) > 1 and sample.stamp_ns - readings[1].stamp_ns >= _BASE_NS:
-            readings.popleft()
-        if not readings or sample.stamp_ns > readings[-1].stamp_ns:
-            readings.append(sample)
-        if not isnan(sample.velocity):
-            return sample.velocity
-        first = readings[0]
-        if sample.stamp_ns <= first.stamp_ns:
-            return nan
-        return (sample.angle - first.angle) / ((sample.stamp_ns - first.stamp_ns) * NANOSECOND)
 
     def _in_degrees(self, goal: float, angle: float) -> bool:
         """Return whether a joint stands at the number of degrees that was ordered in rad."""

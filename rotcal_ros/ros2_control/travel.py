@@ -15,12 +15,12 @@ from math import ceil, floor, inf, pi, sqrt
 from rotcal_ros.errors import DataError
 from rotcal_ros.observations import Approach
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
+from rotcal_ros.table_motion import TOWARDS, approached
 from rotcal_ros.units import DEGREE
 
 TURN = 2 * pi
 SHORTEST_S = 0.1
 """Even a step to where the joint stands already takes so long: controllers refuse less."""
-_TOWARDS = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +57,14 @@ def way_to(angle: float, approach: Approach, start: float, settings: TableAdapte
     An ordered ``approach`` is kept on the last ``overshoot_deg`` at least. Raises DataError where
     the travel ends before.
     """
-    ways = (_legs(goal, approach, start, settings) for goal in _turns(angle, start, settings))
+    run_up = settings.overshoot_deg * DEGREE
+    goals = _turns(angle, start, settings)
+    ways = (approached(start, goal, approach, run_up) for goal in goals)
     possible = [legs for legs in ways if _within(legs, settings)]
     if not possible:
         raise DataError(
             f"the table cannot go to {angle / DEGREE:.4f} deg"
-            f"{' with this side of approach' if approach in _TOWARDS else ''}: its travel is "
+            f"{' with this side of approach' if approach in TOWARDS else ''}: its travel is "
             f"{settings.lower_deg:g} to {settings.upper_deg:g} deg"
         )
     angles = min(possible, key=lambda legs: (_length(start, legs), legs))
@@ -80,17 +82,6 @@ def _turns(angle: float, start: float, settings: TableAdapterSettings) -> Iterat
         first = ceil((settings.lower_deg * DEGREE - angle) / TURN - 1e-12)
         last = floor((settings.upper_deg * DEGREE - angle) / TURN + 1e-12)
     return (angle + turn * TURN for turn in range(first, last + 1))
-
-
-def _legs(
-    goal: float, approach: Approach, start: float, settings: TableAdapterSettings
-) -> tuple[float, ...]:
-    """Return the stops on the way: the goal, and before it where the approach begins."""
-    towards = _TOWARDS.get(approach, 0.0)
-    run_up = settings.overshoot_deg * DEGREE
-    if not towards or towards * (goal - start) >= run_up:
-        return (goal,)
-    return (goal - towards * run_up, goal)
 
 
 def _within(legs: tuple[float, ...], settings: TableAdapterSettings) -> bool:

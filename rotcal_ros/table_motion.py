@@ -1,0 +1,51 @@
+"""How any table comes to its angle: from the ordered side, and how fast by its feedback alone."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+from rotcal_ros.observations import Approach, TableSample
+from rotcal_ros.units import NANOSECOND
+
+TOWARDS: Final = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
+"""Sign of the last motion, where a side is ordered."""
+_HISTORY: Final = 10_000
+
+
+def approached(here: float, goal: float, approach: Approach, run_up: float) -> tuple[float, ...]:
+    """Return the angles to stop at on the way from ``here`` to ``goal`` (all rad).
+
+    An ordered side is kept on the last ``run_up`` at least: a table that stands nearer, or
+    beyond, goes back so far first.
+    """
+    towards = TOWARDS.get(approach, 0.0)
+    if not towards or towards * (goal - here) >= run_up:
+        return (goal,)
+    return (goal - towards * run_up, goal)
+
+
+class TableSpeed:
+    """The table's angles (rad) become feedback with a speed, taken over at least ``span_s``."""
+
+    def __init__(self, span_s: float) -> None:
+        self._span_ns = round(span_s / NANOSECOND)
+        self._angles: deque[tuple[int, float]] = deque(maxlen=_HISTORY)
+
+    def restart(self) -> None:
+        """Forget the angles before: the table has ended a motion."""
+        self._angles.clear()
+
+    def feed(self, stamp_ns: int, angle: float) -> TableSample | None:
+        """Return the feedback; None while too little is known for a speed, or time stood still."""
+        angles = self._angles
+        if angles and stamp_ns <= angles[-1][0]:
+            return None
+        angles.append((stamp_ns, angle))
+        while len(angles) > 2 and stamp_ns - angles[1][0] >= self._span_ns:
+            angles.popleft()
+        since_ns = stamp_ns - angles[0][0]
+        if since_ns < self._span_ns:
+            return None
+        speed = (angle - angles[0][1]) / (since_ns * NANOSECOND)
+        return TableSample(stamp_ns, angle, speed)

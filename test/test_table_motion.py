@@ -1,0 +1,36 @@
+"""The side of approach, and a speed out of angles."""
+
+from math import pi
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rotcal_ros.observations import Approach
+from rotcal_ros.table_motion import TableSpeed, approached
+
+angles = st.floats(-20.0, 20.0)
+
+
+@given(here=angles, goal=angles, side=st.sampled_from([Approach.POSITIVE, Approach.NEGATIVE]))
+def test_the_last_run_up_is_on_the_ordered_side(here, goal, side):
+    sign = 1.0 if side is Approach.POSITIVE else -1.0
+    *before, last = (here, *approached(here, goal, side, 0.1))
+    assert last == goal
+    assert sign * (goal - before[-1]) >= 0.1 - 1e-12
+    mirrored = Approach.NEGATIVE if side is Approach.POSITIVE else Approach.POSITIVE
+    assert approached(-here, -goal, mirrored, 0.1) == pytest.approx(
+        [-angle for angle in approached(here, goal, side, 0.1)]
+    )
+
+
+def test_without_a_side_it_goes_straight():
+    assert approached(3.0, 1.0, Approach.UNKNOWN, 0.1) == (1.0,)
+
+
+def test_a_speed_is_that_of_the_span():
+    speed = TableSpeed(0.1)
+    told = [speed.feed(k * 25_000_000, pi * k * 0.025) for k in range(9)]
+    assert told[:4] == [None] * 4
+    assert [sample.velocity for sample in told[4:]] == pytest.approx([pi] * 5)
+    assert speed.feed(8 * 25_000_000, 0.0) is None
