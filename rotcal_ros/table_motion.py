@@ -37,9 +37,14 @@ class TableSpeed:
         self._angles.clear()
 
     def feed(self, stamp_ns: int, angle: float) -> TableSample | None:
-        """Return the feedback; None while too little is known for a speed, or time stood still."""
+        """Return the feedback; None while too little is known for a speed, or time stood still.
+
+        A clock that was set back begins anew.
+        """
         angles = self._angles
-        if angles and stamp_ns <= angles[-1][0]:
+        if angles and stamp_ns < angles[-1][0]:
+            angles.clear()
+        if angles and stamp_ns == angles[-1][0]:
             return None
         angles.append((stamp_ns, angle))
         while len(angles) > 2 and stamp_ns - angles[1][0] >= self._span_ns:

@@ -34,3 +34,11 @@ def test_a_speed_is_that_of_the_span():
     assert told[:4] == [None] * 4
     assert [sample.velocity for sample in told[4:]] == pytest.approx([pi] * 5)
     assert speed.feed(8 * 25_000_000, 0.0) is None
+
+
+def test_a_clock_that_was_set_back_begins_anew():
+    speed = TableSpeed(0.05)
+    early = [speed.feed(10**12 + k * 50_000_000, 0.1 * k) for k in range(3)]
+    again = [speed.feed(k * 50_000_000, 0.1 * k) for k in range(3)]
+    assert [sample and round(sample.velocity, 6) for sample in early] == [None, 2.0, 2.0]
+    assert [sample and round(sample.velocity, 6) for sample in again] == [None, 2.0, 2.0]

@@ -26,6 +26,9 @@ class JointController(Protocol):
     def heard(self) -> bool:
         """Return whether anybody listens to it."""
 
+    def setpoint(self) -> float | None:
+        """Return where the joint was sent last (rad) on a way that it is still on, if known."""
+
     def send(self, way: Way) -> None:
         """Let the joint go that way from now on."""
 
@@ -51,6 +54,9 @@ class TrajectoryController:
         """Return whether anybody listens to it."""
         return bool(self._publisher.get_subscription_count())
 
+    def setpoint(self) -> None:
+        """Return None: the controller goes over from one trajectory to the next by itself."""
+
     def send(self, way: Way) -> None:
         """Publish a trajectory that begins when it arrives: its stamp is zero."""
         points = [
@@ -72,6 +78,10 @@ class PositionController:
     def heard(self) -> bool:
         """Return whether anybody listens to it."""
         return bool(self._publisher.get_subscription_count())
+
+    def setpoint(self) -> float | None:
+        """Return where the joint was sent last: a new way begins there, not where it lags."""
+        return None if self._way is None else self._way.position(self._elapsed_s)
 
     def send(self, way: Way) -> None:
         """Begin to go that way."""

@@ -14,10 +14,13 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
+from rotcal_ros.capture.rejections import kind_of
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.concerns import COMPLAINT, show
 from rotcal_ros.nodes.draining import Batch, listen_to_instrument
+from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.joint_controllers import joint_controller
 from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run
@@ -29,8 +32,8 @@ from rotcal_ros.ros2_control.travel import way_to
 from rotcal_ros.units import DEGREE
 
 LOOK_PERIOD_S: Final = 0.2
-COMPLAINT: Final = "table"
-"""Name of what is wrong, among the values of the diagnostics."""
+FRESH_S: Final = 1.0
+"""Age of an order from which on the planner's beat is younger than it."""
 
 
 class TableAdapter(CellNode):
@@ -48,6 +51,8 @@ class TableAdapter(CellNode):
         self._watch = JointWatch(self._settings)
         self._controller = joint_controller(self, self._settings, self._joint)
         self._waiting: TableAngle | None = None
+        self._waiting_s = 0.0
+        self._refused = self._kind = ""
         self._others: tuple[str, ...] = ()
         self._state = "waiting for feedback"
         self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
@@ -62,23 +67,38 @@ class TableAdapter(CellNode):
 
     def _obey(self, message: TableAngle) -> None:
         """Take an order; it takes the place of one that is under way."""
-        self._waiting = message
+        self._waiting, self._waiting_s, self._refused = message, time.monotonic(), ""
         self._send()
 
     def _send(self) -> None:
         """Send what waits, as soon as it is known where the joint stands and who listens."""
-        order, here = self._waiting, self._watch.latest
+        order, here = self._waiting, self._watch.here(time.monotonic())
         if order is None or here is None or self._watch.doubt() or not self._controller.heard():
             return
         self._waiting = None
         self._state = f"step {order.step}, attempt {order.attempt}"
+        begin = self._controller.setpoint()
         try:
-            way = way_to(order.angle, Approach(order.approach), here.angle, self._settings)
+            way = way_to(
+                order.angle,
+                Approach(order.approach),
+                here if begin is None else begin,
+                self._settings,
+            )
         except DataError as error:
-            self._complain(str(error))
+            self._refused = str(error)
             return
         self._controller.send(way)
         self._watch.begin(way, time.monotonic())
+
+    def _forget(self) -> None:
+        """Forget an order that waits when its calibration has ended: it must not move later."""
+        old = time.monotonic() > self._waiting_s + FRESH_S
+        planner = self.health.state("planner")
+        ended = bool(planner) and not planner.startswith(CALIBRATING)
+        if self._waiting is not None and old and (ended or "planner" in self.health.lost):
+            self._waiting = None
+            self.get_logger().warning("an order was dropped: its calibration has ended")
 
     def _hear(self, batch: Batch) -> None:
         for message, _ in batch:
@@ -93,13 +113,21 @@ class TableAdapter(CellNode):
 
     def _look(self) -> None:
         """Send what waited for a listener, and look for what is wrong."""
+        self._forget()
         self._send()
-        if complaint := self._wrong():
-            self._complain(complaint)
+        if text := self._wrong():
+            if kind_of(text) != self._kind:
+                self.get_logger().error(text)
+            self._kind = kind_of(text)
         elif self._watch.arrived():
-            self.health.concerns.pop(COMPLAINT, None)
+            self._kind = ""
+        if text or self._watch.arrived():
+            show(self.health, COMPLAINT, text)
 
     def _wrong(self) -> str:
+        """Say what is wrong with the table; empty: nothing is."""
+        if self._refused:
+            return self._refused
         if self._watch.latest is None and self._others:
             return (
                 f"no joint {self._joint!r} in {self._settings.feedback}, which has "
@@ -110,15 +138,9 @@ class TableAdapter(CellNode):
                 return doubt
             if self._watch.latest is None:
                 return f"nobody publishes {self._settings.feedback}: nothing can be moved"
-            return f"nobody listens to {self._settings.controller}: is the controller active?"
+            if not self._controller.heard():
+                return f"nobody listens to {self._settings.controller}: is the controller active?"
         return self._watch.complaint(time.monotonic())
-
-    def _complain(self, text: str) -> None:
-        """Put ``text`` into the diagnostics; log it where it is news, numbers apart."""
-        before = self.health.concerns.get(COMPLAINT, "")
-        self.health.concerns[COMPLAINT] = text
-        if text[:24] != before[:24]:
-            self.get_logger().error(text)
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         latest = self._watch.latest

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import isfinite, isnan
+from dataclasses import dataclass, replace
+from math import isfinite, isnan, nan
 
 from rotcal_ros.observations import TableSample
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
@@ -11,8 +11,6 @@ from rotcal_ros.ros2_control.travel import TURN, Way
 from rotcal_ros.table_motion import TableSpeed
 from rotcal_ros.units import ARCSEC, DEGREE
 
-_AT_REST = 1e-9
-"""rad between two readings that are no motion."""
 _LATE = 1.5
 """Times its duration that a way may take before it is called late."""
 _SPEED_S = 0.05
@@ -37,13 +35,16 @@ class JointWatch:
         self._settings = settings
         self._tolerance = settings.tolerance_arcsec * ARCSEC
         self._heard_s = self._moved_s = 0.0
+        self._moved_to = nan
         self._speed = TableSpeed(_SPEED_S)
         self.latest: TableSample | None = None
         self.order: ObeyedOrder | None = None
 
     def doubt(self) -> str:
         """Return why nothing may move yet, in one sentence; empty where it may."""
-        if self.latest is None or self._settings.many_turns or abs(self.latest.angle) <= _FAR:
+        if self.order is not None or self._settings.many_turns:
+            return ""
+        if self.latest is None or not abs(self.latest.angle) > _FAR:
             return ""
         angle = self.latest.angle
         return (
@@ -52,6 +53,12 @@ class JointWatch:
             "table_adapter.many_turns: true"
         )
 
+    def here(self, now_s: float) -> float | None:
+        """Return the angle (rad) of the joint now; None where its feedback is old or none."""
+        if self.latest is None or now_s - self._heard_s > self._settings.silence_s:
+            return None
+        return self.latest.angle if isfinite(self.latest.angle) else None
+
     def begin(self, way: Way, now_s: float) -> None:
         """Note an order that was just sent."""
         self.order, self._moved_s = ObeyedOrder(way, now_s), now_s
@@ -59,18 +66,18 @@ class JointWatch:
     def hear(self, sample: TableSample, now_s: float) -> TableSample | None:
         """Return ``sample`` as the cell shall hear it, with a velocity; None: not to be told.
 
-        A joint that has an order and has not begun to move is not at rest where it was sent: if
-        it stands there by chance, before it comes again from the other side, nobody hears of it.
+        A joint that has an order and has not begun to move is not at rest where it was sent: it
+        may stand there by chance, before it comes again from the other side. Its velocity is
+        told to be unknown (NaN), which nobody takes for rest.
         """
-        before, self.latest = self.latest, sample
-        self._heard_s = now_s
+        self.latest, self._heard_s = sample, now_s
         if not isfinite(sample.angle):
             return None
-        if before is not None and abs(sample.angle - before.angle) > _AT_REST:
-            self._moved_s = now_s
+        if not abs(sample.angle - self._moved_to) <= self._tolerance:
+            self._moved_to, self._moved_s = sample.angle, now_s
         by_angles = self._speed.feed(sample.stamp_ns, sample.angle)
         feedback = by_angles if isnan(sample.velocity) else sample
-        return feedback if self._begun(sample.angle) else None
+        return feedback if self._begun(sample.angle) else replace(sample, velocity=nan)
 
     def _begun(self, angle: float) -> bool:
         """Return whether the joint has begun to obey, or has nothing to do."""
