@@ -23,7 +23,7 @@ NOISE_M = 0.2e-6
 DEAD_DISTANCE_M = 0.2718
 MOUNT_M = np.array([0.30, 0.05, 0.15])
 """Where the tracer stands on the table."""
-TABLE_RAD_S, PROBE_M_S = 2.0, 5.0
+TABLE_RAD_S, PROBE_M_S = 5.0, 20.0
 
 
 def error_rad(angle: float) -> float:

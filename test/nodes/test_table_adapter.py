@@ -53,7 +53,7 @@ def adapted(cell):
     return make
 
 
-@pytest.mark.parametrize("interface", ["trajectory", "positions"])
+@pytest.mark.parametrize("interface", ["trajectory", "positions"] if LONG else ["trajectory"])
 def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface):
     live = adapted(
         f"table_adapter.interface={interface}",
