@@ -61,7 +61,7 @@ class DmeClient:
         self._link: DmeLink | None = None
         self._axis = TableAxis(settings, settings.turn_by)
         self._speed, self._telling = TableSpeed(settings.settle_s), Lock()
-        self._angle = 0.0
+        self._angle, self._begun = 0.0, False
         self._turned: tuple[float, Approach] | None = None
 
     def start(self) -> None:
@@ -69,29 +69,13 @@ class DmeClient:
 
         Raises DmeError, after which the session is blocked.
         """
-        s = self.settings
         self._drop()
-        self.blocked = ""
+        self.blocked, self._begun, self._turned = "", False, None
         try:
-            self._link = DmeLink(s.host, s.port, s.reply_timeout_s, self._report, self._concern)
+            self._begin()
         except DmeError as error:
             self._fail(error)
-        self._do(call("EndSession"))  # what a lost connection left open, see 6.3.1 of 1.4.3
-        self._do(call("StartSession"))
-        self._axis = TableAxis(s, self._way_to_turn())
-        if not self._is_homed():
-            if not s.home:
-                self._fail(DmeError("the machine is not homed: home it, or set dme.home"))
-            self._do(call("Home"), s.motion_timeout_s)
-        self._take_tool()
-        self._do(call("SetCoordSystem", Word(s.coordinate_system)))
-        self._do(call("OnPtMeasReport", *REPORTED))
-        if s.report_period_s:
-            period_s = max(s.report_period_s, SHORTEST_PERIOD_S)
-            period = (call("Time", period_s), call("Dis", FIRST_DISTANCE_MM))
-            self._do(call("OnMoveReportE", *period, *REPORTED), event=True)
-        self._turned = None
-        self.where()
+        self._begun = True
 
     def close(self) -> None:
         """End the session in good order; what goes wrong with that harms nobody."""
@@ -154,11 +138,11 @@ class DmeClient:
     def clear(self) -> None:
         """Go on after an error; whoever calls this speaks for a person who has seen why.
 
-        A connection that lives is told ClearAllErrors, else a new session is begun. Raises
-        DmeError when that fails; the next call then begins a new session.
+        A session that lives is told ClearAllErrors, else a new one is begun: also where the start
+        failed. Raises DmeError when that fails; the next call then begins a new session.
         """
         link, self._turned = self._link, None
-        if link is None or link.broken:
+        if link is None or link.broken or not self._begun:
             self.start()
             return
         self.blocked = ""
@@ -169,16 +153,33 @@ class DmeClient:
             self._drop()
             raise
 
+    def _begin(self) -> None:
+        """Connect, and say all that a session needs; DmeError leaves it begun by half."""
+        s = self.settings
+        self._link = DmeLink(s.host, s.port, s.reply_timeout_s, self._report, self._concern)
+        self._do(call("EndSession"))  # what a lost connection left open, see 6.3.1 of 1.4.3
+        self._do(call("StartSession"))
+        self._axis = TableAxis(s, self._way_to_turn())
+        if not self._is_homed():
+            if not s.home:
+                raise DmeError("the machine is not homed: home it, or set dme.home")
+            self._do(call("Home"), s.motion_timeout_s)
+        self._take_tool()
+        self._do(call("SetCoordSystem", Word(s.coordinate_system)))
+        self._do(call("OnPtMeasReport", *REPORTED))
+        if s.report_period_s:
+            period_s = max(s.report_period_s, SHORTEST_PERIOD_S)
+            period = (call("Time", period_s), call("Dis", FIRST_DISTANCE_MM))
+            self._do(call("OnMoveReportE", *period, *REPORTED), event=True)
+        self.where()
+
     def _way_to_turn(self) -> str:
         """Return how the table is turned; the server is asked for its version if it matters."""
         if self.settings.turn_by != AUTO:
             return self.settings.turn_by
         answer = self._properties(call("GetDMEVersion")).get("DMEVersion", Call(""))
         self.version = "".join(str(argument) for argument in answer.arguments)
-        try:
-            return way_to_turn(AUTO, self.version)
-        except DmeError as error:
-            self._fail(error)
+        return way_to_turn(AUTO, self.version)
 
     def _take_tool(self) -> None:
         """Change to the tool, set how it probes where it can be set, learn its radius."""
@@ -186,7 +187,7 @@ class DmeClient:
         if s.tool:
             tools = [line.strip().strip('"') for line in self._do(call("EnumTools"))]
             if s.tool not in tools:
-                self._fail(DmeError(f"no tool {s.tool!r}; the machine has {', '.join(tools)}"))
+                raise DmeError(f"no tool {s.tool!r}; the machine has {', '.join(tools)}")
             self._do(call("ChangeTool", s.tool), s.motion_timeout_s)
         known = "\n".join(self._do(call("EnumAllProp", Call("Tool"))))
         wanted = {"Approach": s.approach_m, "Search": s.search_m}
@@ -200,8 +201,10 @@ class DmeClient:
         if not s.tip_radius_m:
             properties = self._properties(call("GetProp", Call(RADIUS)))
             if RADIUS not in properties:
-                self._fail(DmeError(f"the server tells no {RADIUS}: set dme.tip_radius_m"))
+                raise DmeError(f"the server tells no {RADIUS}: set dme.tip_radius_m")
             self.tip_radius = properties[RADIUS].number() * MILLIMETRE
+            if self.tip_radius <= 0.0:
+                raise DmeError(f"the server tells {properties[RADIUS]}: set dme.tip_radius_m")
 
     def _is_homed(self) -> bool:
         answer = self._properties(call("IsHomed")).get("IsHomed")

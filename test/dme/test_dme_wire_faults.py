@@ -4,7 +4,7 @@ import socket
 import time
 
 import pytest
-from wire import ScriptedServer
+from wire import ANSWERS, ScriptedServer
 
 from rotcal_ros.dme.client import DmeClient
 from rotcal_ros.dme.driver import Driver
@@ -41,8 +41,8 @@ STEP = Step(3, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0),
 def serve():
     servers = []
 
-    def make(*harm):
-        servers.append(ScriptedServer(*harm))
+    def make(*harm, **answers):
+        servers.append(ScriptedServer(*harm, answers=answers))
         return servers[-1]
 
     yield make
@@ -115,6 +115,34 @@ def test_a_server_that_answers_nothing_at_all_is_told_so_too(serve):
     server._answer = lambda *_: None  # half open: it takes lines, and is dead
     with pytest.raises(DmeError, match="AbortE was not answered either"):
         client.go(None, None, 0.3)
+
+
+@pytest.mark.parametrize(
+    ("question", "answer"),
+    [
+        ("GetProp", 'Tool.AvrRadius("1.5")'),
+        ("GetProp", "Tool.AvrRadius(0)"),
+        ("GetProp", "Tool.AvrRadius(-1.5)"),
+        ("GetProp", "Tool.Name(1)"),
+        ("IsHomed", 'IsHomed("yes")'),
+    ],
+)
+def test_a_start_that_fails_leaves_nothing_open_and_is_begun_again(serve, question, answer):
+    server = serve(**{question: [answer]})
+    client = client_of(server)
+    with pytest.raises(DmeError) as caught:
+        client.start()
+    assert client.blocked == str(caught.value)
+    assert answer.partition("(")[0].partition(".")[0] in client.blocked
+    with pytest.raises(NotClearedError):
+        client.go(None, None, 0.3)
+    assert not {"GoTo", "SetCoordSystem"} & set(server.names())
+    server.answers = ANSWERS
+    client.clear()  # errors alone are not all: the session was never begun as a whole
+    assert server.names().count("StartSession") == 2
+    assert "SetCoordSystem" in server.names()
+    assert client.tip_radius == pytest.approx(0.0015)
+    client.close()
 
 
 def test_nobody_at_the_port_is_a_sentence():

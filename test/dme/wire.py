@@ -22,11 +22,12 @@ LATE_S = 0.1
 class ScriptedServer:
     """Serves one connection after the other; ``fault`` is done instead of answering ``harmed``.
 
-    ``heard`` holds the calls of all clients in their order.
+    ``heard`` holds the calls of all clients in their order, ``answers`` the data of each method.
     """
 
-    def __init__(self, harmed="", fault=""):
+    def __init__(self, harmed="", fault="", answers=None):
         self.harmed, self.fault, self.heard = harmed, fault, []
+        self.answers = ANSWERS | (answers or {})
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
         self._open = []
@@ -64,7 +65,7 @@ class ScriptedServer:
                 return
 
     def _answer(self, connection, tag, call):
-        data = "".join(f"{tag} # {line}\r\n" for line in ANSWERS.get(call.name, ()))
+        data = "".join(f"{tag} # {line}\r\n" for line in self.answers.get(call.name, ()))
         connection.sendall(f"{tag} &\r\n{data}{tag} %\r\n".encode())
 
     def _harm(self, connection, tag):
