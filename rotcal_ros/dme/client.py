@@ -129,10 +129,13 @@ class DmeClient:
         return self._now_ns(), standing.position
 
     def abort(self, why: str) -> None:
-        """Stop all motion with AbortE, from any thread; a person goes on with :meth:`clear`."""
-        link, already = self._link, self.blocked
-        self.blocked = already or why
-        if link is not None and not already:
+        """Stop all motion with AbortE, from any thread; a person goes on with :meth:`clear`.
+
+        A session that is blocked is told too: what blocked it need not have stopped a motion.
+        """
+        link = self._link
+        self.blocked = self.blocked or why
+        if link is not None and not link.broken:
             link.run(call("AbortE"), link.reply_timeout_s, event=True)
 
     def clear(self) -> None:

@@ -22,7 +22,7 @@ from rotcal_ros.dme.faults import (
     ProtocolError,
     RefusedError,
 )
-from rotcal_ros.dme.grammar import Call
+from rotcal_ros.dme.grammar import Call, call
 from rotcal_ros.dme.lines import (
     END,
     UNASKED,
@@ -100,14 +100,14 @@ class DmeLink:
         self._reader = Thread(target=self._read, name="DME reader", daemon=True)
         self._reader.start()
 
-    def run(self, call: Call, timeout_s: float, *, event: bool = False) -> list[str]:
+    def run(self, order: Call, timeout_s: float, *, event: bool = False) -> list[str]:
         """Order and wait until it is done; return its data lines.
 
         ``event`` sends it through the fast queue. Raises RefusedError for an error that stops
         the server, AnswerMissingError, ConnectionLostError, ProtocolError.
         """
         tag = self._tags.event() if event else self._tags.command()
-        transaction = _Transaction(Command(tag, call))
+        transaction = _Transaction(Command(tag, order))
         with self._changed:
             self._pending[tag] = transaction
         try:
@@ -120,7 +120,7 @@ class DmeLink:
                 self._pending.pop(tag, None)
         if transaction.stopped:
             words = "; ".join(str(fault) for fault in transaction.faults)
-            raise RefusedError(f"{_short(call)}: {words}", tuple(transaction.faults))
+            raise RefusedError(f"{_short(order)}: {words}", tuple(transaction.faults))
         for fault in transaction.faults:
             self._on_warning(fault)
         return transaction.data
@@ -179,7 +179,13 @@ class DmeLink:
             why = error.strerror or str(error)
         except DmeError as error:
             why = str(error)
+            self._abort()
         self._break(why)
+
+    def _abort(self) -> None:
+        """Stop a machine whose answers cannot be read; it may hear still."""
+        with suppress(DmeError):
+            self._send(Command(self._tags.event(), call("AbortE")))
 
     def _receive(self) -> bytes:
         """Return what came, nothing at the end; the socket's time limit is for sending alone."""
@@ -209,6 +215,6 @@ class DmeLink:
         self._socket.close()
 
 
-def _short(call: Call) -> str:
-    text = str(call)
+def _short(order: Call) -> str:
+    text = str(order)
     return text if len(text) <= LONG_TEXT else f"{text[:LONG_TEXT]}..."

@@ -36,6 +36,10 @@ class ScriptedServer:
     def names(self):
         return [call.name for call in self.heard]
 
+    def tell(self, text):
+        """Say something that nobody asked for."""
+        self._open[-1].sendall(f"{text}\r\n".encode())
+
     def close(self):
         for connection in (self._listener, *self._open):
             connection.close()
