@@ -95,13 +95,18 @@ class DmeClient:
         ways = [Call(name, (to / MILLIMETRE,)) for name, to in axes if to is not None]
         self._do(call("GoTo", *ways), self.settings.motion_timeout_s)
 
-    def turn(self, angle: float, approach: Approach) -> bool:
-        """Turn the table to ``angle`` (rad) from a side; False: it stands there already."""
+    def turn(self, angle: float, approach: Approach, given_up: Callable[[], bool]) -> bool:
+        """Turn the table to ``angle`` (rad) from a side, unless it stands there already.
+
+        False: somebody has ``given_up`` before one of its motions, and it stands elsewhere.
+        """
         if self._turned == (angle, approach):
-            return False
+            return True
         self._turned = None
         here = self._axis.angle(self.where().r_deg, self._angle)
         for stop in self._axis.stops(here, angle, approach):
+            if given_up():
+                return False
             self._angle = stop
             self._do(self._axis.turn(stop), self.settings.motion_timeout_s)
         with self._telling:

@@ -16,6 +16,8 @@ from rotcal_ros.dme.settings import DmeSettings
 from rotcal_ros.observations import Command, ProbeSample, TableSample
 from rotcal_ros.planning.plan import Point, Step
 
+_Order = tuple[Command, Step]
+
 
 @dataclass
 class _Clear:
@@ -27,6 +29,7 @@ class _Clear:
 class Driver:
     """Carries out the latest order, and asks where the machine stands while there is none.
 
+    Nothing is sent before :meth:`begin`.
     ``publish_table``, ``publish_point`` and ``complain`` are called by the threads of the driver.
     ``state`` says in words what it does, ``busy`` whether an order is being carried out.
     """
@@ -44,19 +47,28 @@ class Driver:
         self._publish_table, self._publish_point = publish_table, publish_point
         self._complain = complain
         self._measuring = Measuring(self.client, now_ns)
-        self._orders: SimpleQueue[tuple[Command, Step] | _Clear | None] = SimpleQueue()
+        self._jobs: SimpleQueue[_Order | _Clear | None] = SimpleQueue()
+        self._wanted: _Order | None = None
         self._stopping = False
         self._thread = Thread(target=self._work, name="DME", daemon=True)
-        self._thread.start()
 
     @property
     def alive(self) -> bool:
         """Whether the thread still works."""
         return self._thread.is_alive()
 
+    def begin(self) -> None:
+        """Begin a session."""
+        self._thread.start()
+
     def order(self, command: Command, step: Step) -> None:
         """Carry out ``command``; the order before it is given up at its next motion."""
-        self._orders.put((command, step))
+        self._wanted = command, step
+        self._jobs.put(self._wanted)
+
+    def forget(self) -> None:
+        """Begin no order that waits; one that is being carried out ends at its next motion."""
+        self._wanted = None
 
     def clear(self) -> Future[str]:
         """Clear the machine's errors, as a person orders; the future says what came of it.
@@ -64,29 +76,29 @@ class Driver:
         It has the DmeError of an attempt that failed.
         """
         request = _Clear()
-        self._orders.put(request)
+        self._jobs.put(request)
         return request.done
 
     def abort(self, why: str) -> None:
-        """Stop all motion now; nothing moves again before :meth:`clear`."""
-        try:
-            self.client.abort(why)
-        except DmeError as error:
-            self._complain(f"{why}; {error}")
+        """Stop all motion now; nothing moves again before :meth:`clear`.
+
+        A machine that does not answer holds up nobody: a thread of its own waits for it.
+        """
+        Thread(target=self._abort, args=(why,), name="AbortE", daemon=True).start()
 
     def stop(self) -> None:
         """End: an order that is being carried out is aborted, then the session is closed."""
         self._stopping = True
         if self.busy:
             self.abort("the adapter was ended in the middle of a step")
-        self._orders.put(None)
+        self._jobs.put(None)
 
     def _work(self) -> None:
         self._try(self.client.start)
         while not self._stopping:
             self.state = self.client.blocked or "ready"
             try:
-                job = self._orders.get(timeout=self.client.settings.idle_period_s)
+                job = self._jobs.get(timeout=self.client.settings.idle_period_s)
             except Empty:
                 if not self.client.blocked:
                     self._try(self._tell_where)
@@ -94,11 +106,24 @@ class Driver:
             if isinstance(job, _Clear):
                 self._clear(job)
             elif job is not None:
-                self._obey(*job)
+                self._obey(job)
         self.client.close()
 
-    def _obey(self, command: Command, step: Step) -> None:
-        """Carry out an order, or say why not."""
+    def _abort(self, why: str) -> None:
+        try:
+            self.client.abort(why)
+        except DmeError as error:
+            self._complain(f"{why}; {error}")
+
+    def _obey(self, order: _Order) -> None:
+        """Carry out an order that is wanted still, or say why not."""
+
+        def given_up() -> bool:
+            return self._stopping or self._wanted is not order or bool(self.client.blocked)
+
+        if self._wanted is not order:
+            return
+        command, step = order
         name = f"step {command.step}, attempt {command.attempt}"
         if self.client.blocked:
             self.refused += 1
@@ -107,15 +132,12 @@ class Driver:
         self.state, self.busy = name, True
 
         def carry_out() -> None:
-            for point in self._measuring.carry_out(command, step, self._given_up):
+            for point in self._measuring.carry_out(command, step, given_up):
                 self._publish_point(point)
             self._tell_where()
 
         self._try(carry_out)
         self.busy = False
-
-    def _given_up(self) -> bool:
-        return self._stopping or not self._orders.empty() or bool(self.client.blocked)
 
     def _clear(self, request: _Clear) -> None:
         why = self.client.blocked or "nothing"

@@ -29,13 +29,13 @@ class Measuring:
     ) -> Iterator[ProbeSample]:
         """Turn the table, go to the target of ``order`` and yield its points as they are made.
 
-        ``step`` says how often which ball is touched. Ends early, between two motions, when
-        somebody has ``given_up``. Raises DmeError.
+        ``step`` says how often which ball is touched. ``given_up`` is asked before every motion,
+        whether somebody has: then it ends early. Raises DmeError.
         """
         if order.kind == PointKind.SURFACE:
             return self._touches(order, step, given_up)
         if order.kind == PointKind.REFLECTOR:
-            return self._stands(order)
+            return self._stands(order, given_up)
         raise DmeError(
             f"step {order.step} asks for a point of kind {order.kind.name}: through I++ DME there "
             "are touch points (plan.measure: surface) and positions of a reflector"
@@ -52,8 +52,11 @@ class Measuring:
         tip, ball = client.tip_radius, 0.5 * step.ball_diameter
         height = order.position[2] + ball + tip + max(s.clearance_m, s.approach_m)
         if client.where().position[2] < height:
+            if given_up():
+                return
             client.go(None, None, height)
-        client.turn(order.table_angle, order.approach)
+        if not client.turn(order.table_angle, order.approach, given_up):
+            return
         client.settle()
         number = count()
         moves = around_ball(
@@ -69,10 +72,11 @@ class Measuring:
                     stamp_ns, position = client.touch(nominal, direction)
                     yield self._sample(order, stamp_ns, position, next(number), tip)
 
-    def _stands(self, order: Command) -> Iterator[ProbeSample]:
+    def _stands(self, order: Command, given_up: Callable[[], bool]) -> Iterator[ProbeSample]:
         """Yield the one position of a reflector, at rest at its target."""
         client = self._client
-        client.turn(order.table_angle, order.approach)
+        if not client.turn(order.table_angle, order.approach, given_up) or given_up():
+            return
         client.go(*order.position)
         client.settle()
         position = client.where().position

@@ -7,7 +7,6 @@ thread may wait; this node only passes on.
 from __future__ import annotations
 
 from concurrent.futures import TimeoutError as FutureTimeout
-from threading import Thread
 from typing import Any, Final
 
 from rotcal_msgs.msg import CalibrationPlan, ProbePoint
@@ -49,6 +48,7 @@ class DmeAdapter(CellNode):
         self._driver = Driver(
             settings, self._tell_table, self._tell_point, self._complain, self.now_ns
         )
+        self._driver.begin()
         self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
         self.take_orders(self._obey)
         self.create_service(Trigger, "clear_errors", self._clear)
@@ -107,9 +107,9 @@ class DmeAdapter(CellNode):
             self._abort("the planner fell silent in the middle of a step")
 
     def _abort(self, why: str) -> None:
-        """Abort in a thread of its own: a machine that does not answer must not hold this node."""
+        """Stop the machine, and say why."""
         self._complain(why)
-        Thread(target=self._driver.abort, args=(why,), name="AbortE", daemon=True).start()
+        self._driver.abort(why)
 
     def _tell_table(self, sample: TableSample) -> None:
         self._table.publish(conversions.table_message(sample, self._joint))

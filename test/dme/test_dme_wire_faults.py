@@ -1,17 +1,14 @@
 """Every command answered late, never, wrongly, cut in the middle: no hang, always a sentence."""
 
 import socket
-import time
 
 import pytest
-from wire import ANSWERS, ScriptedServer
+from wire import ANSWERS, DEADLINE_S, wait_for
 
 from rotcal_ros.dme.client import DmeClient
-from rotcal_ros.dme.driver import Driver
 from rotcal_ros.dme.faults import DmeError, NotClearedError
 from rotcal_ros.dme.settings import DmeSettings
-from rotcal_ros.observations import Approach, Command, PointKind
-from rotcal_ros.planning.plan import Step
+from rotcal_ros.observations import Approach
 
 STARTING = (
     "EndSession", "StartSession", "GetDMEVersion", "IsHomed", "Home", "EnumTools", "ChangeTool",
@@ -33,22 +30,6 @@ CASES = [
     if fault not in SLOW_FAULTS or harmed in ("Home", "GoTo", "AlignPart", "PtMeas")
 ]
 LIMIT_S = 0.25
-DEADLINE_S = 10.0
-TARGET = Command(3, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0))
-STEP = Step(3, 0, 0.5, Approach.POSITIVE, PointKind.SURFACE, 0, (0.1, 0.0, 0.0), 0, 2, 0.025)
-
-
-@pytest.fixture
-def serve():
-    servers = []
-
-    def make(*harm, **answers):
-        servers.append(ScriptedServer(*harm, answers=answers))
-        return servers[-1]
-
-    yield make
-    for server in servers:
-        server.close()
 
 
 def client_of(server, **others):
@@ -64,7 +45,7 @@ def use(client):
     """Do all that an order leads to."""
     client.start()
     client.go(None, None, 0.3)
-    client.turn(0.0, Approach.UNKNOWN)
+    client.turn(0.0, Approach.UNKNOWN, lambda: False)
     client.touch((0.1, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -175,78 +156,3 @@ def test_a_person_clears_on_a_living_connection_or_begins_a_new_session(serve):
     client.go(None, None, 0.3)
     client.close()
     assert server.names()[-1] == "EndSession"
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
-
-
-def driver_of(server):
-    complaints, points = [], []
-    settings = DmeSettings(
-        port=server.port, home=True, settle_s=0.004, reply_timeout_s=DEADLINE_S,
-        motion_timeout_s=10.0 * DEADLINE_S, idle_period_s=0.02, turn_by="goto_r", table_zero_deg=-28.6479,
-    )  # fmt: skip
-    driver = Driver(settings, lambda _: None, points.append, complaints.append)
-    return driver, points, complaints
-
-
-def test_an_order_is_refused_before_a_person_clears(serve):
-    server = serve("PtMeas", "error")
-    driver, points, complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
-    driver.order(TARGET, STEP)
-    wait_for(lambda: complaints)
-    assert "PtMeas" in complaints[0]
-    driver.order(TARGET, STEP)
-    wait_for(lambda: driver.refused == 1)
-    assert "step 3, attempt 0 refused before a person clears: PtMeas" in complaints[1]
-    server.harmed = ""
-    assert "cleared: PtMeas" in driver.clear().result(DEADLINE_S)
-    driver.order(TARGET, STEP)
-    wait_for(lambda: sum(p.kind == PointKind.SURFACE for p in points) == 2 and not driver.busy)
-    driver.stop()
-    wait_for(lambda: not driver.alive)
-    assert server.names()[-1] == "EndSession"
-
-
-def test_a_cancel_aborts_what_moves_and_only_a_person_goes_on(serve):
-    server = serve("GoTo", "accepted, never done")
-    driver, points, _complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
-    driver.order(TARGET, STEP)
-    wait_for(lambda: "GoTo" in server.names())
-    driver.abort("the calibration ended")
-    assert server.names()[-1] == "AbortE"
-    assert driver.client.blocked == "the calibration ended"
-    assert not [p for p in points if p.kind == PointKind.SURFACE]
-    driver.stop()
-
-
-def test_a_cancel_aborts_what_moves_after_an_error_that_nobody_asked_for_too(serve):
-    server = serve("GoTo", "accepted, never done")
-    driver, _points, complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
-    driver.order(TARGET, STEP)
-    wait_for(lambda: "GoTo" in server.names())
-    server.tell('E0000 ! Error(3, 1009, "Machine", "Air pressure out of range")')
-    wait_for(lambda: complaints)
-    assert "Air pressure" in driver.client.blocked
-    assert "AbortE" not in server.names()
-    driver.abort("the calibration ended")
-    wait_for(lambda: "AbortE" in server.names())
-    assert "Air pressure" in driver.client.blocked
-    driver.stop()
-
-
-def test_the_end_in_the_middle_of_a_motion_aborts_it(serve):
-    server = serve("PtMeas", "accepted, never done")
-    driver, _points, _complaints = driver_of(server)
-    wait_for(lambda: driver.state == "ready")
-    driver.order(TARGET, STEP)
-    wait_for(lambda: "PtMeas" in server.names())
-    driver.stop()
-    wait_for(lambda: "AbortE" in server.names())

@@ -17,6 +17,14 @@ ANSWERS = {
     "AlignPart": ["(1, 0, 0, 1, 0, 0)"],
 }
 LATE_S = 0.1
+DEADLINE_S = 10.0
+
+
+def wait_for(condition):
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
 
 
 class ScriptedServer:
