@@ -14,14 +14,17 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.orders import Orders
 from rotcal_ros.dme.driver import Driver
 from rotcal_ros.dme.faults import DmeError
 from rotcal_ros.dme.settings import DmeSettings
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.health import CALIBRATING
-from rotcal_ros.nodes.plans import calibration_of
-from rotcal_ros.nodes.qos import EVENT, LATCHED, STREAM
+from rotcal_ros.nodes.health import BEAT_PERIOD_S
+from rotcal_ros.nodes.identity import TAKE_OVER_S
+from rotcal_ros.nodes.planners_plans import PlannersPlans
+from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
+from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Command, ProbeSample, TableSample
@@ -29,6 +32,8 @@ from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import Plan
 
 WATCH_PERIOD_S: Final = 0.1
+LOOKS_FIRST: Final = round((BEAT_PERIOD_S + TAKE_OVER_S) / WATCH_PERIOD_S)
+"""Looks before the machine is spoken to: time to hear an adapter that was there before."""
 PLANNER: Final = "planner"
 
 
@@ -40,18 +45,16 @@ class DmeAdapter(CellNode):
         settings = self.settings("dme", DmeSettings)
         self._joint = self.settings("cell", CellSettings).joint or "table"
         self._plan: Plan | None = None
-        self._early: Command | None = None
-        self._loading = self._calibrating = False
+        self._early: tuple[str, Command] | None = None
+        self._run = self._served = ""
+        self._looks, self._loading, self._orders = 0, False, Orders()
         self._table = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
         self._points = self.create_publisher(ProbePoint, names.PROBE_POINT, EVENT)
         self._limit_s = 20.0 * settings.reply_timeout_s + settings.motion_timeout_s
         self._driver = Driver(
             settings, self._tell_table, self._tell_point, self._complain, self.now_ns
         )
-        self._driver.begin()
-        self.listen(CalibrationPlan, names.PLAN, self._take_plan, LATCHED)
-        self.take_orders(self._obey)
-        self.create_service(Trigger, "clear_errors", self._clear)
+        PlannersPlans(self, self._take_plan)
         self.every(WATCH_PERIOD_S, self._watch)
 
     def begin_stop(self) -> None:
@@ -62,21 +65,30 @@ class DmeAdapter(CellNode):
         """Return whether the session is closed."""
         return not self._driver.alive
 
+    def _begin(self) -> None:
+        """Begin a session with the machine, and obey."""
+        self._driver.begin()
+        self._orders = self.take_orders(self._obey)
+        self.create_service(Trigger, "clear_errors", self._clear)
+
     def _take_plan(self, message: CalibrationPlan) -> None:
         """Take the plan: it says which ball is touched how often."""
-        self._plan, self._loading = None, True
+        self._follow_planner()
+        early, self._early = self._early, None
+        self._plan, self._run, self._loading = None, run_name(message), True
+        self._orders.clear()
         self.health.beat()
         try:
             self._plan = calibration_of(message).plan
         finally:
             self._loading = False
-        early, self._early = self._early, None
-        if early is not None:
-            self._obey(early)
+        if early is not None and early[0] == self._run:
+            self._obey(early[1])
 
     def _obey(self, command: Command) -> None:
-        if self._plan is None:
-            self._early = command  # of a plan that is on its way
+        run = self._planners_run()
+        if self._plan is None or run not in ("", self._run):
+            self._early = run, command  # of a plan that is on its way
         else:
             self._driver.order(command, self._plan.step(command.step))
 
@@ -92,19 +104,42 @@ class DmeAdapter(CellNode):
         return response
 
     def _watch(self) -> None:
-        """Stop the machine when the calibration ends in the middle of a step."""
-        calibrating = self.health.state(PLANNER).startswith(CALIBRATING)
-        if self._calibrating and not calibrating and self._driver.busy:
-            self._abort("the calibration ended in the middle of a step")
-        self._calibrating = calibrating
+        """Begin when nobody else holds the machine; then look who is served, and what is wrong."""
+        if self._looks < LOOKS_FIRST and not self.health.refused:
+            self._looks += 1
+            if self._looks == LOOKS_FIRST:
+                self._begin()
+        self._follow_planner()
         self.health.concerns.pop("dme", None)
         if self._driver.client.blocked:
             self.health.concerns["dme"] = self._driver.client.blocked
 
+    def _planners_run(self) -> str:
+        """Return for which run of a plan the planner works; empty: for none, or nobody knows."""
+        if PLANNER in self.health.lost:
+            return ""
+        return self.health.values(PLANNER).get(RUN, "")
+
+    def _follow_planner(self) -> None:
+        """Drop the plan and its orders when its calibration has ended."""
+        run = self._planners_run()
+        if self._served not in ("", run):
+            self._plan = None
+            self._drop("the calibration ended in the middle of a step")
+        self._served = run
+
     def _node_lost(self, name: str) -> None:
         """Stop the machine when nobody is left who knows what it is moving for."""
-        if name == PLANNER and self._driver.busy:
-            self._abort("the planner fell silent in the middle of a step")
+        if name == PLANNER:
+            self._drop("the planner fell silent in the middle of a step")
+
+    def _drop(self, why: str) -> None:
+        """Forget all orders, and stop the machine when it carries one out."""
+        self._served, self._early = "", None
+        self._orders.clear()
+        self._driver.forget()
+        if self._driver.busy:
+            self._abort(why)
 
     def _abort(self, why: str) -> None:
         """Stop the machine, and say why."""
