@@ -59,12 +59,18 @@ class Measuring:
                 await self._have_done(pause)
             if pause is None or pause.last < pause.first:
                 self._failed.note(choice.step, await self._measure(choice.step, choice))
-                if text := self._failed.why_give_up():
-                    raise GoalError(Codes.TOO_FEW_OBSERVATIONS, text)
             choice = self._policy.choose()
+            self._give_up(at_the_end=choice.step is None)
         self._tell(choice, 0)
         progress.uncertainty, progress.left = choice.standing.uncertainty, 0
         progress.step = progress.total
+
+    def _give_up(self, *, at_the_end: bool) -> None:
+        """Raise GoalError where too many steps failed; at the end what there is is solved."""
+        text = self._failed.why_give_up()
+        solvable = self._watch.progress.accepted or self._continuation.observations
+        if text and not (at_the_end and solvable):
+            raise GoalError(Codes.TOO_FEW_OBSERVATIONS, text)
 
     def _tell(self, choice: Choice, attempt: int) -> None:
         """Publish a choice, for people and for the bag."""
