@@ -55,7 +55,7 @@ class StampOffsets:
     def in_words(self) -> str:
         """Return which stream differs from the table's by how much; empty: none is known to."""
         reference_ns = self._offset_ns(REFERENCE)
-        for stream in self._ahead.keys() - {REFERENCE}:
+        for stream in sorted(self._ahead.keys() - {REFERENCE}):
             offset_ns = self._offset_ns(stream)
             if offset_ns is not None and reference_ns is not None:
                 difference = offset_ns - reference_ns

@@ -86,3 +86,16 @@ def test_what_is_measured_meanwhile_is_rejected_with_the_reason():
     assert offsets.judged(ACCEPTED) == replace(ACCEPTED, accepted=False, reason=reason)
     beaten = replace(ACCEPTED, accepted=False, reason="beam broken")
     assert offsets.judged(beaten) == beaten
+
+
+@pytest.mark.parametrize("others", [[], [f"other_{letter}" for letter in "zyxwvutsr"]])
+def test_of_streams_that_are_all_off_every_process_names_the_same(others):
+    """The order of a set of texts is another one in every process."""
+    offsets = StampOffsets(1.0)
+    for now in range(START, START + 3 * SECOND, 50 * MS):
+        offsets.note("joint_states", now, now)
+        offsets.note("tracer_length", now - 4 * SECOND, now)
+        for stream in ("probe_point", *others):
+            offsets.note(stream, now + 3 * SECOND, now)
+    first = min(["probe_point", *others])
+    assert f"stamps of {first} are constantly 3.0 s ahead" in offsets.in_words()
