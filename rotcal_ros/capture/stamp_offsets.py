@@ -19,6 +19,7 @@ from rotcal_ros.units import NANOSECOND
 
 REFERENCE: Final = "joint_states"
 """The stream that the others are held against: it never pauses."""
+_TOLD: Final = "by the times of arrival the stamps of "
 _BUCKET_NS: Final = 250_000_000
 _BUCKETS: Final = 3
 """An offset is known when it is the same in so many intervals running."""
@@ -38,10 +39,12 @@ class StampOffsets:
     def note(self, stream: str, stamp_ns: int, received_ns: int) -> None:
         """Take a message; both times in ns since the same instant."""
         self._keep(stream, received_ns // _BUCKET_NS, stamp_ns - received_ns)
+        events = self._events.setdefault(stream, {})
+        if stream == REFERENCE or received_ns // _BUCKET_NS in events:
+            return
         reference_ns = self._offset_ns(REFERENCE)
-        if stream != REFERENCE and reference_ns is not None:
-            events = self._events.setdefault(stream, {})
-            events.setdefault(received_ns // _BUCKET_NS, stamp_ns - received_ns - reference_ns)
+        if reference_ns is not None:
+            events[received_ns // _BUCKET_NS] = stamp_ns - received_ns - reference_ns
             while len(events) > _EVENTS:
                 del events[next(iter(events))]
 
@@ -67,8 +70,7 @@ class StampOffsets:
 
     def judged(self, observation: Observation) -> Observation:
         """Return an observation, rejected where the clocks of its streams differ."""
-        reason = self.in_words() if observation.accepted else ""
-        return replace(observation, accepted=False, reason=reason) if reason else observation
+        return rejected_for(self.in_words(), observation)
 
     def _sentence(self, stream: str, difference_ns: int, reference_ns: int | None) -> str:
         way = "ahead of" if difference_ns > 0 else "behind"
@@ -79,7 +81,7 @@ class StampOffsets:
             far = stream if abs(own_ns) > abs(reference_ns) else REFERENCE
             which = f"; it is {far} whose stamps are not the time of arrival"
         return (
-            f"by the times of arrival the stamps of {stream} are constantly {off} those of "
+            f"{_TOLD}{stream} are constantly {off} those of "
             f"{REFERENCE}, allowed {self.limit_s:g} s (capture.stamp_offset_s): "
             f"two clocks, set them alike{which}"
         )
@@ -100,6 +102,18 @@ class StampOffsets:
         if not all(bucket in known for bucket in wanted):
             return None
         return _agreed([known[bucket] for bucket in wanted])
+
+
+def rejected_for(told: str, observation: Observation) -> Observation:
+    """Return an observation, rejected where something is ``told`` of clocks that differ."""
+    if not told or not observation.accepted:
+        return observation
+    return replace(observation, accepted=False, reason=told)
+
+
+def is_of_clocks(reason: str) -> bool:
+    """Return whether an observation was rejected because clocks differ."""
+    return reason.startswith(_TOLD)
 
 
 def _agreed(values: Collection[int]) -> int | None:

@@ -19,7 +19,7 @@ from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.capture_news import CaptureNews
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.draining import Batch, listen_to_instrument
+from rotcal_ros.nodes.draining import Batch, arrivals, listen_to_instrument
 from rotcal_ros.nodes.latest import JOINT, NOW, WAITING_FOR, reading
 from rotcal_ros.nodes.planners_plans import PlannersPlans
 from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
@@ -76,10 +76,8 @@ class CaptureNode(CellNode):
 
         def handle(batch: Batch) -> None:
             self._heard_s[topic] = time.monotonic()
-            message, info = batch[-1]
-            received_ns = info["received_timestamp"] or time.time_ns()
-            if topic in TIMED:
-                self._offsets.note(topic, messages.stamp_ns(message.header.stamp), received_ns)
+            for stamp_ns, received_ns in arrivals(batch) if topic in TIMED else ():
+                self._offsets.note(topic, stamp_ns, received_ns)
             for message, _ in batch:
                 record = convert(message)
                 if record is not None:

@@ -6,12 +6,14 @@ Emptying the subscription inside the callback takes several times more without a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.nodes.steady import steady_timer
 
@@ -23,6 +25,12 @@ GRAPH_PERIOD_S: Final = 0.1
 
 Batch = Sequence[tuple[Any, Any]]
 """Pairs of a message (or its serialised bytes) and rclpy's message info."""
+
+
+def arrivals(batch: Batch) -> Iterator[tuple[int, int]]:
+    """Yield stamp and time of arrival, both in ns since 1970, of messages with a header."""
+    for message, info in batch:
+        yield stamp_ns(message.header.stamp), info["received_timestamp"] or time.time_ns()
 
 
 class DrainedSubscription:

@@ -31,6 +31,7 @@ from rotcal_ros.in_force import contradiction
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
+from rotcal_ros.recordings.clock_verdicts import judged_as_live, same_limit
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
 from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
@@ -234,12 +235,15 @@ def read_recording(
     attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
     texts = (attached, *found.planned)
-    require_its_method(configuration, recorded_configurations(texts), path)
+    with_which = tuple(recorded_configurations(texts))
+    require_its_method(configuration, with_which, path)
+    verdicts_live = found.recorded if same_limit(configuration, with_which) else ()
+    captured = judged_as_live(feeder.observations, feeder.offsets, verdicts_live)
     subjects = tuple(recorded_subjects(texts, found.scans))
     return Recording(
         calibration=replace(calibration, configuration=as_recorded(configuration, subjects)),
         source=source,
-        observations=tuple(feeder.observations if source == "streams" else found.recorded),
+        observations=captured if source == "streams" else tuple(found.recorded),
         recorded=tuple(found.recorded),
         verdicts=verdicts,
         counts=feeder.counts if source == "streams" else {},

@@ -60,7 +60,8 @@ class StreamFeeder:
     streams, by ``slice_ns`` of their stamps at most; as long as that is well within the clock
     tolerance, the capture's answer does not depend on it. ``make`` returns a new
     capture for the run with a number. ``joint`` names the table among the joint states; empty
-    means the first. ``offset`` says which clocks differ, by more than ``stamp_offset_s``.
+    means the first. ``offset`` says which clocks differ, by more than ``stamp_offset_s``,
+    ``offsets`` what the bag tells of that at each observation.
     """
 
     def __init__(
@@ -72,9 +73,9 @@ class StreamFeeder:
         slice_ns: int = SLICE_NS,
         stamp_offset_s: float = math.inf,
     ) -> None:
-        self.offset = ""
-        self._offsets = StampOffsets(stamp_offset_s)
+        self._clocks = StampOffsets(stamp_offset_s)
         self.observations: list[Observation] = []
+        self.offset, self.offsets = "", list[str]()
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
@@ -136,25 +137,20 @@ class StreamFeeder:
             others.extend(_samples(feedback))
             feedback = feedback[:0]
         others.sort(key=lambda numbered: numbered[0])
-        before = len(self.observations)
         self._feed_slices(readings, feedback, others)
-        self._judge(before)
+        found = self._clocks.in_words()
+        self.offset = self.offset or found
+        self.offsets += [found] * (len(self.observations) - len(self.offsets))
 
     def _hold(self, role: str, records: NDArray[np.void], block: Block) -> None:
         """Hold stamps against the times at which the messages came."""
         came = block.headers["log_time"][records["row"]].astype(np.int64)
-        self._offsets.note_many(role, records["stamp_ns"], came)
+        self._clocks.note_many(role, records["stamp_ns"], came)
 
     def _hold_points(self, points: Iterable[Numbered], block: Block) -> None:
         for row, point in points:
             came_ns = int(block.headers["log_time"][row])
-            self._offsets.note(names.PROBE_POINT, point.stamp_ns, came_ns)
-
-    def _judge(self, first: int) -> None:
-        """Reject the observations from ``first`` on where clocks differ, as the live node does."""
-        found = self._offsets.in_words()
-        self.offset = self.offset or found
-        self.observations[first:] = map(self._offsets.judged, self.observations[first:])
+            self._clocks.note(names.PROBE_POINT, point.stamp_ns, came_ns)
 
     def _feed_slices(
         self, readings: NDArray[np.void], feedback: NDArray[np.void], others: list[Numbered]
