@@ -27,27 +27,26 @@ class PlannersPlans:
 
     def __init__(self, node: CellNode, take: Callable[[CalibrationPlan], None]) -> None:
         self._node, self._take = node, take
-        self._held: tuple[CalibrationPlan, float] | None = None
+        self._held: dict[str, tuple[CalibrationPlan, float]] = {}
         node.listen(CalibrationPlan, names.PLAN, self._offer, LATCHED)
         node.every(BEAT_PERIOD_S, self._look)
 
     def _offer(self, message: CalibrationPlan) -> None:
-        self._held = message, time.monotonic()
+        self._held.setdefault(run_name(message), (message, time.monotonic()))
         self._look()
 
     def _look(self) -> None:
         """Hand over what is held as soon as it is the planner's; refuse it when it is not."""
-        if self._held is None:
-            return
-        message, since_s = self._held
         goals_run = self._node.health.values("planner").get(RUN, "")
-        if not goals_run or "planner" in self._node.health.lost or goals_run == run_name(message):
-            self._held = None
-            show(self._node.health, FOREIGN_PLAN, "")
-            self._take(message)
-        elif time.monotonic() - since_s > PATIENCE_S:
-            self._held = None
-            self._refuse(message)
+        free = not goals_run or "planner" in self._node.health.lost
+        for name, (message, since_s) in tuple(self._held.items()):
+            if free or goals_run == name:
+                del self._held[name]
+                show(self._node.health, FOREIGN_PLAN, "")
+                self._take(message)
+            elif time.monotonic() - since_s > PATIENCE_S:
+                del self._held[name]
+                self._refuse(message)
 
     def _refuse(self, message: CalibrationPlan) -> None:
         topic = self._node.resolve_topic_name(names.PLAN)

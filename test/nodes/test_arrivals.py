@@ -1,5 +1,9 @@
 """When messages came: every message of a batch tells, so that a stall hides none of them."""
 
+import pytest
+
+pytest.importorskip("rclpy")
+
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 

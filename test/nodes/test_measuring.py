@@ -6,6 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.catalogue.continuation import Continuation

@@ -1,0 +1,103 @@
+"""Which plans a node takes while the planner has a goal: its own, whatever else comes when."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+
+from builtin_interfaces.msg import Time
+from rotcal_msgs.msg import CalibrationPlan
+
+from rotcal_ros.nodes import planners_plans
+from rotcal_ros.nodes.planners_plans import PATIENCE_S, PlannersPlans
+from rotcal_ros.nodes.plans import RUN, run_name
+
+
+class Node(SimpleNamespace):
+    """A node that hears the planner's beat as ``goal`` says, empty: it has no goal."""
+
+    def __init__(self):
+        health = SimpleNamespace(
+            lost={}, concerns={}, alarms={}, values=lambda _: {RUN: self.goal} if self.goal else {}
+        )
+        super().__init__(goal="another run", health=health, warnings=[])
+
+    def listen(self, _kind, _topic, handle, _qos):
+        self.offer = handle
+
+    def every(self, _period_s, work):
+        self.look = work
+
+    def resolve_topic_name(self, topic):
+        return f"/cell/{topic}"
+
+    def get_publishers_info_by_topic(self, _topic):
+        return [SimpleNamespace(node_name="planner"), SimpleNamespace(node_name="stranger")]
+
+    def get_logger(self):
+        return SimpleNamespace(warning=self.warnings.append)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = SimpleNamespace(now_s=100.0)
+    monkeypatch.setattr(planners_plans.time, "monotonic", lambda: clock.now_s)
+    return clock
+
+
+def plan(name):
+    message = CalibrationPlan(plan_id=name)
+    message.header.stamp = Time(sec=1)
+    return message
+
+
+OURS, STRAY = plan("ours"), plan("stray")
+
+
+@pytest.mark.parametrize("order", [(OURS, STRAY), (STRAY, OURS), (STRAY, OURS, STRAY)])
+def test_the_planners_plan_is_taken_with_its_beat_whatever_came_before_it_or_behind(clock, order):
+    node, taken = Node(), []
+    PlannersPlans(node, taken.append)
+    for message in order:
+        node.offer(message)
+    assert taken == []
+    node.goal = run_name(OURS)
+    node.look()
+    assert taken == [OURS]
+    clock.now_s += PATIENCE_S + 0.1
+    node.look()
+    assert taken == [OURS]
+    (warning,) = node.warnings
+    assert (
+        "is not the planner's and was left alone (plan 'stray', published by stranger)" in warning
+    )
+
+
+def test_without_a_goal_every_plan_is_taken_at_once(clock):
+    node, taken = Node(), []
+    PlannersPlans(node, taken.append)
+    node.goal = ""
+    for message in (STRAY, OURS):
+        node.offer(message)
+    assert taken == [STRAY, OURS]
+
+
+def test_a_plan_that_cannot_be_taken_is_offered_once_and_keeps_no_other_back(clock):
+    node, taken = Node(), []
+
+    def take(message):
+        taken.append(message)
+        if message is STRAY:
+            raise ValueError("another version")
+
+    PlannersPlans(node, take)
+    for message in (STRAY, OURS):
+        node.offer(message)
+    node.goal = ""
+    with pytest.raises(ValueError, match="another version"):
+        node.look()
+    node.look()
+    node.look()
+    assert taken == [STRAY, OURS]
