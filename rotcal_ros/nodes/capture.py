@@ -20,7 +20,8 @@ from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.capture_news import CaptureNews
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, arrivals, listen_to_instrument
-from rotcal_ros.nodes.latest import JOINT, NOW, WAITING_FOR, reading
+from rotcal_ros.nodes.joint_readings import JointReadings
+from rotcal_ros.nodes.latest import NOW, WAITING_FOR, reading
 from rotcal_ros.nodes.planners_plans import PlannersPlans
 from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT
@@ -40,8 +41,6 @@ CONTINUOUS = (names.TRACER_LENGTH, names.JOINT_STATES)
 """Streams that never pause: their silence means that the instrument is lost."""
 TIMED = (*CONTINUOUS, names.PROBE_POINT)
 """Streams by whose stamps an observation is made: their clocks must agree."""
-MOST_JOINTS = 32
-"""So many joints are told to others at most."""
 
 
 class CaptureNode(CellNode):
@@ -58,7 +57,7 @@ class CaptureNode(CellNode):
         self._heard_s: dict[str, float] = {}
         self._latest: dict[str, Record] = {}
         self._verdicts: Counter[str] = Counter()
-        self._joints: dict[str, tuple[float, float]] = {}
+        self._joints = JointReadings()
         self._offsets = StampOffsets(CaptureSettings().stamp_offset_s)
         self._news = CaptureNews(self.health, self.get_logger())
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
@@ -89,12 +88,7 @@ class CaptureNode(CellNode):
 
     def _table_sample(self, message: JointState) -> Record | None:
         """Return the feedback of the table; note what the topic says of its joints."""
-        if len(self._joints) < MOST_JOINTS:
-            velocities = (*message.velocity, *(math.nan for _ in message.position))
-            for name, angle, velocity in zip(
-                message.name, message.position, velocities, strict=False
-            ):
-                self._joints[name] = angle, velocity
+        self._joints.note(message, self._joint)
         return messages.table_sample(message, self._joint)
 
     def _feed(self, record: Record) -> None:
@@ -130,7 +124,7 @@ class CaptureNode(CellNode):
         values: dict[str, Any] = {RUN: self._run, **self._verdicts}
         values |= {f"valid.{topic}": self._valid[topic] for topic in self._heard_s}
         values |= {f"{NOW}{topic}": reading(record) for topic, record in self._latest.items()}
-        values |= {f"{JOINT}{n}": f"{a:.9f} {v:.9f}" for n, (a, v) in self._joints.items()}
+        values |= self._joints.values()
         for topic in set(CONTINUOUS) & set(self._needed) & self._heard_s.keys():
             values[f"silent_s.{topic}"] = f"{now - self._heard_s[topic]:.2f}"
         self._news.offset(self._offsets.in_words())

@@ -24,6 +24,8 @@ WAITING_FOR: Final = "waiting_for"
 """Value of the capture: what its oldest undecided attempt waits for, in words."""
 JOINT: Final = "joint."
 """How the values of the capture begin that tell angle (rad) and velocity (rad/s) of a joint."""
+MOST_JOINTS: Final = 32
+"""So many joints are told at most, beside the chosen one once there is a plan."""
 
 
 def reading(record: Record) -> str:

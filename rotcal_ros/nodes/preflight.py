@@ -14,7 +14,7 @@ from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.escapes import printable
 from rotcal_ros.nodes.concerns import OFFSET
-from rotcal_ros.nodes.latest import JOINT, NOW
+from rotcal_ros.nodes.latest import JOINT, MOST_JOINTS, NOW
 
 _RANGES: Final = {
     names.TEMPERATURE: (-20.0, 60.0, "degrees Celsius", "kelvin or Fahrenheit"),
@@ -82,9 +82,9 @@ def _expected(settings: CaptureSettings, name: str) -> bool:
 def _of_the_joint(values: Values, joint: str) -> Iterator[str]:
     """Yield what is wrong with the joint that stands for the table."""
     joints = _joints(values)
-    if not joints:
-        return
     chosen = _chosen(values, joint)
+    if not joints or (chosen not in joints and len(joints) >= MOST_JOINTS):  # not all are told
+        return
     if chosen not in joints:
         yield (
             f"{names.JOINT_STATES} has no joint {joint!r} (cell.joint), it has "

@@ -37,6 +37,13 @@ def test_a_joint_that_is_not_there_is_told_with_those_that_are():
     assert faults(values, configured("cell.joint=spindle")) == []
 
 
+def test_where_there_are_more_joints_than_are_told_one_that_is_not_told_may_be_there():
+    for told in (31, 32):
+        values = {f"joint.axis_{k}": "0.5 0.0" for k in range(told)}
+        assert len(faults(values, configured("cell.joint=C"))) == (told == 31)
+        assert doubts(values, configured("cell.joint=C")) == []
+
+
 def test_a_joint_without_velocity_is_told_where_it_is_the_tables():
     values = {"joint.x": f"0.5 {nan}", "joint.table": "0.5 0.0"}
     assert faults(values, configured("cell.joint=table")) == []
