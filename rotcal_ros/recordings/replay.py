@@ -107,10 +107,10 @@ class Recording:
     def with_warnings(self, result: Result) -> Result:
         """Return a ``result`` of these observations with what its reader must know of the bag."""
         further = tuple(text for text in self.warnings() if text not in result.warnings)
-        doubtful = self.session.missing and result.verdict == "ok"
+        incomplete = self.session.missing and result.verdict == "ok"
         return replace(
             result,
-            verdict="suspect" if doubtful else result.verdict,
+            verdict="suspect" if incomplete else result.verdict,
             warnings=(*result.warnings, *further),
         )
 
