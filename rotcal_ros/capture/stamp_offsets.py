@@ -19,7 +19,8 @@ from rotcal_ros.units import NANOSECOND
 
 REFERENCE: Final = "joint_states"
 """The stream that the others are held against: it never pauses."""
-_TOLD: Final = "by the times of arrival the stamps of "
+_OPENING: Final = "by the times of arrival the stamps of "
+"""How the reason begins for which clocks that differ reject an observation."""
 _BUCKET_NS: Final = 250_000_000
 _BUCKETS: Final = 3
 """An offset is known when it is the same in so many intervals running."""
@@ -81,7 +82,7 @@ class StampOffsets:
             far = stream if abs(own_ns) > abs(reference_ns) else REFERENCE
             which = f"; it is {far} whose stamps are not the time of arrival"
         return (
-            f"{_TOLD}{stream} are constantly {off} those of "
+            f"{_OPENING}{stream} are constantly {off} those of "
             f"{REFERENCE}, allowed {self.limit_s:g} s (capture.stamp_offset_s): "
             f"two clocks, set them alike{which}"
         )
@@ -104,16 +105,16 @@ class StampOffsets:
         return _agreed([known[bucket] for bucket in wanted])
 
 
-def rejected_for(told: str, observation: Observation) -> Observation:
-    """Return an observation, rejected where something is ``told`` of clocks that differ."""
-    if not told or not observation.accepted:
+def rejected_for(reason: str, observation: Observation) -> Observation:
+    """Return an observation, rejected where there is a ``reason``; its own one stays."""
+    if not reason or not observation.accepted:
         return observation
-    return replace(observation, accepted=False, reason=told)
+    return replace(observation, accepted=False, reason=reason)
 
 
 def is_of_clocks(reason: str) -> bool:
     """Return whether an observation was rejected because clocks differ."""
-    return reason.startswith(_TOLD)
+    return reason.startswith(_OPENING)
 
 
 def _agreed(values: Collection[int]) -> int | None:

@@ -14,17 +14,17 @@ from rotcal_ros.observations import Observation
 
 
 def judged_as_live(
-    observations: Iterable[Observation], told: Sequence[str], recorded: Iterable[Observation]
+    observations: Iterable[Observation], estimates: Sequence[str], recorded: Iterable[Observation]
 ) -> tuple[Observation, ...]:
     """Return the observations, rejected where the clocks of their streams differ.
 
     That is what was ``recorded`` of the same attempt; where nothing was (foreign bags, nodes that
-    were killed) it is what the bag itself has ``told`` of each observation, empty: nothing.
+    were killed) it is the estimate from the bag at each observation, empty: they are alike.
     """
     live = {_attempt(o): o.reason for o in recorded if o.accepted or is_of_clocks(o.reason)}
     return tuple(
         rejected_for(live.get(_attempt(observation), own), observation)
-        for observation, own in zip(observations, told, strict=True)
+        for observation, own in zip(observations, estimates, strict=True)
     )
 
 

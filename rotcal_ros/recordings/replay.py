@@ -235,9 +235,9 @@ def read_recording(
     attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
     texts = (attached, *found.planned)
-    with_which = tuple(recorded_configurations(texts))
-    require_its_method(configuration, with_which, path)
-    verdicts_live = found.recorded if same_limit(configuration, with_which) else ()
+    set_ups = tuple(recorded_configurations(texts))
+    require_its_method(configuration, set_ups, path)
+    verdicts_live = found.recorded if same_limit(configuration, set_ups[:1]) else ()
     captured = judged_as_live(feeder.observations, feeder.offsets, verdicts_live)
     subjects = tuple(recorded_subjects(texts, found.scans))
     return Recording(

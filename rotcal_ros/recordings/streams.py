@@ -138,9 +138,9 @@ class StreamFeeder:
             feedback = feedback[:0]
         others.sort(key=lambda numbered: numbered[0])
         self._feed_slices(readings, feedback, others)
-        found = self._clocks.in_words()
-        self.offset = self.offset or found
-        self.offsets += [found] * (len(self.observations) - len(self.offsets))
+        offset = self._clocks.in_words()
+        self.offset = self.offset or offset
+        self.offsets += [offset] * (len(self.observations) - len(self.offsets))
 
     def _hold(self, role: str, records: NDArray[np.void], block: Block) -> None:
         """Hold stamps against the times at which the messages came."""
