@@ -61,7 +61,7 @@ def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface
     )
     outcome = live.client().result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
-    assert outcome["n_rejected"] == 0
+    assert outcome["n_used"] == 32
     result = Result.from_dict(json.loads((live.session / "result.json").read_text()))
     settings = parse_configuration(live.file.read_text()).simulation
     truth = SimulatedCell(settings).truth(result.angles)["ECC"]
