@@ -1,16 +1,20 @@
-"""How any table comes to its angle: from the ordered side, and how fast by its feedback alone."""
+"""How any table comes to its angle: from the ordered side, and what its feedback alone says."""
 
 from __future__ import annotations
 
 from collections import deque
+from math import isfinite, remainder
 from typing import Final
 
 from rotcal_ros.observations import Approach, TableSample
-from rotcal_ros.units import NANOSECOND
+from rotcal_ros.units import DEGREE, NANOSECOND
 
 TOWARDS: Final = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
 """Sign of the last motion, where a side is ordered."""
 _HISTORY: Final = 10_000
+_SAME_DEG: Final = 0.05
+"""A feedback so close to the commanded angle in degrees is one in degrees."""
+_FULL_TURN_DEG: Final = 360.0
 
 
 def approached(here: float, goal: float, approach: Approach, run_up: float) -> tuple[float, ...]:
@@ -23,6 +27,14 @@ def approached(here: float, goal: float, approach: Approach, run_up: float) -> t
     if not towards or towards * (goal - here) >= run_up:
         return (goal,)
     return (goal - towards * run_up, goal)
+
+
+def in_degrees(angle: float, commanded: float) -> bool:
+    """Tell whether a feedback ``angle`` is where the table was commanded to (rad), in degrees."""
+    if not isfinite(angle):
+        return False
+    off_deg = remainder(angle - commanded / DEGREE, _FULL_TURN_DEG)
+    return abs(off_deg) <= _SAME_DEG and abs(angle - commanded) > DEGREE
 
 
 class TableSpeed:

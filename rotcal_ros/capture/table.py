@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from math import fsum, isfinite, isnan, pi, remainder
-from typing import Final
+from math import fsum, isnan, pi
 
 import numpy as np
 
@@ -11,15 +10,13 @@ from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
+from rotcal_ros.table_motion import in_degrees
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""
 
 _CHUNK = 512  # arrivals are found soon or not at all
-_SAME_DEG: Final = 0.05
-"""A feedback so close to the commanded angle in degrees is one in degrees."""
-_FULL_TURN_DEG: Final = 360.0
 
 
 def offset(angles: Floats, commanded: float) -> Floats:
@@ -107,14 +104,6 @@ def why_not_at_rest(
         f" (allowed {settings.velocity_tolerance_deg_s:g})"
         f"{_wrongly_told(angle, velocity, commanded)}"
     )
-
-
-def in_degrees(angle: float, commanded: float) -> bool:
-    """Tell whether a feedback ``angle`` is where the table was commanded to (rad), in degrees."""
-    if not isfinite(angle):
-        return False
-    off_deg = remainder(angle - commanded / DEGREE, _FULL_TURN_DEG)
-    return abs(off_deg) <= _SAME_DEG and abs(angle - commanded) > DEGREE
 
 
 def _wrongly_told(angle: float, velocity: float, commanded: float) -> str:

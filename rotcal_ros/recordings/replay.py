@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -218,20 +218,11 @@ def read_recording(
         configuration = find_configuration(files, topics, limits)
     topics.renamed = {**configuration.topics.renamed(), **topics.renamed}
     calibration = as_planned(configuration, files, topics, limits)
-    feeder = StreamFeeder(
-        calibration.capture,
-        configuration.cell.joint,
-        StepFinder(calibration.plan, configuration.capture),
-        configuration.topics,
-        min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
-        configuration.capture.stamp_offset_s,
-    )
+    feeder = _feeder(calibration, configuration)
     blocks = read_blocks(files, progress, limits)
     found = _read(blocks, topics, feeder if source == "streams" else None)
     verdicts = tuple(scan.verdict() for scan in found.scans)
-    if not any(verdict.messages for verdict in verdicts):
-        bad = next((v.sentence() for v in verdicts if v.state != "complete"), "")
-        raise BagError(f"the bag {path} holds no messages{bad and f' that can be read: {bad}'}")
+    _require_messages(verdicts, path)
     attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
     texts = (attached, *found.planned)
@@ -257,6 +248,25 @@ def read_recording(
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
     )
+
+
+def _feeder(calibration: catalogue.Calibration, configuration: Configuration) -> StreamFeeder:
+    """Return what captures the streams again as they were planned."""
+    return StreamFeeder(
+        calibration.capture,
+        configuration.cell.joint,
+        StepFinder(calibration.plan, configuration.capture),
+        configuration.topics,
+        min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
+        configuration.capture.stamp_offset_s,
+    )
+
+
+def _require_messages(verdicts: Sequence[FileVerdict], path: Path) -> None:
+    """Raise BagError, with the first damage, where no file holds a message."""
+    if not any(verdict.messages for verdict in verdicts):
+        bad = next((v.sentence() for v in verdicts if v.state != "complete"), "")
+        raise BagError(f"the bag {path} holds no messages{bad and f' that can be read: {bad}'}")
 
 
 @dataclass

@@ -8,7 +8,7 @@ from math import isfinite, isnan, nan
 from rotcal_ros.observations import TableSample
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.ros2_control.travel import TURN, Way
-from rotcal_ros.table_motion import TableSpeed
+from rotcal_ros.table_motion import TableSpeed, in_degrees
 from rotcal_ros.units import ARCSEC, DEGREE
 
 _LATE = 1.5
@@ -106,7 +106,7 @@ class JointWatch:
         if order is None or self.arrived():
             return ""
         goal, angle = order.way.goal, self.latest.angle
-        if self._in_degrees(goal, angle):
+        if in_degrees(angle, goal):
             return (
                 f"the table tells {angle:.6g} where {goal:.6g} rad were ordered: its feedback is "
                 "in degrees, joint_states must be in rad"
@@ -135,8 +135,3 @@ class JointWatch:
 
     def _must_move(self, way: Way) -> bool:
         return any(abs(angle - way.start) > self._tolerance for angle in way.angles)
-
-    def _in_degrees(self, goal: float, angle: float) -> bool:
-        """Return whether a joint stands at the number of degrees that was ordered in rad."""
-        degrees = goal / DEGREE
-        return abs(degrees) > 1.0 and abs(angle - degrees) <= 1e-3 * abs(degrees)

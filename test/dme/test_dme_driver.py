@@ -80,12 +80,14 @@ def test_a_cancel_aborts_what_moves_after_an_error_that_nobody_asked_for_too(ser
 
 def test_the_end_in_the_middle_of_a_motion_aborts_it(serve):
     server = serve("PtMeas", "accepted, never done")
-    driver, _points, _complaints = driver_of(server)
+    driver, points, _complaints = driver_of(server)
     wait_for(lambda: driver.state == "ready")
     driver.order(TARGET, STEP)
     wait_for(lambda: "PtMeas" in server.names())
     driver.stop()
     wait_for(lambda: "AbortE" in server.names())
+    assert server.names().index("AbortE") > server.names().index("PtMeas")
+    assert points == []
 
 
 def turns(server):

@@ -86,8 +86,10 @@ def test_what_the_controller_does_wrong_is_named_while_a_calibration_runs(
 ):
     live = adapted("table_adapter.silence_s=0.5", "capture.step_timeout_s=5.0", wrong=wrong,
                    since=since, nodes=(*SUITE, "simulated_cell", "table_adapter"))  # fmt: skip
-    live.client()
+    client = live.client()
     live.wait_for_log("table_adapter", said)
+    warning = client.wait_for("warning", where=lambda event: said in event["text"])
+    assert warning["text"].startswith("table_adapter: ")  # the person at rotcal run is told too
 
 
 def test_a_joint_that_is_not_there_is_named_with_those_that_are(adapted):
