@@ -48,6 +48,9 @@ class CaptureNode(CellNode):
 
     def __init__(self) -> None:
         super().__init__("capture")
+
+    def configure(self) -> None:
+        """Hear the instruments."""
         self._joint = ""
         self._capture: Capture | None = None
         self._run = ""
@@ -69,6 +72,11 @@ class CaptureNode(CellNode):
         self._listen(FluidPressure, names.AIR_PRESSURE, messages.pressure_sample)
         self._listen(RelativeHumidity, names.RELATIVE_HUMIDITY, messages.humidity_sample)
         self._orders = self.take_orders(self._feed)
+
+    def deactivated(self) -> None:
+        """Feed nothing more: what an instrument says in between is missing from every window."""
+        self._capture, self._run, self._state = None, "", "waiting for a plan"
+        self._orders.clear()
 
     def _listen(self, kind: type, topic: str, convert: Callable[[Any], Record | None]) -> None:
         """Subscribe to an instrument."""
@@ -92,7 +100,7 @@ class CaptureNode(CellNode):
         return messages.table_sample(message, self._joint)
 
     def _feed(self, record: Record) -> None:
-        if self._capture is None:
+        if self._capture is None or not self.active:
             return
         for observation in map(self._offsets.judged, self._capture.feed(record)):
             self._verdicts["accepted" if observation.accepted else "rejected"] += 1

@@ -37,15 +37,17 @@ class RecorderNode(CellNode):
 
     def __init__(self) -> None:
         super().__init__("recorder")
+
+    def configure(self) -> None:
+        """Get ready to write."""
         self._settings = self.settings("recorder", RecorderSettings)
         self._bags = SessionBags(self._settings)
         self._recording: Recording | None = None
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._pending = PendingReceipts()
-        self._jumps_before = 0
         self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
-        self.create_service(StartRecording, "start_recording", self._start)
-        self.create_service(StopRecording, "stop_recording", self._stop)
+        self.offer(StartRecording, "start_recording", self._start)
+        self.offer(StopRecording, "stop_recording", self._stop, always=True)
         self._observation_topic = self.resolve_topic_name(names.OBSERVATION)
         needed = ((names.TRACER_LENGTH, names.PROBE_POINT), (names.JOINT_STATES,))
         self._needed = [[self.resolve_topic_name(name) for name in either] for either in needed]
@@ -53,7 +55,7 @@ class RecorderNode(CellNode):
         self._listener = Listener(self, self._take, self._dropouts.note)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
-    def begin_stop(self) -> None:
+    def deactivated(self) -> None:
         """Write what has arrived and close the bag."""
         self._close()
 
@@ -136,12 +138,11 @@ class RecorderNode(CellNode):
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         recording = Recording(writer, self._settings.queue_bytes, self._confirm)
         self._dropouts.begin(recording)
-        configuration = request.configuration.encode()
-        recording.attach(names.CONFIGURATION, "application/yaml", configuration)
+        recording.attach(names.CONFIGURATION, "application/yaml", request.configuration.encode())
         recording.note(names.SUBJECT, subject(request.configuration))
         recording.attach(names.VERSIONS, "application/json", versions_json().encode())
         self._recording = recording
-        self.executor.create_task(self._attach_parameters, recording)
+        self.begin(self._attach_parameters, recording)
         return folder.path
 
     async def _attach_parameters(self, recording: Recording) -> None:
@@ -180,15 +181,14 @@ class RecorderNode(CellNode):
             self._close()
 
     def _report(self) -> tuple[str, dict[str, Any]]:
-        counts = self._all_losses() + self._silences.counts
-        values = {"topics": len(self._listener.topics), **self._listener.refused, **counts}
+        values = {"topics": len(self._listener.topics), **self._listener.refused}
+        values |= self._all_losses() + self._silences.counts
         recording = self._recording
         if recording is not None and recording.error:
             return f"{RECORDING_FAILED}: {recording.error}", values
         if recording is None or recording.finished:
             return "idle", values
-        values |= {"file": recording.file, "messages": recording.messages}
-        return "recording", values
+        return "recording", values | {"file": recording.file, "messages": recording.messages}
 
 
 def main() -> None:

@@ -46,9 +46,10 @@ class LiveCell:
     def bag(self):
         return self.session / "bag"
 
-    def start(self, *nodes, name=None):
+    def start(self, *nodes, name=None, parameters=()):
         for node in nodes:
             own = ["--params-file", str(self.file)]
+            own += [word for parameter in parameters for word in ("-p", parameter)]
             if node == "recorder":
                 own += ["-p", f"recorder.folder:={json.dumps(str(self.recordings))}"]
                 own += ["-p", "recorder.session:=session"]
