@@ -22,6 +22,7 @@ from rotcal_ros.nodes.managed_node import ManagedNode
 from rotcal_ros.nodes.parameters import declare_settings, given_parameters
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.steady import steady_timer
+from rotcal_ros.nodes.topic_names import other_names
 from rotcal_ros.observations import Command
 
 T = TypeVar("T")
@@ -60,9 +61,10 @@ class CellNode(ManagedNode, ABC):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.given = given_parameters(self)
-        self._waiting: dict[Callable[[Any], None], Any] = {}
+        self._latched: dict[Callable[[Any], None], Any] = {}
         self._left_alone: set[str] = set()
         self._answering = 0
+        self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
         self.health = Health(self, self._told, self._missed)
 
     def settings(self, group: str, cls: type[T], *, read_only: bool = True) -> T:
@@ -80,7 +82,7 @@ class CellNode(ManagedNode, ABC):
             if self.active:
                 handle(message)
             elif latched:
-                self._waiting[handle] = message
+                self._latched[handle] = message
             elif topic not in self._left_alone:
                 self._left_alone.add(topic)
                 self.get_logger().warning(f"{topic} is left alone: {self.why_not()}")
@@ -173,9 +175,9 @@ class CellNode(ManagedNode, ABC):
         """Hear that another node fell silent."""
 
     def _told(self) -> tuple[str, Values]:
-        """Return what the beat tells, in every state of the node."""
+        """Return what the beat tells in every state: the report, and other names of topics."""
         words, values = self._report() if self.configured else ("", {})
-        return self.standing() or words, values
+        return self.standing() or words, {**self._names, **values}
 
     def _missed(self, name: str) -> None:
         if self.configured:
@@ -184,10 +186,10 @@ class CellNode(ManagedNode, ABC):
     def _entered(self, success: bool) -> TransitionCallbackReturn:
         """Handle what waited for the node to be active, and tell the others how it stands."""
         if self.active:
-            for handle, message in self._waiting.items():
+            for handle, message in self._latched.items():
                 handle(message)
         if self.active or not self.configured:
-            self._waiting.clear()
+            self._latched.clear()
         self._left_alone.clear()
         self.health.beat()
         return super()._entered(success)

@@ -10,14 +10,13 @@ pytestmark = pytest.mark.ros
 from rotcal_msgs.srv import StartRecording  # noqa: E402
 from state_client import StateClient  # noqa: E402
 
-
 NODE_LOST = 603
 
 
 def test_a_cell_is_taken_through_all_its_states_and_calibrates_again(cell):
     live = cell("simulation.time_scale=8.0")
     live.start(*SUITE[:-1], "simulated_cell")
-    live.start("recorder", parameters=("autostart:=false",))
+    live.start("recorder", arguments=("-p", "autostart:=false"))
     with StateClient() as states:
         assert states.state("recorder") == "unconfigured"
         assert states.transitions("recorder") == {"configure", "shutdown"}
