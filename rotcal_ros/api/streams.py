@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.api.reading import Name
+from rotcal_ros.api.reading import Name, topics_of
 from rotcal_ros.arrays import Ints
 from rotcal_ros.bags.reader import bag_files, read_blocks
 from rotcal_ros.catalogue.configuration import Configuration
@@ -22,7 +22,6 @@ from rotcal_ros.observations import (
 )
 from rotcal_ros.recordings.recorded_setup import Decoders, find_configuration
 from rotcal_ros.recordings.streams import StreamFeeder
-from rotcal_ros.recordings.topics import Topics
 
 Rows = NDArray[np.void]
 """A structured array (n,)."""
@@ -112,15 +111,15 @@ def read_streams(
     >>> streams.points["position"].shape, streams.points.dtype.names[:3]
     ((546, 3), ('stamp_ns', 'sequence', 'step'))
     """
-    topics, files = Topics(namespace), bag_files(Path(path))
+    topics, files = topics_of(configuration, namespace), bag_files(Path(path))
     setup = configuration or find_configuration(files, topics)
-    topics.renamed = setup.topics.renamed()
+    topics.planned = setup.topics.renamed()
     kept = _Collector()
     feeder = StreamFeeder(lambda _run: kept, setup.cell.joint, topics=setup.topics)
     decoders: Decoders = {}
     for scan, block in read_blocks(files):
         if block is not None:
-            feeder.feed(block, topics.split(block, scan.channels, decoders))
+            feeder.feed(block, topics.split(block, scan, decoders))
     return RawStreams(
         lengths=np.concatenate([np.zeros(0, _LENGTHS), *kept.lengths]),
         angles=np.concatenate([np.zeros(0, _ANGLES), *kept.angles]),

@@ -14,7 +14,9 @@ NEVER_PAUSE: Final = (
     names.TRACER_LENGTH, names.JOINT_STATES, names.TEMPERATURE, names.AIR_PRESSURE,
     names.RELATIVE_HUMIDITY,
 )  # fmt: skip
-"""Last names of the streams that are watched, once somebody publishes them."""
+"""Roles of the streams that are watched, once somebody publishes them."""
+NEEDED: Final = ((names.TRACER_LENGTH, names.PROBE_POINT), (names.JOINT_STATES,))
+"""Roles whose readings must have come before an observation is confirmed: one of each row."""
 
 
 class TopicLosses:
@@ -78,14 +80,12 @@ class Silences:
         self.counts: Counter[str] = Counter()
 
     def look(self, heard_s: Mapping[str, float], now_s: float) -> list[Silence]:
-        """Take the times at which topics were last heard, by their absolute names.
+        """Take the times at which streams that never pause were last heard, by topic.
 
         Return the silences that have ended.
         """
         ended = []
         for topic, last_s in heard_s.items():
-            if topic.rpartition("/")[2] not in NEVER_PAUSE:
-                continue
             since_s = max(last_s, self._begun_s)
             if topic in self._silent and since_s > self._silent[topic]:
                 ended.append(Silence(topic, self._silent.pop(topic), since_s))

@@ -19,7 +19,8 @@ from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.capture_news import CaptureNews
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.draining import Batch, arrivals, listen_to_instrument
+from rotcal_ros.nodes.draining import Batch, arrivals
+from rotcal_ros.nodes.instrument_topics import InstrumentTopics
 from rotcal_ros.nodes.joint_readings import JointReadings
 from rotcal_ros.nodes.latest import NOW, WAITING_FOR, reading
 from rotcal_ros.nodes.planners_plans import PlannersPlans
@@ -58,6 +59,7 @@ class CaptureNode(CellNode):
         self._latest: dict[str, Record] = {}
         self._verdicts: Counter[str] = Counter()
         self._joints = JointReadings()
+        self._instruments = InstrumentTopics(self, self._switched)
         self._offsets = StampOffsets(CaptureSettings().stamp_offset_s)
         self._news = CaptureNews(self.health, self.get_logger())
         self._observations = self.create_publisher(ObservationMsg, names.OBSERVATION, EVENT)
@@ -84,7 +86,12 @@ class CaptureNode(CellNode):
                     self._valid[topic] += _is_valid(record)
                     self._feed(record)
 
-        listen_to_instrument(self, kind, topic, self.health.guarded(handle))
+        self._instruments.listen(kind, topic, self.health.guarded(handle))
+
+    def _switched(self, topic: str) -> None:
+        """Forget what was heard of an instrument that comes from another topic now."""
+        for known in (self._heard_s, self._latest, self._valid):
+            known.pop(topic, None)
 
     def _table_sample(self, message: JointState) -> Record | None:
         """Return the feedback of the table; note what the topic says of its joints."""
@@ -108,6 +115,7 @@ class CaptureNode(CellNode):
         try:
             calibration = calibration_of(message)
             self._joint = calibration.configuration.cell.joint
+            self._instruments.use(calibration.configuration)
             self._capture = calibration.capture(message.run)
             self._offsets.limit_s = calibration.configuration.capture.stamp_offset_s
         except Exception as error:
@@ -121,7 +129,7 @@ class CaptureNode(CellNode):
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         now = time.monotonic()
-        values: dict[str, Any] = {RUN: self._run, **self._verdicts}
+        values: dict[str, Any] = {RUN: self._run, **self._verdicts, **self._instruments.values()}
         values |= {f"valid.{topic}": self._valid[topic] for topic in self._heard_s}
         values |= {f"{NOW}{topic}": reading(record) for topic, record in self._latest.items()}
         values |= self._joints.values()

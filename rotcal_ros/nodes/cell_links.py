@@ -28,6 +28,7 @@ from rotcal_ros.nodes.concerns import show
 from rotcal_ros.nodes.matching import deaf_listeners
 from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
+from rotcal_ros.nodes.topic_names import TOPIC, TOPICS, at_odds, plain_name
 from rotcal_ros.observations import Command, Observation
 
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
@@ -109,6 +110,17 @@ class CellLinks:
         name: str = self.node.resolve_topic_name(topic)
         return name
 
+    def instrument(self, role: str) -> str:
+        """Return the absolute name of an instrument's topic, as the capture knows it."""
+        plain = plain_name(self.node.get_namespace(), role)
+        return self.health.values("capture").get(TOPIC + role, plain)
+
+    def missing_names(self, topics_value: str) -> list[str]:
+        """Return why names of topics do not fit, in words; ``topics_value`` is the goal's."""
+        if self.health.values("capture").get(TOPICS) != topics_value:
+            return ["node capture has not taken the names in the group topics yet"]
+        return list(at_odds(self.health.values, self.node.get_namespace(), self.resolve))
+
     def missing_nodes(self) -> list[str]:
         """Return what keeps the nodes of the suite from working together, in words."""
         lost = [f"node {name} does not beat" for name in self.health.missing(PREFLIGHT_NODES)]
@@ -127,8 +139,8 @@ class CellLinks:
         here: list[str] = []
         heard = self.health.values("capture")
         for topic in topics:
-            name = self.resolve(topic)
-            publishers = self.publishers(topic)
+            name = self.instrument(topic)
+            publishers = self.publishers(name)
             if not publishers:
                 found.append(f"nobody publishes {name}: start its instrument")
                 here = [discovery_in_words(os.environ)]
@@ -143,7 +155,8 @@ class CellLinks:
         disobeyed = (t for t in ORDERS if not set(self.listeners(t)) - NO_MACHINE)
         found += [f"nobody obeys {self.resolve(t)}: start the machine's node" for t in disobeyed]
         found += [text for topic in ORDERS for text in self._deaf_machine(topic)]
-        recorded = (*topics, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE)
+        measured = map(self.instrument, topics)
+        recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE)
         unheard = (topic for topic in recorded if "recorder" not in self.listeners(topic))
         return (
             found
@@ -157,9 +170,10 @@ class CellLinks:
         deaf = list(deaf_listeners(self.node, self.resolve(topic), machines.__contains__))
         return deaf if len(deaf) >= len(machines) else []
 
-    def missing_air(self, expected: Iterable[str]) -> list[str]:
-        """Return the absolute names of those ``expected`` topics that nobody publishes."""
-        return [self.resolve(topic) for topic in expected if not self.publishers(topic)]
+    def missing_air(self, expected: Iterable[str]) -> dict[str, str]:
+        """Return role -> absolute name of those ``expected`` topics that nobody publishes."""
+        called = {role: self.instrument(role) for role in expected}
+        return {role: name for role, name in called.items() if not self.publishers(name)}
 
     def missing_plan(self, run: str) -> list[str]:
         """Return which nodes have not taken the plan of this run, with their reason."""

@@ -19,6 +19,7 @@ from rotcal_ros.nodes.health import Health, Values
 from rotcal_ros.nodes.parameters import declare_settings, given_parameters
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.steady import steady_timer
+from rotcal_ros.nodes.topic_names import other_names
 from rotcal_ros.observations import Command
 
 T = TypeVar("T")
@@ -53,7 +54,8 @@ class CellNode(Node, ABC):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.given = given_parameters(self)
-        self.health = Health(self, self._report, self._node_lost)
+        self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
+        self.health = Health(self, self._told, self._node_lost)
 
     def settings(self, group: str, cls: type[T], *, read_only: bool = True) -> T:
         """Declare a group of settings as parameters and return their values."""
@@ -105,6 +107,11 @@ class CellNode(Node, ABC):
     def finished(self) -> bool:
         """Return whether the work is done before the system asks the node to end."""
         return False
+
+    def _told(self) -> tuple[str, Values]:
+        """Return what every beat tells: the report, and which topics are called otherwise."""
+        state, values = self._report()
+        return state, {**self._names, **values}
 
     @abstractmethod
     def _report(self) -> tuple[str, Values]:

@@ -76,20 +76,37 @@ class DrainedSubscription:
                 batch.append(pair)
 
 
-def listen_to_instrument(
-    node: Node, message_type: type, topic: str, handle: Callable[[Batch], None]
-) -> None:
-    """Subscribe once there is a publisher, to match its quality of service.
+class InstrumentSubscription:
+    """Subscribes once there is a publisher, to match its quality of service.
 
     Reliable where the instrument offers it: best effort would match every publisher, but lose
     readings of a fast one.
     """
 
-    def look() -> None:
-        infos = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    def __init__(
+        self, node: Node, message_type: type, topic: str, handle: Callable[[Batch], None]
+    ) -> None:
+        self._node, self._type, self._handle = node, message_type, handle
+        self.topic = topic
+        self._drained: DrainedSubscription | None = None
+        self._timer = steady_timer(node, GRAPH_PERIOD_S, self._look)
+
+    def move(self, topic: str) -> bool:
+        """Listen to another topic from now on; False where it is this one."""
+        if self._node.resolve_topic_name(topic) == self._node.resolve_topic_name(self.topic):
+            return False
+        self.topic = topic
+        if self._drained is not None:
+            self._node.destroy_subscription(self._drained.subscription)
+            self._drained = None
+            self._timer = steady_timer(self._node, GRAPH_PERIOD_S, self._look)
+        return True
+
+    def _look(self) -> None:
+        infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self.topic))
         if infos:
             qos = adapted_qos([info.qos_profile for info in infos])
-            DrainedSubscription(node, message_type, topic, qos, handle)
-            node.destroy_timer(timer)
-
-    timer = steady_timer(node, GRAPH_PERIOD_S, look)
+            self._drained = DrainedSubscription(
+                self._node, self._type, self.topic, qos, self._handle
+            )
+            self._node.destroy_timer(self._timer)

@@ -21,6 +21,7 @@ from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
 from rotcal_ros.nodes.plans import RUN, run_name
 from rotcal_ros.nodes.preflight import doubts, expected_air, faults, without_air
+from rotcal_ros.nodes.topic_names import TOPICS, topics_value
 from rotcal_ros.session_folder import SessionFolder
 
 BAG_TIMEOUT_S: Final = 10.0
@@ -77,6 +78,7 @@ class GoalRun:
         own: dict[str, object] = {
             "accepted": len(progress.accepted),
             "rejected": progress.rejected,
+            TOPICS: topics_value(self._calibration.configuration),
         }
         return {RUN: self._run, **own} if self._run else own
 
@@ -87,8 +89,10 @@ class GoalRun:
         needed, wished = expected_air(self._calibration)
 
         def missing() -> list[str]:
+            if odd := links.missing_names(topics_value(configuration)):
+                return odd
             air = [f"nobody publishes {name}, without which the index of refraction is unknown"
-                   for name in links.missing_air(needed)]  # fmt: skip
+                   for name in links.missing_air(needed).values()]  # fmt: skip
             wrong = faults(links.health.values("capture"), configuration)
             return links.missing_topics(topics) + air + wrong
 
@@ -98,7 +102,8 @@ class GoalRun:
         watch.nodes = (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS}
         watch.tell("preflight: topics")
         await watch.have(missing, Codes.TOPIC_MISSING)
-        unheard = [without_air(name, configuration) for name in links.missing_air(wished)]
+        unheard = [without_air(role, name, configuration)
+                   for role, name in links.missing_air(wished).items()]  # fmt: skip
         links.warn(PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration))
         watch.nodes |= links.health.present()
         watch.nodes -= set(VIEWERS.values())

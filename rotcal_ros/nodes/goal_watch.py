@@ -146,10 +146,9 @@ class GoalWatch:
         self._stream_beat = beat
         for key, value in self.links.health.values("capture").items():
             if key.startswith(SILENCE) and float(value) > self.settings.stream_timeout_s:
-                topic = key.removeprefix(SILENCE)
+                topic = self.links.instrument(key.removeprefix(SILENCE))
                 publishers = ", ".join(self.links.publishers(topic)) or "gone"
                 raise GoalError(
                     Codes.NODE_LOST,
-                    f"{self.links.resolve(topic)} (node {publishers}) has been silent for "
-                    f"{value} s {place}",
+                    f"{topic} (node {publishers}) has been silent for {value} s {place}",
                 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Final
@@ -56,6 +56,7 @@ class Listener:
     """Subscribes to topics as they appear and hands their messages to ``take``.
 
     What is missing goes to ``missed``, before the messages behind it go to ``take``.
+    Those are the topics of the namespace of the cell and the ``further`` ones, by absolute name.
     ``topics`` maps absolute names to what was heard, ``refused`` names topics whose type is not
     installed.
     """
@@ -65,10 +66,12 @@ class Listener:
         node: CellNode,
         take: Callable[[HeardTopic, Batch], None],
         missed: Callable[[Dropout], None],
+        further: Callable[[], Collection[str]] = tuple,
     ) -> None:
         self._node = node
         self._hand_over = take
         self._missed = missed
+        self._further = further
         self._drained: list[DrainedSubscription] = []
         self.topics: dict[str, HeardTopic] = {}
         self.refused: dict[str, str] = {}
@@ -92,6 +95,10 @@ class Listener:
         heard = (self.topics[name] for name in names_in_order if name in self.topics)
         return next((topic.latest_stamp_ns() for topic in heard if topic.latest), None)
 
+    def heard_s(self, counts: Callable[[str], bool]) -> dict[str, float]:
+        """Return when the topics that count by their name were last heard, in monotonic time."""
+        return {name: topic.heard_s for name, topic in self.topics.items() if counts(name)}
+
     def drain(self) -> None:
         """Take what has arrived and is still waiting."""
         for drained in self._drained:
@@ -99,7 +106,7 @@ class Listener:
 
     def _look(self) -> None:
         """Subscribe to topics that are new in the graph and have publishers."""
-        for name, type_name in _wanted_topics(self._node).items():
+        for name, type_name in _wanted_topics(self._node, self._further()).items():
             if name in self.topics or name in self.refused:
                 continue
             infos = self._node.get_publishers_info_by_topic(name)
@@ -159,13 +166,13 @@ class Listener:
         )
 
 
-def _wanted_topics(node: Node) -> dict[str, str]:
-    """Return name -> type of all topics of the cell: its namespace, diagnostics and log."""
+def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
+    """Return name -> type of all topics of the cell: its namespace, diagnostics, log, others."""
     prefix = node.get_namespace().rstrip("/") + "/"
     return {
         name: types[0]
         for name, types in node.get_topic_names_and_types()
-        if (name in ALWAYS or name.startswith(prefix)) and "/_" not in name
+        if name in further or ((name in ALWAYS or name.startswith(prefix)) and "/_" not in name)
     }
 
 

@@ -15,6 +15,7 @@ from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.escapes import printable
 from rotcal_ros.nodes.concerns import OFFSET
 from rotcal_ros.nodes.latest import JOINT, MOST_JOINTS, NOW
+from rotcal_ros.nodes.topic_names import name_in
 
 _RANGES: Final = {
     names.TEMPERATURE: (-20.0, 60.0, "degrees Celsius", "kelvin or Fahrenheit"),
@@ -52,7 +53,8 @@ def doubts(values: Values, configuration: Configuration) -> list[str]:
     for topic, (low, high, unit, others) in _RANGES.items():
         value = _number(values.get(NOW + topic, ""))
         if value is not None and not low <= value <= high:
-            found.append(f"{topic} says {value:.6g}; {unit} are expected: {others}?")
+            name = name_in(values, topic)
+            found.append(f"{name} says {value:.6g}; {unit} are expected: {others}?")
     return found
 
 
@@ -65,9 +67,9 @@ def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
     return needed, [topic for _, topic in expected if topic not in needed]
 
 
-def without_air(topic: str, configuration: Configuration) -> str:
-    """Say what it means that nobody publishes an expected ``topic`` of the air."""
-    name = next(name for name, last in _AIR.items() if topic.endswith(last))
+def without_air(role: str, topic: str, configuration: Configuration) -> str:
+    """Say what it means that nobody publishes the expected ``topic`` of a quantity of the air."""
+    name = next(name for name, last in _AIR.items() if role == last)
     return (
         f"nobody publishes {topic}: every observation waits for it as long as "
         f"{configuration.capture.clock_tolerance_s:g} s (capture.clock_tolerance_s), then does "
@@ -82,28 +84,29 @@ def _expected(settings: CaptureSettings, name: str) -> bool:
 def _of_the_joint(values: Values, joint: str) -> Iterator[str]:
     """Yield what is wrong with the joint that stands for the table."""
     joints = _joints(values)
-    chosen = _chosen(values, joint)
+    chosen, topic = _chosen(values, joint), name_in(values, names.JOINT_STATES)
     if not joints or (chosen not in joints and len(joints) >= MOST_JOINTS):  # not all are told
         return
     if chosen not in joints:
         yield (
-            f"{names.JOINT_STATES} has no joint {joint!r} (cell.joint), it has "
+            f"{topic} has no joint {joint!r} (cell.joint), it has "
             f"{', '.join(map(printable, joints))}: name one of these, or leave cell.joint empty "
             "for the first"
         )
     elif not isfinite(joints[chosen][1]):
         yield (
-            f"{names.JOINT_STATES}: joint {printable(chosen)} has no velocity, without which no "
+            f"{topic}: joint {printable(chosen)} has no velocity, without which no "
             "table is at rest: publish it beside the position, in rad/s"
         )
 
 
 def _of_lengths(values: Values, configuration: Configuration) -> Iterator[str]:
     largest = configuration.capture.max_length_m
+    topic = name_in(values, names.TRACER_LENGTH)
     length = _number(values.get(NOW + names.TRACER_LENGTH, ""))
     if length is not None and abs(length) > largest:
         yield (
-            f"{names.TRACER_LENGTH} says {length:.6g} m, plausible are {largest:g} m "
+            f"{topic} says {length:.6g} m, plausible are {largest:g} m "
             "(capture.max_length_m): millimetres? Lengths are in metres"
         )
 

@@ -17,7 +17,7 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError
 from rotcal_ros.messages import stamp_ns
-from rotcal_ros.nodes.bookkeeping import PendingReceipts, Silences
+from rotcal_ros.nodes.bookkeeping import NEEDED, NEVER_PAUSE, PendingReceipts, Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
@@ -27,7 +27,8 @@ from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.recording import Messages, Receipt, Recording
 from rotcal_ros.nodes.running import run
 from rotcal_ros.nodes.session_bags import SessionBags
-from rotcal_ros.nodes.surroundings import parameters_json, subject, versions_json
+from rotcal_ros.nodes.surroundings import keep_surroundings, parameters_json
+from rotcal_ros.nodes.topic_names import CalledOtherwise
 
 CLOSE_TIMEOUT_S: Final = 15.0
 
@@ -46,11 +47,10 @@ class RecorderNode(CellNode):
         self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
         self.create_service(StartRecording, "start_recording", self._start)
         self.create_service(StopRecording, "stop_recording", self._stop)
-        self._observation_topic = self.resolve_topic_name(names.OBSERVATION)
-        needed = ((names.TRACER_LENGTH, names.PROBE_POINT), (names.JOINT_STATES,))
-        self._needed = [[self.resolve_topic_name(name) for name in either] for either in needed]
+        self._called = CalledOtherwise(self.get_namespace())
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
-        self._listener = Listener(self, self._take, self._dropouts.note)
+        further = self._called.topics.values
+        self._listener = Listener(self, self._take, self._dropouts.note, further)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def begin_stop(self) -> None:
@@ -68,10 +68,12 @@ class RecorderNode(CellNode):
 
     def _note_losses(self) -> None:
         """Keep losses and their counters in the bag, so that they outlive this node."""
+        self._called.look(self.health.values)
         recording = self._writing()
         if recording is None:
             return
-        heard = {name: topic.heard_s for name, topic in self._listener.topics.items()}
+        heard = self._listener.heard_s(lambda topic: self._called.role(topic) in NEVER_PAUSE)
+        self._called.keep_in(recording)
         self._dropouts.silences(self._silences.look(heard, time.monotonic()))
         self._dropouts.write(TOGETHER_S)
         if counters := self._all_losses() + self._silences.counts:
@@ -84,7 +86,7 @@ class RecorderNode(CellNode):
             messages = Messages.taken(topic.channel, batch)
             if not self._recording.put(messages):
                 self._dropouts.refused(messages)
-        if topic.channel.topic == self._observation_topic:
+        if topic.channel.topic == self._called.topic(names.OBSERVATION):
             for data, _ in batch:
                 message = deserialize_message(data, Observation)
                 self._pending.expect(message.step, message.attempt, stamp_ns(message.window_end))
@@ -94,13 +96,13 @@ class RecorderNode(CellNode):
         """Queue a receipt once the readings and the feedback of its window have arrived here."""
         if self._recording is None:
             return
-        came = map(self._listener.reached_ns, self._needed)
+        needed = ([self._called.topic(role) for role in either] for either in NEEDED)
+        came = map(self._listener.reached_ns, needed)
         reached_ns = min((stamp for stamp in came if stamp is not None), default=None)
         if not self._pending:
             self._pending.reach(reached_ns or 0)
             return
-        losses = self._all_losses().items()  # of the messages that a replay needs
-        lost = sum(n for where, n in losses if where.rpartition("/")[2] in names.ROLES)
+        lost = self._called.lost(self._all_losses())
         for receipt in self._pending.due(reached_ns, lost):
             self._dropouts.write()
             self._recording.confirm(receipt)
@@ -136,10 +138,8 @@ class RecorderNode(CellNode):
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         recording = Recording(writer, self._settings.queue_bytes, self._confirm)
         self._dropouts.begin(recording)
-        configuration = request.configuration.encode()
-        recording.attach(names.CONFIGURATION, "application/yaml", configuration)
-        recording.note(names.SUBJECT, subject(request.configuration))
-        recording.attach(names.VERSIONS, "application/json", versions_json().encode())
+        self._called.keep_in(recording)  # before the configuration, where readers stop to look
+        keep_surroundings(recording, request.configuration)
         self._recording = recording
         self.executor.create_task(self._attach_parameters, recording)
         return folder.path

@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from typing import Any, Final
 
+from rclpy.qos import QoSProfile
 from rotcal_msgs.msg import ProbePoint, TableInForce, TracerLength
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.catalogue.method import DEFAULT, find_method
 from rotcal_ros.in_force import NONE, UNKNOWN
 from rotcal_ros.nodes import conversions
@@ -39,6 +41,7 @@ class SimulatedCellNode(CellNode):
         method = find_method(self.declare_parameter("method", DEFAULT).value)
         settings = self.settings("simulation", method.simulation_settings)
         cell = self.settings("cell", CellSettings)
+        self._called = self.settings("topics", TopicSettings).renamed()
         self._settings, self._axis = settings, cell.axis
         self._joint = cell.joint or "table"
         self._scale = settings.time_scale
@@ -46,12 +49,12 @@ class SimulatedCellNode(CellNode):
         self._turned_s = time.monotonic()
         self._order_text = "no order yet"
         if self._cell.instrument.streams_lengths:
-            self._tracer = self.create_publisher(TracerLength, "tracer_length", STREAM)
+            self._tracer = self._instrument(TracerLength, names.TRACER_LENGTH, STREAM)
         self._probe_frame = self._cell.instrument.frame
         if settings.table.external:
             self.listen(JointState, "table_actual", self._follow, STREAM)
         else:
-            self._table = self.create_publisher(JointState, "joint_states", STREAM)
+            self._table = self._instrument(JointState, names.JOINT_STATES, STREAM)
             self.every(PERIOD_S, self._turn)
         controlled = self.given.get("bridge", {}).get("controller_folder")
         if not settings.table.external and not controlled:
@@ -59,15 +62,19 @@ class SimulatedCellNode(CellNode):
                 TableInForce, names.TABLE_IN_FORCE, LATCHED
             )
             self.every(ANNOUNCING_PERIOD_S, self._announce)
-        self._probe = self.create_publisher(ProbePoint, "probe_point", EVENT)
-        self._temperature = self.create_publisher(Temperature, names.TEMPERATURE, EVENT)
+        self._probe = self._instrument(ProbePoint, names.PROBE_POINT, EVENT)
+        self._temperature = self._instrument(Temperature, names.TEMPERATURE, EVENT)
         self._air = {
-            kind: self.create_publisher(message, name, EVENT)
+            kind: self._instrument(message, name, EVENT)
             for kind, (message, name) in AIR.items()
             if settings.air.published
         }
         self.take_orders(self._obey)
         self.every(UNASKED_PERIOD_S, self._tell_position)
+
+    def _instrument(self, kind: type, role: str, qos: QoSProfile) -> Any:
+        """Return the publisher of an instrument, under the name that the group topics gives."""
+        return self.create_publisher(kind, self._called.get(role, role), qos)
 
     def _obey(self, command: Command) -> None:
         """Begin both motions of an order together."""

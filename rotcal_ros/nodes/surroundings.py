@@ -17,12 +17,21 @@ from rclpy.parameter import parameter_value_to_python
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from rotcal_ros import __version__
+from rotcal_ros.bags import names
 from rotcal_ros.catalogue.configuration import read_subject
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.nodes.cell_node import until
+from rotcal_ros.nodes.recording import Recording
 
 TIMEOUT_S: Final = 3.0
 _PACKAGES = ("numpy", "scipy", "mcap", "rclpy", "ros-rclpy", "rotcal_msgs")
+
+
+def keep_surroundings(recording: Recording, configuration_text: str) -> None:
+    """Put the configuration, its subject and the versions into a bag."""
+    recording.attach(names.CONFIGURATION, "application/yaml", configuration_text.encode())
+    recording.note(names.SUBJECT, subject(configuration_text))
+    recording.attach(names.VERSIONS, "application/json", versions_json().encode())
 
 
 def subject(configuration_text: str) -> dict[str, str]:
@@ -65,9 +74,9 @@ async def parameters_json(node: Node, beating: Iterable[str]) -> str:
     """
     namespace = node.get_namespace()
     listed = {n for n, space in node.get_node_names_and_namespaces() if space == namespace}
-    names = listed | {node.get_name(), *beating}
+    wanted = listed | {node.get_name(), *beating}
     found: dict[str, Any] = {}
-    for name in sorted(names):
+    for name in sorted(wanted):
         if name == node.get_name():
             own = node.get_parameters_by_prefix("")
             found[name] = {key: _plain(parameter.value) for key, parameter in own.items()}

@@ -19,7 +19,7 @@ from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import COMPLAINT, show
-from rotcal_ros.nodes.draining import Batch, listen_to_instrument
+from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.joint_controllers import joint_controller
 from rotcal_ros.nodes.qos import EVENT, STREAM
@@ -59,7 +59,7 @@ class TableAdapter(CellNode):
         self._passes_on = self._feedback.topic_name != self.resolve_topic_name(
             self._settings.feedback
         )
-        listen_to_instrument(
+        InstrumentSubscription(
             self, JointState, self._settings.feedback, self.health.guarded(self._hear)
         )
         self.listen(TableAngle, names.TABLE_ANGLE, self._obey, EVENT)

@@ -97,7 +97,10 @@ def _windows(files: tuple[Path, ...], limits: ReadingLimits) -> Iterator[Window]
     for scan, block in read_blocks(files, None, limits):
         for number in () if block is None else block.counts():
             channel = scan.channels[number]
-            if channel.type_name != _TYPE or channel.topic.rpartition("/")[2] != names.OBSERVATION:
+            noted = scan.metadata.get(names.TOPICS, {}).get(names.OBSERVATION)
+            if channel.type_name != _TYPE or (
+                channel.topic.rpartition("/")[2] != names.OBSERVATION and channel.topic != noted
+            ):
                 continue
             assert block is not None
             # Whose definition is nobody's observation tells no steps; solving says why.

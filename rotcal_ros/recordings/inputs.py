@@ -60,14 +60,23 @@ class Input:
             raise ConfigurationError(f"{self.path} is no table: only a table takes --targets")
         limits = changed_limits(of_reading)
         changes = tuple(change for change in self.changes if change not in of_reading)
+        configuration = self._configuration(changes, limits)
         return read_recording(
             self.path,
             self.taken_from,
-            configuration=self._configuration(changes, limits),
-            topics=Topics(self.namespace),
+            configuration=configuration,
+            topics=Topics(self.namespace, self._asked_names(configuration, changes)),
             progress=progress,
             limits=limits,
         )
+
+    def _asked_names(
+        self, configuration: Configuration | None, changes: tuple[str, ...]
+    ) -> dict[str, str]:
+        """Return the names of topics that are asked for here, not by what is in the bag."""
+        known = {} if configuration is None else configuration.topics.renamed()
+        changed_ones = {change.partition("=")[0] for change in changes}
+        return {r: n for r, n in known.items() if self.setup or f"topics.{r}" in changed_ones}
 
     def _configuration(
         self, changes: tuple[str, ...], limits: ReadingLimits

@@ -112,7 +112,7 @@ def _announced_steps(scans: Iterable[Scan], topics: Topics) -> Iterator[int]:
     decoders: Decoders = {}
     for scan in scans:
         for block in scan.blocks():
-            for part in topics.split(block, scan.channels, decoders):
+            for part in topics.split(block, scan, decoders):
                 if part.role == names.PLAN:
                     with part.taken_as_expected():
                         yield from (message.total_steps for _, message in part.messages(block))
@@ -123,7 +123,7 @@ def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:
     for block in scan.blocks():
         if names.CONFIGURATION in scan.attachments:
             break
-        for part in topics.split(block, scan.channels, decoders):
+        for part in topics.split(block, scan, decoders):
             if part.role == names.PLAN:
                 with part.taken_as_expected():
                     yield from (message.configuration for _, message in part.messages(block))

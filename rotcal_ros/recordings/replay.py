@@ -216,7 +216,7 @@ def read_recording(
     topics = topics or Topics()
     if configuration is None:
         configuration = find_configuration(files, topics, limits)
-    topics.renamed = {**configuration.topics.renamed(), **topics.renamed}
+    topics.planned = configuration.topics.renamed()
     calibration = as_planned(configuration, files, topics, limits)
     feeder = _feeder(calibration, configuration)
     blocks = read_blocks(files, progress, limits)
@@ -295,7 +295,7 @@ def _read(
         if feeder is not None and run != before:
             feeder.begin_run(run)
         found.log_times.look(block)
-        parts = topics.split(block, scan.channels, found.decoders)
+        parts = topics.split(block, scan, found.decoders)
         for part in parts:
             with part.taken_as_expected():
                 if part.role == names.OBSERVATION:

@@ -14,6 +14,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.scan import Scan
 from rotcal_ros.errors import BagError
 
 
@@ -53,24 +54,32 @@ class Topics:
     """Finds the topics of one cell.
 
     A topic plays the role that its last name says (``/cell/tracer_length``), below
-    ``namespace`` when that is given; ``renamed`` maps roles to topics with other names.
-    ``unreadable`` says of topics whose definition cannot be used why: the others are read.
+    ``namespace`` when that is given, unless roles are mapped to topics with other names: by
+    ``renamed``, which comes first, by what the recorder noted in the bag, or by ``planned``, which
+    the configuration says. ``unreadable`` says of topics whose definition cannot be used why: the
+    others are read.
     """
 
     namespace: str = ""
     renamed: Mapping[str, str] = field(default_factory=dict)
+    planned: Mapping[str, str] = field(default_factory=dict)
     unreadable: dict[str, str] = field(default_factory=dict)
+    _recorded: dict[str, str] = field(default_factory=dict, repr=False)
     _taken: dict[str, str] = field(default_factory=dict, repr=False)
 
     def role(self, topic: str) -> str | None:
         """Return the role of ``topic``; raises BagError when two topics want the same one."""
-        for role, other in self.renamed.items():
-            if topic.strip("/") == other.strip("/"):
-                return role
+        others = {**self.planned, **self._recorded, **self.renamed}
+        for role, other in others.items():
+            if _is_called(topic, other):
+                return self._only(role, topic)
         namespace, _, role = topic.strip("/").rpartition("/")
         wanted = self.namespace.strip("/")
-        if role not in names.ROLES or role in self.renamed or (wanted and namespace != wanted):
+        if role not in names.ROLES or role in others or (wanted and namespace != wanted):
             return None
+        return self._only(role, topic)
+
+    def _only(self, role: str, topic: str) -> str:
         if self._taken.setdefault(role, topic) != topic:
             raise BagError(
                 f"two topics of the bag are called {role}: {self._taken[role]} and {topic}; "
@@ -81,14 +90,16 @@ class Topics:
     def split(
         self,
         block: Block,
-        channels: Mapping[int, ChannelDefinition],
+        scan: Scan,
         decoders: dict[ChannelDefinition, Decoder],
     ) -> list[Part]:
-        """Return the parts of a block that matter to the cell."""
+        """Return the parts of a block of ``scan`` that matter to the cell."""
+        noted = scan.metadata.get(names.TOPICS, {})
+        self._recorded |= {role: topic for role, topic in noted.items() if role in names.ROLES}
         parts = []
         numbers = block.headers["channel"]
         for number in np.unique(numbers).tolist():
-            channel = channels[number]
+            channel = scan.channels[number]
             role = self.role(channel.topic)
             if role is None:
                 continue
@@ -106,3 +117,10 @@ class Topics:
         except BagError as error:
             self.unreadable[channel.topic] = str(error)
             return None
+
+
+def _is_called(topic: str, name: str) -> bool:
+    """Return whether ``topic`` is meant by ``name``, which may leave out the namespace."""
+    return topic.strip("/") == name.strip("/") or (
+        not name.startswith("/") and topic.endswith(f"/{name}")
+    )

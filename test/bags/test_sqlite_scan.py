@@ -164,7 +164,7 @@ def test_another_serialization_is_named_and_not_decoded(path: Path) -> None:
     ((scan, block), _) = read_blocks((path,))
     assert block is not None
     topics = Topics()
-    parts = topics.split(block, scan.channels, {})
+    parts = topics.split(block, scan, {})
     assert [part.role for part in parts] == [names.TEMPERATURE]
     assert topics.unreadable == {
         "/cell/tracer_length": "topic /cell/tracer_length: its messages are serialised as 'cbor', "

@@ -46,9 +46,9 @@ class LiveCell:
     def bag(self):
         return self.session / "bag"
 
-    def start(self, *nodes, name=None):
+    def start(self, *nodes, name=None, file=None, arguments=()):
         for node in nodes:
-            own = ["--params-file", str(self.file)]
+            own = ["--params-file", str(file or self.file), *arguments]
             if node == "recorder":
                 own += ["-p", f"recorder.folder:={json.dumps(str(self.recordings))}"]
                 own += ["-p", "recorder.session:=session"]

@@ -17,8 +17,8 @@ def test_a_silence_counts_once_however_long_and_again_after_a_message():
 
 def test_what_was_before_the_bag_and_streams_that_may_pause_do_not_count():
     silences = Silences(2.0, 100.0)
-    silences.look({TRACER: 3.0, PROBE: 3.0}, 101.9)
-    silences.look({PROBE: 3.0}, 200.0)
+    silences.look({TRACER: 3.0}, 101.9)
+    silences.look({}, 200.0)
     assert not silences.counts
     silences = Silences(2.0, 300.0)
     silences.look({TRACER: 299.0}, 301.0)

@@ -1,0 +1,66 @@
+"""The instruments of the capture, under the names that the goal's configuration gives them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.catalogue import Configuration
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
+from rotcal_ros.nodes.health import BEAT_PERIOD_S
+from rotcal_ros.nodes.topic_names import TOPICS, given_topics, other_names
+from rotcal_ros.settings import load
+
+
+class InstrumentTopics:
+    """Subscribes to instruments, and elsewhere when a goal names other topics.
+
+    ``settings`` are the group ``topics`` in force: what a goal gives, told by the planner's beat
+    before the preflight, else by the plan, goes before the parameters of the node. ``switched`` is
+    called with the role of a stream that comes from elsewhere now.
+    """
+
+    def __init__(self, node: CellNode, switched: Callable[[str], None]) -> None:
+        self._node, self._switched = node, switched
+        self._own: dict[str, Any] = dict(node.given.get("topics") or {})
+        self._goals = ""
+        self.settings = node.settings("topics", TopicSettings)
+        self._streams: dict[str, InstrumentSubscription] = {}
+        node.every(BEAT_PERIOD_S, self._follow)
+
+    def listen(self, kind: type, role: str, handle: Callable[[Batch], None]) -> None:
+        """Subscribe to the instrument of a role once somebody publishes it."""
+        self._streams[role] = InstrumentSubscription(self._node, kind, self.name(role), handle)
+
+    def name(self, role: str) -> str:
+        """Return the absolute name of the topic of a role."""
+        name: str = self._node.resolve_topic_name(self.settings.renamed().get(role, role))
+        return name
+
+    def use(self, configuration: Configuration) -> None:
+        """Listen where the configuration of a plan says."""
+        self._take(given_topics(configuration))
+
+    def values(self) -> dict[str, str]:
+        """Return what the beat tells of names."""
+        return {**other_names(self._node.get_namespace(), self.name), TOPICS: self._goals}
+
+    def _follow(self) -> None:
+        """Listen where the goal of the planner says."""
+        told = self._node.health.values("planner").get(TOPICS, "")
+        if told and told != self._goals:
+            self._take(json.loads(told))
+
+    def _take(self, given: dict[str, Any]) -> None:
+        settings = load(TopicSettings, {**self._own, **given}, "the goal's configuration: topics")
+        self._goals = json.dumps(given, sort_keys=True)
+        if settings == self.settings:
+            return
+        self.settings = settings
+        for role, stream in self._streams.items():
+            if stream.move(self.name(role)):
+                self._switched(role)
+        self._node.health.beat()
