@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final, Literal
 
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import check_ros_name, setting
+from rotcal_ros.units import ARCSEC, DEGREE, MICRORADIAN
+
+LENGTH_UNITS: Final = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
+"""Units of lengths and positions in m."""
+ANGLE_UNITS: Final = {"rad": 1.0, "deg": DEGREE, "arcsec": ARCSEC, "urad": MICRORADIAN}
+"""Units of angles in rad."""
+Length = Literal["m", "mm", "um", "nm"]
+Clock = Literal["stamp", "sent"]
+
+_OFFSET_DOC: Final = "the clock of {} is ahead by so much (behind: negative): it is taken off"
+_CLOCK_DOC: Final = (
+    "when {} was taken: what its header says, or when its message was sent (a device whose clock "
+    "drifts or counts from its start); a message without a header always when it was sent"
+)
 
 
 @dataclass(frozen=True)
 class TopicSettings:
-    """Topics of a bag that bear other names, and the units of bare numbers."""
+    """Topics that bear other names, and the units and clocks of those who publish them."""
 
     tracer_length: str = setting("", doc="topic of the lengths; empty: by its last name")
     probe_point: str = setting("", doc="topic of the probe; empty: by its last name")
@@ -17,17 +33,80 @@ class TopicSettings:
     temperature: str = setting("", doc="topic of the temperature; empty: by its last name")
     air_pressure: str = setting("", doc="topic of the air pressure; empty: by its last name")
     relative_humidity: str = setting("", doc="topic of the humidity; empty: by its last name")
+    length_unit: Length = setting("m", doc="unit of the lengths")
     length_unit_m: float = setting(
-        1.0, doc="m, unit of a Float64 length; negative where it shrinks with distance"
+        1.0,
+        doc="m, unit of the lengths where it has no name; negative where a length shrinks with "
+        "distance",
+    )
+    angle_unit: Literal["rad", "deg", "arcsec", "urad"] = setting(
+        "rad", doc="unit of the table's angles; of its velocities, in a second"
     )
     angle_unit_rad: float = setting(
-        1.0, doc="rad, unit of a Float64 angle; negative where the table counts clockwise"
+        1.0,
+        doc="rad, unit of the angles where it has no name; negative where the table counts "
+        "clockwise",
     )
+    position_unit: Length = setting("m", doc="unit of the probe's positions")
+    temperature_unit: Literal["degC", "K", "degF"] = setting(
+        "degC", doc="unit of the temperatures"
+    )
+    pressure_unit: Literal["Pa", "hPa", "kPa"] = setting("Pa", doc="unit of the air pressure")
+    humidity_unit: Literal["share", "percent"] = setting(
+        "share", doc="unit of the relative humidity"
+    )
+    length_single_shot: bool = setting(
+        False,
+        doc="lengths come one by one or in bursts, when the instrument is asked: its silence is "
+        "no loss",
+    )
+    probe_single_shot: bool = setting(
+        False, doc="the probe tells a point only when it has arrived: the preflight does without"
+    )
+    length_trigger: str = setting(
+        "",
+        doc="service (std_srvs/Trigger) that takes one length, called at rest as often as the "
+        "window needs; empty: nobody has to ask",
+    )
+    tip_radius_m: float = setting(
+        0.0, doc="m, radius of the tip that touches, where the points do not tell", minimum=0.0
+    )
+    length_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a length"))
+    table_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("an angle"))
+    probe_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a point"))
+    length_clock_offset_s: float = setting(0.0, doc=f"s, {_OFFSET_DOC.format('the lengths')}")
+    table_clock_offset_s: float = setting(0.0, doc=f"s, {_OFFSET_DOC.format('the table')}")
+    probe_clock_offset_s: float = setting(0.0, doc=f"s, {_OFFSET_DOC.format('the probe')}")
 
     def __post_init__(self) -> None:
-        """Refuse names that no topic can bear."""
+        """Refuse names that no topic can bear, units that are none, and two for one."""
         for role, topic in self.renamed().items():
             check_ros_name(topic, role)
+        if self.length_trigger:
+            check_ros_name(self.length_trigger, "length_trigger")
+        for name, factor, short in (
+            ("length_unit_m", self.length_unit_m, self.length_unit != "m"),
+            ("angle_unit_rad", self.angle_unit_rad, self.angle_unit != "rad"),
+        ):
+            if factor == 0.0:
+                raise ConfigurationError(f"{name} = 0 makes every value zero")
+            if short and abs(factor) != 1.0:
+                by_name = name.rpartition("_")[0]
+                raise ConfigurationError(
+                    f"{by_name} = {getattr(self, by_name)} and {name} = {factor:g} are two units "
+                    f"for one stream: state one of them (beside {by_name}, {name} may be -1 to "
+                    "turn the sign)"
+                )
+
+    @property
+    def length_m(self) -> float:
+        """The unit of the lengths in m, with its sign."""
+        return LENGTH_UNITS[self.length_unit] * self.length_unit_m
+
+    @property
+    def angle_rad(self) -> float:
+        """The unit of the angles in rad, with its sign."""
+        return ANGLE_UNITS[self.angle_unit] * self.angle_unit_rad
 
     def renamed(self) -> dict[str, str]:
         """Return role -> topic of those that were given."""

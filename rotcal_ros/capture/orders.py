@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from rotcal_ros.messages import command
+from rotcal_ros.messages import command, stamp_ns
 from rotcal_ros.observations import Command
 
 WAITING_LIMIT: Final = 64
@@ -14,10 +14,12 @@ WAITING_LIMIT: Final = 64
 class Orders:
     """Pairs the messages of an order by step and attempt, whichever comes first.
 
-    A message that comes again before its partner replaces the earlier one.
+    A message that comes again before its partner replaces the earlier one. ``stamp_ns`` is the
+    stamp of the latest order that was complete.
     """
 
     def __init__(self) -> None:
+        self.stamp_ns = 0
         self._waiting: dict[tuple[int, int], tuple[Any, Any]] = {}
 
     def table_angle(self, message: Any) -> Command | None:
@@ -40,6 +42,7 @@ class Orders:
         else:
             probe = message
         if table is not None and probe is not None:
+            self.stamp_ns = max(stamp_ns(table.header.stamp), stamp_ns(probe.header.stamp))
             return command(table, probe)
         self._waiting[key] = (table, probe)
         if len(self._waiting) > WAITING_LIMIT:

@@ -28,12 +28,12 @@ from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.errors import BagError, DataError, RotcalError
 from rotcal_ros.in_force import contradiction
+from rotcal_ros.instruments.steps import StepFinder
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.clock_verdicts import judged_as_live, same_limit
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
-from rotcal_ros.recordings.foreign import StepFinder
 from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
 from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
 from rotcal_ros.recordings.recorded_setup import (
@@ -255,7 +255,7 @@ def _feeder(calibration: catalogue.Calibration, configuration: Configuration) ->
     return StreamFeeder(
         calibration.capture,
         configuration.cell.joint,
-        StepFinder(calibration.plan, configuration.capture),
+        StepFinder(calibration.plan, configuration.capture, configuration.topics.tip_radius_m),
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
         configuration.capture.stamp_offset_s,

@@ -18,13 +18,19 @@ from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.orders import Orders
 from rotcal_ros.capture.stamp_offsets import StampOffsets
-from rotcal_ros.observations import LengthStatus, Observation, TableSample
-from rotcal_ros.recordings.foreign import FLOAT, POINT, Position, Speedometer, StepFinder
+from rotcal_ros.instruments.conversion import FEEDBACK, READING
+from rotcal_ros.instruments.forms import STAMP, Form, form_of
+from rotcal_ros.instruments.interpreter import Interpreter, table_samples
+from rotcal_ros.instruments.steps import Position, StepFinder
+from rotcal_ros.observations import Command, Observation, TableSample
 from rotcal_ros.recordings.topics import Part
 
-_STAMP: Final = ("header.stamp.sec", "header.stamp.nanosec")
-_TRACER: Final = (*_STAMP, "sequence", "length", "status")
-_JOINTS: Final = (*_STAMP, "position", "velocity")
+_TRACER: Final = (*STAMP, "sequence", "length", "status")
+_JOINTS: Final = (*STAMP, "position", "velocity")
+SLOW: Final = frozenset({
+    names.PROBE_POINT, names.TEMPERATURE, names.AIR_PRESSURE, names.RELATIVE_HUMIDITY,
+})  # fmt: skip
+"""Roles of instruments whose messages are few."""
 SLICE_NS: Final = 1_000_000_000
 """How far readings and feedback run ahead of the other streams at most (1 s)."""
 
@@ -82,15 +88,10 @@ class StreamFeeder:
         self._finder = finder
         self._finding = False
         self._slice_ns = max(1, slice_ns)
-        self._units = topics or TopicSettings()
-        self._speed = Speedometer()
-        self._counted = 0
+        self._instruments = Interpreter(topics or TopicSettings(), joint)
         self._orders = Orders()
+        self._ordered_ns: dict[tuple[int, int], int] = {}
         self._makers: dict[str, Callable[[Any], Any]] = {
-            names.PROBE_POINT: records.probe_sample,
-            names.TEMPERATURE: records.temperature_sample,
-            names.AIR_PRESSURE: records.pressure_sample,
-            names.RELATIVE_HUMIDITY: records.humidity_sample,
             names.TABLE_ANGLE: self._orders.table_angle,
             names.PROBE_TARGET: self._orders.probe_target,
         }
@@ -116,10 +117,8 @@ class StreamFeeder:
     def feed(self, block: Block, parts: list[Part]) -> None:
         """Feed one block that ``parts`` splits into the topics of the cell."""
         others: list[Numbered] = []
-        readings, feedback = np.zeros(0, _READING), np.zeros(0, _FEEDBACK)
-        self._finding |= self._finder is not None and any(
-            part.decoder.channel.type_name == POINT for part in parts
-        )
+        readings, feedback = np.zeros(0, READING), np.zeros(0, FEEDBACK)
+        self._finding |= self._finder is not None and any(map(_tells_positions, parts))
         for part in parts:
             with part.taken_as_expected():
                 if part.role == names.TRACER_LENGTH:
@@ -128,7 +127,7 @@ class StreamFeeder:
                 elif part.role == names.JOINT_STATES:
                     feedback = self._feedback(block, part)
                     self._hold(part.role, feedback, block)
-                elif part.role in self._makers:
+                elif part.role in self._makers or part.role in SLOW:
                     found = list(self._single(block, part))
                     others.extend(found)
                     if part.role == names.PROBE_POINT:
@@ -175,105 +174,105 @@ class StreamFeeder:
             feedback["stamp_ns"], feedback["angle"], feedback["velocity"]
         )
         if self._finder is not None:  # so that it knows where the table is, should points come
-            ((_, last),) = _samples(feedback[-1:])
-            self._finder.table(last)
+            self._finder.table(*table_samples(feedback[-1:]))
 
     def _understood(self, record: Any) -> Iterator[Any]:
         """Yield the records for the capture; a foreign position becomes the step it stands at."""
-        if isinstance(record, Position):
-            answer = self._finder.probe(record) if self._finder else None
-        else:
+        finder = self._finder
+        if not isinstance(record, Position):
             yield record
-            is_table = isinstance(record, TableSample)
-            answer = self._finder.table(record) if is_table and self._finder else None
-        if answer is not None:
-            yield answer
+        if finder is None:
+            return
+        match record:
+            case Position():
+                yield from finder.probe(record)
+            case TableSample():
+                yield from finder.table(record)
+            case Command():
+                finder.order(record, self._ordered_ns.pop((record.step, record.attempt)))
 
-    def _floats(self, block: Block, part: Part) -> tuple[Ints, Ints, NDArray[Any]]:
-        """Return rows, log times (ns) and values (n,) of a topic of bare numbers."""
-        shapes = list(part.decoder.columns(block.select(part.rows), ("data",)))
-        rows = np.concatenate([part.rows[:0], *(part.rows[c.rows] for c in shapes)])
-        values = np.concatenate([np.zeros(0), *(c.values["data"] for c in shapes)])
-        order = np.argsort(rows)
-        rows = rows[order]
-        return rows, block.headers["log_time"][rows].astype(np.int64), values[order]
+    def _sent_ns(self, block: Block, rows: Ints) -> Ints:
+        """Return when messages were sent, or recorded where the bag does not say that."""
+        sent = block.headers["publish_time"][rows].astype(np.int64)
+        return np.where(sent > 0, sent, block.headers["log_time"][rows].astype(np.int64))
 
-    def _bare_readings(self, block: Block, part: Part) -> NDArray[np.void]:
-        """Return readings of a topic of bare lengths, numbered as they came."""
-        rows, stamps, values = self._floats(block, part)
-        readings = np.zeros(len(rows), _READING)
-        readings["row"], readings["stamp_ns"] = rows, stamps
-        readings["length"] = values * self._units.length_unit_m
-        readings["sequence"] = (self._counted + np.arange(len(rows))) % (1 << 32)
-        readings["status"] = int(LengthStatus.OK)
-        self._counted += len(rows)
-        return readings
+    def _bare(self, block: Block, part: Part, form: Form) -> NDArray[np.void]:
+        """Return what a topic of bare numbers says, in file order."""
+        numbers = (*form.numbers, *form.limits)
+        found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, len(numbers))))]
+        for columns in part.decoder.columns(block.select(part.rows), form.fields):
+            rows = part.rows[columns.rows]
+            values = np.column_stack([columns.values[name] for name in numbers])
+            stamps = columns.stamp_ns() if form.stamped else self._sent_ns(block, rows)
+            found.append((rows, stamps, values.astype(np.float64)))
+        rows, stamps, values = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        order = np.argsort(rows, kind="stable")
+        sent = self._sent_ns(block, rows[order])
+        return self._instruments.bare(part.role, rows[order], stamps[order], sent, values[order])
 
-    def _bare_angles(self, block: Block, part: Part) -> NDArray[np.void]:
-        rows, stamps, values = self._floats(block, part)
-        feedback = np.zeros(len(rows), _FEEDBACK)
-        feedback["row"], feedback["stamp_ns"] = rows, stamps
-        feedback["angle"] = angles = values * self._units.angle_unit_rad
-        samples = map(self._speed.sample, stamps.tolist(), angles.tolist())
-        feedback["velocity"] = [sample.velocity for sample in samples]
-        return feedback
-
-    def _positions(self, block: Block, part: Part) -> Iterator[Numbered]:
-        for row, message in part.messages(block):
-            point = message.point
-            stamp_ns = records.stamp_ns(message.header.stamp)
-            yield row, Position(stamp_ns, (point.x, point.y, point.z))
+    def _own(self, block: Block, part: Part, found: NDArray[np.void]) -> NDArray[np.void]:
+        """Return records (n,) of a role's own type in SI, by the common clock, in file order."""
+        found = found[np.argsort(found["row"], kind="stable")]
+        conventions = self._instruments.conventions
+        sent = self._sent_ns(block, found["row"])
+        found["stamp_ns"] = conventions.taken_ns(part.role, found["stamp_ns"], sent)
+        for name, convert in (
+            ("length", conventions.length),
+            ("angle", conventions.angle),
+            ("velocity", conventions.angle),
+        ):
+            if name in (found.dtype.names or ()):
+                found[name] = convert(found[name])
+        return found
 
     def _readings(self, block: Block, part: Part) -> NDArray[np.void]:
         """Return the tracer readings of a block in file order."""
-        if part.decoder.channel.type_name == FLOAT:
-            return self._bare_readings(block, part)
+        form = form_of(part.role, part.decoder.channel.type_name)
+        if form is not None:
+            return self._bare(block, part, form)
         shapes = part.decoder.columns(block.select(part.rows), _TRACER)
-        found = [np.zeros(0, _READING), *(_readings_of(columns, part) for columns in shapes)]
-        readings = np.concatenate(found)
-        return readings[np.argsort(readings["row"], kind="stable")]
+        found = [np.zeros(0, READING), *(_readings_of(columns, part) for columns in shapes)]
+        return self._own(block, part, np.concatenate(found))
 
     def _feedback(self, block: Block, part: Part) -> NDArray[np.void]:
         """Return the feedback of the table in a block in file order."""
-        if part.decoder.channel.type_name == FLOAT:
-            return self._bare_angles(block, part)
-        found = [np.zeros(0, _FEEDBACK)]
+        form = form_of(part.role, part.decoder.channel.type_name)
+        if form is not None:
+            return self._bare(block, part, form)
+        found = [np.zeros(0, FEEDBACK)]
         for columns in part.decoder.columns(block.select(part.rows), _JOINTS):
             index = records.joint_index(columns.layout.texts.get("name", []), self._joint)
             position, velocity = columns.values["position"], columns.values["velocity"]
             if index is None or index >= position.shape[1]:
                 continue
-            rows = np.zeros(len(columns.rows), _FEEDBACK)
+            rows = np.zeros(len(columns.rows), FEEDBACK)
             rows["row"], rows["stamp_ns"] = part.rows[columns.rows], columns.stamp_ns()
             rows["angle"] = position[:, index]
             rows["velocity"] = velocity[:, index] if velocity.shape[1] > index else math.nan
             found.append(rows)
-        feedback = np.concatenate(found)
-        return feedback[np.argsort(feedback["row"], kind="stable")]
+        return self._own(block, part, np.concatenate(found))
 
     def _single(self, block: Block, part: Part) -> Iterator[Numbered]:
         """Yield the records of a slow topic, message by message."""
-        if part.decoder.channel.type_name == POINT:
-            yield from self._positions(block, part)
-            return
+        type_name = part.decoder.channel.type_name
+        make = self._makers.get(part.role)
         for row, message in part.messages(block):
-            record = self._makers[part.role](message)
+            if make is None:
+                sent_ns = int(self._sent_ns(block, np.array([row]))[0])
+                record = self._instruments.record(part.role, type_name, message, sent_ns)
+            else:
+                record = make(message)
+            if isinstance(record, Command):
+                self._ordered_ns[record.step, record.attempt] = self._orders.stamp_ns
             if record is not None:
                 yield row, record
 
 
-_READING: Final = np.dtype(
-    [
-        ("row", np.int64),
-        ("stamp_ns", np.int64),
-        ("sequence", np.int64),
-        ("length", np.float64),
-        ("status", np.int64),
-    ]
-)
-_FEEDBACK: Final = np.dtype(
-    [("row", np.int64), ("stamp_ns", np.int64), ("angle", np.float64), ("velocity", np.float64)]
-)
+def _tells_positions(part: Part) -> bool:
+    """Return whether somebody tells where the probe is without a step."""
+    is_probe = part.role == names.PROBE_POINT
+    return is_probe and form_of(part.role, part.decoder.channel.type_name) is not None
+
 
 Ends = tuple[tuple[int, int], tuple[int, int]]
 """First and last index of readings, and of feedback."""
@@ -299,12 +298,11 @@ def _slices(
 
 def _samples(feedback: NDArray[np.void]) -> Iterator[Numbered]:
     """Yield the feedback one by one, as records."""
-    for row, stamp_ns, angle, velocity in feedback.tolist():
-        yield row, TableSample(stamp_ns, angle, velocity)
+    yield from zip(feedback["row"].tolist(), table_samples(feedback.tolist()), strict=True)
 
 
 def _readings_of(columns: Columns, part: Part) -> NDArray[np.void]:
-    readings = np.zeros(len(columns.rows), _READING)
+    readings = np.zeros(len(columns.rows), READING)
     readings["row"] = part.rows[columns.rows]
     readings["stamp_ns"] = columns.stamp_ns()
     for name in ("sequence", "length", "status"):

@@ -1,0 +1,114 @@
+"""In which units an instrument speaks and by which clock it stamps: its numbers become SI."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, TypeVar
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_settings import LENGTH_UNITS, TopicSettings
+from rotcal_ros.observations import (
+    HumiditySample,
+    PressureSample,
+    ProbeSample,
+    TableSample,
+    TemperatureSample,
+    TracerSample,
+)
+from rotcal_ros.units import NANOSECOND
+
+Numbers = TypeVar("Numbers", float, Any)
+"""A number or an array of numbers."""
+_KELVIN: Final = 273.15
+_CELSIUS: Final[Mapping[str, Callable[[Any], Any]]] = {
+    "degC": lambda value: value,
+    "K": lambda value: value - _KELVIN,
+    "degF": lambda value: (value - 32.0) / 1.8,
+}
+_PASCAL: Final = {"Pa": 1.0, "hPa": 100.0, "kPa": 1000.0}
+_SHARE: Final = {"share": 1.0, "percent": 0.01}
+_OWNERS: Final = {
+    names.TRACER_LENGTH: "length",
+    names.JOINT_STATES: "table",
+    names.PROBE_POINT: "probe",
+}
+"""How the settings of a role's clock begin."""
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """What the ``settings`` say of units and clocks, applied to the numbers of each role."""
+
+    settings: TopicSettings
+
+    def length(self, value: Numbers) -> Numbers:
+        """Return lengths in m."""
+        return value * self.settings.length_m
+
+    def angle(self, value: Numbers) -> Numbers:
+        """Return angles in rad, or velocities in rad/s."""
+        return value * self.settings.angle_rad
+
+    def position(self, values: Any) -> tuple[float, float, float]:
+        """Return a place (x, y, z), or its standard deviations, in m."""
+        unit = LENGTH_UNITS[self.settings.position_unit]
+        x, y, z = (float(value) * unit for value in values)
+        return x, y, z
+
+    def air(self, role: str, value: float) -> float:
+        """Return the temperature in degrees Celsius, the pressure in Pa, the humidity 0 to 1."""
+        if role == names.TEMPERATURE:
+            return float(_CELSIUS[self.settings.temperature_unit](value))
+        if role == names.AIR_PRESSURE:
+            return value * _PASCAL[self.settings.pressure_unit]
+        return value * _SHARE[self.settings.humidity_unit]
+
+    def taken_ns(self, role: str, stamp_ns: Any, sent_ns: Any) -> Any:
+        """Return when a value was taken, by the common clock; times (n,) or one, integer ns.
+
+        ``stamp_ns`` is the time in its header, ``sent_ns`` that of sending.
+        """
+        owner = _OWNERS.get(role)
+        if owner is None:
+            return stamp_ns
+        by_stamp = getattr(self.settings, f"{owner}_clock") == "stamp"
+        offset_s = getattr(self.settings, f"{owner}_clock_offset_s")
+        return (stamp_ns if by_stamp else sent_ns) - round(offset_s / NANOSECOND)
+
+    def record(self, role: str, record: Any, sent_ns: int) -> Any:
+        """Return a record of a message of the role's own type, in SI and by the common clock."""
+        record = replace(record, stamp_ns=self.taken_ns(role, record.stamp_ns, sent_ns))
+        match record:
+            case TracerSample():
+                std = self.length(record.length_std)
+                return replace(record, length=self.length(record.length), length_std=abs(std))
+            case TableSample():
+                angle, velocity = self.angle(record.angle), self.angle(record.velocity)
+                return replace(record, angle=angle, velocity=velocity)
+            case ProbeSample():
+                return self._point(record)
+            case TemperatureSample():
+                return replace(record, temperature_c=self.air(role, record.temperature_c))
+            case PressureSample():
+                return replace(record, pressure_pa=self.air(role, record.pressure_pa))
+            case HumiditySample():
+                return replace(record, humidity=self.air(role, record.humidity))
+        return record
+
+    def _point(self, sample: ProbeSample) -> ProbeSample:
+        radius = sample.tip_radius * LENGTH_UNITS[self.settings.position_unit]
+        return replace(
+            sample,
+            position=self.position(sample.position),
+            position_std=self.position(sample.position_std),
+            tip_radius=radius or self.settings.tip_radius_m,
+        )
+
+    @property
+    def plain(self) -> bool:
+        """Whether nothing is to be changed: SI, and the stamps of the headers."""
+        names_only = {name: getattr(self.settings, name) for name in self.settings.renamed()}
+        untouched = ("length_single_shot", "probe_single_shot", "length_trigger")
+        names_only |= {name: getattr(self.settings, name) for name in untouched}
+        return self.settings == TopicSettings(**names_only)

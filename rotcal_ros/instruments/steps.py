@@ -1,0 +1,190 @@
+"""Which step a bare position belongs to: found from the orders, or from the plan without any.
+
+``geometry_msgs`` say where the probe is and nothing else. A reflector that is carried stands at
+its step as soon as table and probe are both in place; a point that is measured (a touch, the
+centre of a ball) belongs to the step at which the table rests just then.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+from math import dist, isfinite, pi
+from typing import Final
+
+from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.observations import Command, PointKind, ProbeSample, TableSample
+from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
+
+HELD_NS: Final = 200_000_000
+"""Events are looked at so long after they were stamped: then all streams have come so far."""
+_KEPT: Final = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Position:
+    """Where the probe is (m, machine frame), told without a step."""
+
+    stamp_ns: int
+    position: Point
+
+
+@dataclass(slots=True)
+class _Order:
+    """What is waited for: ``points`` of step and attempt have come since ``since_ns``."""
+
+    step: Step
+    attempt: int
+    since_ns: int
+    points: int = 0
+
+
+class StepFinder:
+    """Answers in the place of a machine that tells positions without steps.
+
+    The table rests in position within ``position_tolerance_arcsec`` of the angle, whole turns
+    apart or not; the probe within ``probe_tolerance_m`` of its target, a touched ball within
+    ``ball_tolerance_m``. With orders, it is the ordered step; without any (a bag of somebody
+    else) the next one of the plan that fits, and steps that were left out are passed over. Events
+    are taken in the order of their stamps, whichever stream arrives first.
+    """
+
+    def __init__(self, plan: Plan, settings: CaptureSettings, tip_radius_m: float = 0.0) -> None:
+        self._plan, self._settings, self._tip_radius = plan, settings, tip_radius_m
+        self._angle_tolerance = settings.position_tolerance_arcsec * ARCSEC
+        self._speed_limit = settings.velocity_tolerance_deg_s * DEGREE
+        self._orders: deque[_Order] = deque(maxlen=_KEPT)
+        self._ordered = False
+        self._planned = _Order(plan.steps[0], 0, 0)
+        self._next = self._found = 0
+        self._waiting: list[tuple[int, TableSample | Position]] = []
+        self._newest_ns: int | None = None
+        self._angle: float | None = None
+        self._position: Position | None = None
+
+    def order(self, command: Command, stamp_ns: int) -> None:
+        """Take an order that was stamped at ``stamp_ns``.
+
+        An order by a far-off clock counts from when it comes.
+        """
+        if not 0 <= command.step < len(self._plan.steps):
+            return
+        now_ns = stamp_ns if self._newest_ns is None else self._newest_ns
+        if abs(stamp_ns - now_ns) * NANOSECOND > self._settings.clock_tolerance_s:
+            stamp_ns = now_ns
+        self._ordered = True
+        step = self._plan.steps[command.step]
+        self._orders.append(_Order(step, command.attempt, stamp_ns))
+
+    def table(self, sample: TableSample) -> tuple[ProbeSample, ...]:
+        """Take where the table is; return the answers that are known now."""
+        self._keep(sample.stamp_ns, sample)
+        if self._newest_ns is not None and abs(sample.stamp_ns - self._newest_ns) > (
+            self._settings.clock_tolerance_s / NANOSECOND
+        ):
+            self._newest_ns = None  # its clock was set
+        self._newest_ns = max(sample.stamp_ns, self._newest_ns or sample.stamp_ns)
+        return self._look(self._newest_ns - HELD_NS)
+
+    def probe(self, sample: Position) -> tuple[ProbeSample, ...]:
+        """Take where the probe is; the answer comes with the table's feedback."""
+        self._keep(sample.stamp_ns, sample)
+        return ()
+
+    def complaint(self) -> str:
+        """Return why the last order has no answer, for people; empty: it has, or all moves yet."""
+        if not self._orders or self._orders[-1].points or self._position is None:
+            return ""
+        step = self._orders[-1].step
+        if not self._is_at(step):
+            return ""
+        off = dist(self._position.position, step.position)
+        return (
+            f"step {step.index}: the probe says {self._position.position}, {off:.6g} m from where "
+            f"it was sent, {step.position} (allowed {self._reach(step):g} m)"
+        )
+
+    def _keep(self, stamp_ns: int, event: TableSample | Position) -> None:
+        at = bisect_right(self._waiting, stamp_ns, key=lambda known: known[0])
+        self._waiting.insert(at, (stamp_ns, event))
+        del self._waiting[:-_KEPT]
+
+    def _look(self, horizon_ns: int) -> tuple[ProbeSample, ...]:
+        """Look at the events up to ``horizon_ns``."""
+        count = bisect_right(self._waiting, horizon_ns, key=lambda known: known[0])
+        due, self._waiting = self._waiting[:count], self._waiting[count:]
+        answers = (self._event(stamp_ns, event) for stamp_ns, event in due)
+        return tuple(answer for answer in answers if answer is not None)
+
+    def _event(self, stamp_ns: int, event: TableSample | Position) -> ProbeSample | None:
+        if isinstance(event, TableSample):
+            resting = abs(event.velocity) <= self._speed_limit
+            self._angle = event.angle if resting else None
+        elif all(map(isfinite, event.position)):
+            self._position = event
+        if self._angle is None or self._position is None:
+            return None
+        waited = self._waited_for(stamp_ns)
+        if waited is None:
+            return None
+        carried = waited.step.kind == PointKind.REFLECTOR
+        if waited.points >= (1 if carried else waited.step.n_points):
+            return None
+        if not carried and not isinstance(event, Position):
+            return None
+        return self._answer(waited, stamp_ns)
+
+    def _waited_for(self, stamp_ns: int) -> _Order | None:
+        """Return what is waited for at a time, if table and probe are there."""
+        if self._ordered:
+            waited = next((o for o in reversed(self._orders) if o.since_ns <= stamp_ns), None)
+            return waited if waited is not None and self._is_reached(waited.step) else None
+        planned = self._planned
+        if planned.points and planned.points < planned.step.n_points:
+            return planned if self._is_reached(planned.step) else None
+        for step in self._plan.steps[self._next :]:
+            if self._is_reached(step):
+                self._next, self._planned = step.index + 1, _Order(step, 0, stamp_ns)
+                return self._planned
+        return None
+
+    def _answer(self, waited: _Order, stamp_ns: int) -> ProbeSample:
+        assert self._position is not None
+        step, point = waited.step, waited.points
+        waited.points, self._found = point + 1, self._found + 1
+        return ProbeSample(
+            stamp_ns=stamp_ns,
+            sequence=self._found - 1,
+            step=step.index,
+            attempt=waited.attempt,
+            kind=step.kind,
+            target=step.target,
+            station=step.station,
+            point=point,
+            position=self._position.position,
+            position_std=(0.0, 0.0, 0.0),
+            tip_radius=self._tip_radius,
+        )
+
+    def _is_reached(self, step: Step) -> bool:
+        assert self._position is not None
+        near = dist(self._position.position, step.position) <= self._reach(step)
+        return near and self._is_at(step)
+
+    def _is_at(self, step: Step) -> bool:
+        """Return whether the table rests at the angle of a step."""
+        if self._angle is None:
+            return False
+        away = (self._angle - step.table_angle + pi) % (2 * pi) - pi
+        return abs(away) <= self._angle_tolerance
+
+    def _reach(self, step: Step) -> float:
+        """Return how far (m) a position may be from that of its step."""
+        if step.kind == PointKind.CENTRE:
+            return self._settings.ball_tolerance_m
+        if step.kind == PointKind.SURFACE:
+            radius = 0.5 * step.ball_diameter + self._tip_radius
+            return radius + self._settings.ball_tolerance_m
+        return self._settings.probe_tolerance_m
