@@ -10,7 +10,6 @@ pytestmark = pytest.mark.ros
 from rotcal_msgs.srv import StartRecording  # noqa: E402
 from state_client import StateClient  # noqa: E402
 
-
 NODE_LOST = 603
 
 
