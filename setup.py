@@ -55,6 +55,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/bin", ["colcon/rotcal"]),
+        (f"share/{NAME}/hook", ["colcon/path.dsv"]),
         *shared_files(),
     ],
     python_requires=">=3.10",

@@ -77,6 +77,31 @@ install_packages() {
     local pip=("$VENV/bin/python" -m pip --disable-pip-version-check install "${PINS[@]/#/-c}")
     quietly "${pip[@]}" setuptools wheel
     quietly "${pip[@]}" --no-build-isolation -e ".[$EXTRAS]"
+    enter_into_ament_index
+}
+
+# What `ros2 run` and `ros2 launch` look for, should there be any: pip leaves it out. Links of files,
+# because ROS does not look into linked folders.
+enter_into_ament_index() {
+    local share=$VENV/share/rotcal_ros nodes=$VENV/lib/rotcal_ros index
+    index=$VENV/share/ament_index/resource_index/packages
+    rm -rf "$share" "$nodes"
+    mkdir -p "$index" "$share" "$nodes"
+    cp resource/rotcal_ros "$index"
+    cp -rs "$PWD/package.xml" "$PWD/config" "$PWD/launch" "$share"
+    quietly "$VENV/bin/python" - "$VENV" <<'END'
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+for script in entry_points(group="console_scripts"):
+    if script.value.startswith("rotcal_ros."):
+        Path(sys.argv[1], "lib", "rotcal_ros", script.name).symlink_to(f"../../bin/{script.name}")
+END
+    # An activated environment is a prefix of ROS; what was sourced before stays behind it.
+    grep -q AMENT_PREFIX_PATH "$VENV/bin/activate" ||
+        echo 'export AMENT_PREFIX_PATH="$VIRTUAL_ENV${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}"' \
+            >>"$VENV/bin/activate"
 }
 
 # The real rosidl chain, into the environment; files of an older build are taken away first.
@@ -104,7 +129,10 @@ exec 9>"$BUILD/lock"
 flock 9 # two terminals, one set-up
 # An environment can neither be moved nor serve another Python.
 environment=$({ python_says 'print(sys.version, sys.base_prefix)' && pwd; } | hash_of)
-packages=$({ echo "$environment" && cat "${PINS[@]}" setup.* rotcal_ros/__init__.py; } | hash_of)
+packages=$({
+    echo "$environment" && cat "${PINS[@]}" setup.* rotcal_ros/{__init__,node_names}.py
+    find config launch -type f | sort
+} | hash_of)
 messages=$({
     echo "$environment" && cat "${PINS[@]}"
     find msg_defs -type f -print0 | sort -z | xargs -0 sha256sum
