@@ -30,6 +30,8 @@ from rotcal_ros.untrusted import read_text, why
 ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner")
 """Groups that are parameters of the planner even if it was not given them."""
 
+REFUSED: Final = "plan refused"
+"""How the state of a node begins that cannot use the announced plan."""
 RUN: Final = "run"
 """Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
 
