@@ -77,7 +77,8 @@ class CaptureNode(CellNode):
 
         def handle(batch: Batch) -> None:
             self._heard_s[topic] = time.monotonic()
-            for stamp_ns, received_ns in arrivals(batch) if topic in TIMED else ():
+            sim_ns = self.now_ns() if self.health.sim.used else 0
+            for stamp_ns, received_ns in arrivals(batch, sim_ns) if topic in TIMED else ():
                 self._offsets.note(topic, stamp_ns, received_ns)
             for message, _ in batch:
                 record = convert(message)

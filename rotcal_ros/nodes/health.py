@@ -23,6 +23,7 @@ from rotcal_ros.nodes.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.identity import IDENTITY, Identity, NameHolders, refusal
 from rotcal_ros.nodes.memory import end_without_memory
 from rotcal_ros.nodes.roll_call import RollCall
+from rotcal_ros.nodes.sim_clock import SimClock
 from rotcal_ros.nodes.steady import steady_timer
 
 BEAT_PERIOD_S: Final = 0.2
@@ -71,6 +72,7 @@ class Health:
         self.concerns: dict[str, str] = {}
         self.alarms: dict[str, str] = {}
         self.clock = ClockNews(node.get_logger())
+        self.sim = SimClock(node.get_clock())
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
@@ -166,6 +168,7 @@ class Health:
 
     def _beat(self) -> None:
         self.clock.look()
+        self.sim.look()
         self.beat()
         silent = self._roll.silent(time.monotonic())
         for name in silent.keys() - self.lost.keys():
@@ -187,10 +190,16 @@ class Health:
         trouble: dict[str, object] = {**self.errors, **self.alarms}
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
-        concerns = self.clock.concerns | self.concerns
+        concerns = self.clock.concerns | self.sim.concerns() | self.concerns
         rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
         own = self.identity.in_a_beat(time.monotonic())
-        further = {**self.clock.values(), **concerns, **trouble, IDENTITY: own}
+        further = {
+            **self.clock.values(),
+            **self.sim.values(),
+            **concerns,
+            **trouble,
+            IDENTITY: own,
+        }
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -92,13 +93,15 @@ def calibration_of(message: CalibrationPlan) -> Calibration:
     """
     configuration = parse_configuration(message.configuration, "the announced plan")
     calibration = prepare(configuration)
+    older = (plan(configuration) for plan in configuration.method.older_plans)
+    for plan in (calibration.plan, *older):
+        if (configuration.plan_id, len(plan.steps)) == (message.plan_id, message.total_steps):
+            return replace(calibration, plan=plan)
     found = (configuration.plan_id, len(calibration.plan.steps))
-    if found != (message.plan_id, message.total_steps):
-        raise PlanError(
-            f"the announced plan has {message.total_steps} steps and the hash {message.plan_id}, "
-            f"here it has {found[1]} and {found[0]}: install the same version everywhere"
-        )
-    return calibration
+    raise PlanError(
+        f"the announced plan has {message.total_steps} steps and the hash {message.plan_id}, "
+        f"here it has {found[1]} and {found[0]}: install the same version everywhere"
+    )
 
 
 def read_continuation(node: Node) -> Continuation | None:

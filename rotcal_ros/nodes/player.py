@@ -77,7 +77,7 @@ class Player:
                 if channel.topic in self._publishers:
                     self._wait_until(int(block.headers["log_time"][row]))
                     self._publish(channel, block.payload(row), run_number(scan.metadata))
-        self._tell(self._bag.seconds)
+        say("playing", done_s=self._bag.seconds, total_s=self._bag.seconds)
         self._outcome.tell(self._given.result, finish=not self._given.no_finish)
 
     def _publish(self, channel: ChannelDefinition, data: bytes, run: int) -> None:
@@ -156,12 +156,10 @@ class Player:
         if now_s - self._told_s > TOLD_PERIOD_S:
             self._told_s = now_s
             self._peer.work_until(lambda: True, 0.0)
-            self._tell(min(self._pace.passed_s(), self._bag.seconds))
+            done_s = min(self._pace.passed_s(), self._bag.seconds)
+            say("playing", done_s=done_s, total_s=self._bag.seconds)
         if now_s - self._guarded_s > GUARD_PERIOD_S:
             self._guard()
-
-    def _tell(self, passed_s: float) -> None:
-        say("playing", done_s=round(passed_s, 1), total_s=round(self._bag.seconds, 1))
 
     def _guard(self) -> None:
         """Raise ConfigurationError when a machine or another source is there."""
