@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import time
 from argparse import Namespace
+from functools import partial
 from typing import Any, Final
 
 from rclpy.publisher import Publisher
@@ -35,14 +36,11 @@ from rotcal_ros.nodes.running import EndRequest, leave_with
 
 LOOK_AROUND_S: Final = 2.0
 """So long the graph is looked at before anything is published."""
-LISTENERS_S: Final = 10.0
-PLAN_TAKEN_S: Final = 120.0
-NODES_S: Final = 60.0
+LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
 GUARD_PERIOD_S: Final = 1.0
 TOLD_PERIOD_S: Final = 0.2
 _AHEAD_S: Final = 5e-4
 """Nobody waits for less."""
-PLAYER: Final = "player"
 
 
 class Ended(Exception):  # noqa: N818  nothing went wrong
@@ -50,7 +48,7 @@ class Ended(Exception):  # noqa: N818  nothing went wrong
 
 
 class Player:
-    """Plays one bag once. ``rate`` is how many seconds of the recording pass in one."""
+    """Plays one bag once."""
 
     def __init__(self, peer: Peer, bag: ReplayedBag, given: Namespace, end: EndRequest) -> None:
         self._peer, self._bag, self._given, self._end = peer, bag, given, end
@@ -64,9 +62,9 @@ class Player:
     def play(self) -> None:
         """Publish everything, then have the solver finish; ConfigurationError in bad company."""
         self._wait(lambda: False, LOOK_AROUND_S)
-        if not self._wait(lambda: not self._health.missing(self._given.nodes), NODES_S):
-            missing = ", ".join(self._health.missing(self._given.nodes))
-            raise ConfigurationError(f"not here within {NODES_S:g} s: {missing} (--wait-for)")
+        missing = partial(self._health.missing, self._given.nodes)
+        if not self._wait(lambda: not missing(), NODES_S):
+            raise ConfigurationError(f"not here within {NODES_S:g} s: {', '.join(missing())}")
         self._guard()
         self._make_publishers()
         self._wait(self._is_heard, LISTENERS_S)
@@ -184,7 +182,7 @@ def _work() -> None:
 
     try:
         bag = ReplayedBag.read(given.bag, everything=given.everything, progress=reading)
-        peer = Peer(PLAYER, bag.namespace, sys.argv)
+        peer = Peer("player", bag.namespace, sys.argv)
         try:
             Player(peer, bag, given, end).play()
         finally:

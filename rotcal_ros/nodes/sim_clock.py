@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any, Final
 
@@ -12,8 +13,10 @@ from rotcal_ros.units import NANOSECOND
 
 SIM_TIME: Final = "sim_time_s"
 """Value in a beat: the time of ``/clock`` in s; only of nodes that follow it."""
-STILL_S: Final = 2.0
+STILL_S: Final = 1.5
 """So long ``/clock`` may stand before people are told."""
+_SETTLING_S: Final = 2.0
+"""So long the streams may take to come again once it goes on."""
 _PACE_S: Final = 2.0
 """The pace is that of so long at least."""
 
@@ -30,6 +33,7 @@ class SimClock:
         self._moved_s = self._from_s = steady()
         self._from_ns = 0
         self._pace: float | None = None
+        self._went_on_s = -math.inf
 
     @property
     def used(self) -> bool:
@@ -43,6 +47,7 @@ class SimClock:
             return
         if self._still_s() > STILL_S or now_ns < self._now_ns:
             self._from_s, self._from_ns, self._pace = now_s, now_ns, None
+            self._went_on_s = now_s
         elif now_s - self._from_s > _PACE_S:
             self._pace = (now_ns - self._from_ns) * NANOSECOND / (now_s - self._from_s)
             self._from_s, self._from_ns = now_s, now_ns
@@ -60,6 +65,10 @@ class SimClock:
     def stands(self) -> bool:
         """Return whether the node waits for ``/clock`` to go on, or to come at all."""
         return self.used and self._still_s() > STILL_S
+
+    def is_settled(self) -> bool:
+        """Return whether streams must come: the clock runs, and not only since just now."""
+        return not self.stands() and self._steady() > self._went_on_s + _SETTLING_S
 
     def in_words(self) -> str:
         """Say that the clock stands; empty: it runs, or nobody follows it."""
