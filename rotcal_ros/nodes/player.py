@@ -54,7 +54,8 @@ class Player:
         self._peer, self._bag, self._given, self._end = peer, bag, given, end
         self._node = peer.node
         self._health = Health(self._node, None)
-        self._outcome = ReplayOutcome(peer, bag, self._health, end)
+        everything = given.everything
+        self._outcome = ReplayOutcome(peer, bag, self._health, end, everything=everything)
         self._guarded_s = self._told_s = 0.0
         self._pace = ReplayPace(self._node, bag.start_ns, given.rate, clock=given.clock)
         self._publishers: dict[str, tuple[Publisher, Converter]] = {}
@@ -67,7 +68,9 @@ class Player:
             raise ConfigurationError(f"not here within {NODES_S:g} s: {', '.join(missing())}")
         self._guard()
         self._make_publishers()
-        self._wait(self._is_heard, LISTENERS_S)
+        self._wait(
+            lambda: not self._outcome.unheard(self._publishers, with_plan=False), LISTENERS_S
+        )
         self._pace.begin()
         for scan, block in read_blocks(self._bag.files):
             for row in () if block is None else range(len(block)):
@@ -101,23 +104,14 @@ class Player:
         for text in self._outcome.notes(self._given.clock):
             say("note", text=text)
 
-    def _is_heard(self) -> bool:
-        """Return whether capture and solver listen to all that they need, if they are there."""
-        for node, roles in self._outcome.needed.items():
-            for topic in self._bag.roles(*roles) if node in self._health.present() else ():
-                listening = self._node.get_subscriptions_info_by_topic(topic)
-                if topic in self._publishers and node not in {i.node_name for i in listening}:
-                    return False
-        return True
-
     def _have_taken(self, plan: CalibrationPlan) -> None:
         """Let the nodes take a plan before the orders come, as a planner does."""
-        nodes = sorted(self._health.present() & self._outcome.needed.keys())
+        nodes = sorted(self._outcome.live())
         run, waited_s = run_name(plan), time.monotonic()
 
         def not_yet() -> list[str]:
-            here = (n for n in nodes if n in self._health.present())
-            return [n for n in here if self._health.values(n).get(RUN) != run]
+            here = self._outcome.live()
+            return [n for n in nodes if n in here and self._health.values(n).get(RUN) != run]
 
         def settled() -> bool:
             return not not_yet() or any(self._health.state(n).startswith(REFUSED) for n in nodes)
@@ -125,6 +119,11 @@ class Player:
         if not self._wait(settled, PLAN_TAKEN_S) or not_yet():
             states = (f"{node}: {self._health.state(node)}" for node in nodes)
             raise ConfigurationError(f"the plan of the bag is not taken ({'; '.join(states)})")
+        if not self._wait(
+            lambda: not self._outcome.unheard(self._publishers, with_plan=True), LISTENERS_S
+        ):
+            unheard = ", ".join(sorted(self._outcome.unheard(self._publishers, with_plan=True)))
+            say("note", text=f"warning: {' and '.join(nodes)} do not listen to all of {unheard}")
         self._pace.stood_still(time.monotonic() - waited_s)
 
     def _wait_until(self, log_time_ns: int) -> None:

@@ -29,15 +29,9 @@ def conflicts(
     node: Node, health: Health, bag: ReplayedBag, topics: Iterable[str], given: Namespace
 ) -> list[str]:
     """Return why these topics must not be published here, in words."""
-    if health.state("planner").startswith(CALIBRATING):
+    if not given.everything and health.state("planner").startswith(CALIBRATING):
         return ["a calibration is running here (node planner): nothing is replayed into it"]
     found = [*_moved(node, bag, topics, given.watchers), *_sources(node, bag, topics)]
-    beating = sorted(health.present() & {*NODES})
-    if given.everything and beating:
-        found.append(
-            f"--all replays the heartbeats of nodes that run here ({', '.join(beating)}): end "
-            "them, or leave --all out"
-        )
     if given.clock and (others := _publishers(node, CLOCK)):
         found.append(f"{', '.join(others)} publishes {CLOCK} already: leave --clock out")
     return found
@@ -68,8 +62,8 @@ def _sources(node: Node, bag: ReplayedBag, topics: Iterable[str]) -> Iterator[st
             others = [name for name in others if name != "planner"]
         if others and not topic.startswith(("/rosout", "/diagnostics")):
             yield (
-                f"{', '.join(others)} publishes {topic} already: end it, or use another "
-                "ROS_DOMAIN_ID"
+                f"{', '.join(others)} publishes {topic} already: end it, use another "
+                "ROS_DOMAIN_ID" + (", or leave --all out" if topic in bag.outputs else "")
             )
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from rclpy.publisher import Publisher
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
 
@@ -24,6 +25,8 @@ from rotcal_ros.nodes.replayed_bag import ReplayedBag, of_attempts
 from rotcal_ros.nodes.running import EndRequest
 from rotcal_ros.observations import Observation
 
+Published = Mapping[str, tuple[Publisher, object]]
+"""Publishers by topic, and what else belongs to them."""
 ARRIVAL_S: Final = 10.0
 """So long the last observations may take behind the last message."""
 SOLVE_S: Final = 3600.0
@@ -41,18 +44,40 @@ class ReplayOutcome:
     }  # fmt: skip
     """The roles that a node has to listen to before anything is published."""
 
-    def __init__(self, peer: Peer, bag: ReplayedBag, health: Health, end: EndRequest) -> None:
+    def __init__(
+        self, peer: Peer, bag: ReplayedBag, health: Health, end: EndRequest, *, everything: bool
+    ) -> None:
         self._peer, self._bag, self._health, self._end = peer, bag, health, end
+        self._everything = everything
         self._observed: list[Observation] = []
         topic = bag.called.topic(names.OBSERVATION)
         peer.node.create_subscription(ObservationMsg, topic, self._hear, EVENT)
         self._finish = peer.node.create_client(FinishCalibration, "finish_calibration")
 
+    def live(self) -> set[str]:
+        """Return which of the nodes that make the result again are here, not replayed."""
+        return set() if self._everything else self._health.present() & self.needed.keys()
+
+    def unheard(self, published: Published, *, with_plan: bool) -> set[str]:
+        """Return the ``published`` topics to which live nodes do not listen yet that need them.
+
+        Those of another name they know ``with_plan`` only.
+        """
+        found = set()
+        for node in self.live():
+            for topic in published.keys() & {*self._bag.roles(*self.needed[node])}:
+                listening = self._peer.node.get_subscriptions_info_by_topic(topic)
+                matched = published[topic][0].get_subscription_count() >= len(listening)
+                known = with_plan or topic not in self._bag.called.topics.values()
+                if known and not (matched and node in {info.node_name for info in listening}):
+                    found.add(topic)
+        return found
+
     def notes(self, clock: bool) -> Iterator[str]:
         """Yield what the user should know before it begins."""
         if not self._bag.plan_id:
             yield "the bag holds no plan: capture and solver do not begin"
-        elif missing := sorted(self.needed.keys() - self._health.present()):
+        elif (missing := sorted(self.needed.keys() - self.live())) and not self._everything:
             yield (
                 f"not here: {', '.join(missing)}; messages go to whoever listens (start nodes "
                 "first, such as: ros2 run rotcal_ros capture --ros-args -r "
@@ -69,9 +94,9 @@ class ReplayOutcome:
     def tell(self, result: Path | None, *, finish: bool) -> None:
         """Say what became of it, and keep the result where that is asked for."""
         found: dict[str, object] = {}
-        if "capture" in self._health.present() and self._bag.plan_id:
+        if "capture" in self.live() and self._bag.plan_id:
             found = self._compared()
-        if finish and "solver" in self._health.present() and self._bag.plan_id:
+        if finish and "solver" in self.live() and self._bag.plan_id:
             found |= self._solved(result)
         elif result is not None:
             raise ConfigurationError(f"no result for {result}: no solver was asked for one")

@@ -38,6 +38,7 @@ Attempt = tuple[int, int, int]
 class ReplayedBag:
     """A bag that is published again: its channels by topic, and what is not published, and why.
 
+    ``outputs`` are the topics that our own nodes had published.
     ``accepted`` are the observations that the recorded capture had accepted, ``steps`` those of
     the last run, ``plan_id`` that of the plan; empty where the bag has none. Times in ns.
     """
@@ -45,6 +46,7 @@ class ReplayedBag:
     files: tuple[Path, ...]
     channels: dict[str, ChannelDefinition] = field(default_factory=dict)
     counts: dict[str, int] = field(default_factory=dict)
+    outputs: set[str] = field(default_factory=set)
     left_out: dict[str, str] = field(default_factory=dict)
     called: CalledOtherwise = field(default_factory=lambda: CalledOtherwise("/cell"))
     namespace: str = "/cell"
@@ -124,6 +126,8 @@ class ReplayedBag:
     def _leave_out(self, everything: bool) -> None:
         for topic, channel in sorted(self.channels.items()):
             own = topic in OF_ROS or self.called.role(topic) in OUTPUTS
+            if own:
+                self.outputs.add(topic)
             if topic == CLOCK or "/_" in topic:
                 self.left_out[topic] = "it belongs to those who ran then"
             elif own and not everything:
