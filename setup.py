@@ -77,6 +77,7 @@ setup(
             "ros-geometry-msgs",
             "ros-lifecycle-msgs",
             "ros-rclpy[fastrtps]",
+            "ros-rosgraph-msgs",
             "ros-sensor-msgs",
             "ros-std-msgs",
             "ros-std-srvs",

@@ -10,6 +10,7 @@ from rotcal_ros.middleware import ROS_DEFAULT_RANGE, discovery_in_words, middlew
 
 NODES = Path(rotcal_ros.__file__).parent / "nodes"
 
+
 def test_one_machine_is_the_loopback_interface_without_shared_memory():
     for environment in ({}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}):
         found = middleware(environment)

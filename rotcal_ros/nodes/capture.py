@@ -24,7 +24,7 @@ from rotcal_ros.nodes.instrument_topics import InstrumentTopics
 from rotcal_ros.nodes.joint_readings import JointReadings
 from rotcal_ros.nodes.latest import NOW, WAITING_FOR, reading
 from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
+from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
@@ -85,7 +85,8 @@ class CaptureNode(CellNode):
 
         def handle(batch: Batch) -> None:
             self._heard_s[topic] = time.monotonic()
-            for stamp_ns, received_ns in arrivals(batch) if topic in TIMED else ():
+            sim_ns = self.now_ns() if self.health.sim.used else 0
+            for stamp_ns, received_ns in arrivals(batch, sim_ns) if topic in TIMED else ():
                 self._offsets.note(topic, stamp_ns, received_ns)
             for message, _ in batch:
                 record = convert(message)
@@ -127,7 +128,7 @@ class CaptureNode(CellNode):
             self._capture = calibration.capture(message.run)
             self._offsets.limit_s = calibration.configuration.capture.stamp_offset_s
         except Exception as error:
-            self._state = f"plan refused: {error}"
+            self._state = f"{REFUSED}: {error}"
             raise
         self._run, self._needed = run_name(message), calibration.method.topics
         # what came while this node was loading waits to be read: the instruments were not silent

@@ -27,10 +27,14 @@ Batch = Sequence[tuple[Any, Any]]
 """Pairs of a message (or its serialised bytes) and rclpy's message info."""
 
 
-def arrivals(batch: Batch) -> Iterator[tuple[int, int]]:
-    """Yield stamp and time of arrival, both in ns since 1970, of messages with a header."""
+def arrivals(batch: Batch, sim_ns: int = 0) -> Iterator[tuple[int, int]]:
+    """Yield stamp and time of arrival, both in ns since 1970, of messages with a header.
+
+    ``sim_ns`` is the time of ``/clock`` for a node that follows it.
+    """
     for message, info in batch:
-        yield stamp_ns(message.header.stamp), info["received_timestamp"] or time.time_ns()
+        received_ns = sim_ns or info["received_timestamp"] or time.time_ns()
+        yield stamp_ns(message.header.stamp), received_ns
 
 
 class DrainedSubscription:

@@ -7,7 +7,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any, Final
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -19,7 +18,7 @@ from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.bookkeeping import TopicLosses
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.channels import described_channel
+from rotcal_ros.nodes.channels import described_channel, message_type
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
 from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.nodes.recording import Channel
@@ -113,16 +112,16 @@ class Listener:
             if not infos:
                 continue
             try:
-                message_type = _message_type(type_name)
+                kind = message_type(type_name)
                 self.topics[name] = HeardTopic(described_channel(name, type_name, infos))
             except BagError as error:
                 self.refused[name] = str(error)
                 self._node.get_logger().error(f"{name} cannot be recorded: {error}")
                 continue
             qos = adapted_qos([info.qos_profile for info in infos])
-            self._subscribe(self.topics[name], message_type, qos)
+            self._subscribe(self.topics[name], kind, qos)
 
-    def _subscribe(self, topic: HeardTopic, message_type: type, qos: QoSProfile) -> None:
+    def _subscribe(self, topic: HeardTopic, kind: type, qos: QoSProfile) -> None:
         name = topic.channel.topic
 
         def missed(count: int, to_ns: int, reason: str) -> None:
@@ -154,7 +153,7 @@ class Listener:
         self._drained.append(
             DrainedSubscription(
                 self._node,
-                message_type,
+                kind,
                 name,
                 qos,
                 self._node.health.guarded(handle),
@@ -174,12 +173,3 @@ def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
         for name, types in node.get_topic_names_and_types()
         if name in further or ((name in ALWAYS or name.startswith(prefix)) and "/_" not in name)
     }
-
-
-def _message_type(type_name: str) -> type:
-    package, kind, name = type_name.split("/")
-    try:
-        message_type: type = getattr(import_module(f"{package}.{kind}"), name)
-    except (ImportError, AttributeError) as error:
-        raise BagError(f"message type {type_name} is not installed here: {error}") from error
-    return message_type
