@@ -113,16 +113,16 @@ class Listener:
             if not infos:
                 continue
             try:
-                message_type = _message_type(type_name)
+                kind = message_type(type_name)
                 self.topics[name] = HeardTopic(described_channel(name, type_name, infos))
             except BagError as error:
                 self.refused[name] = str(error)
                 self._node.get_logger().error(f"{name} cannot be recorded: {error}")
                 continue
             qos = adapted_qos([info.qos_profile for info in infos])
-            self._subscribe(self.topics[name], message_type, qos)
+            self._subscribe(self.topics[name], kind, qos)
 
-    def _subscribe(self, topic: HeardTopic, message_type: type, qos: QoSProfile) -> None:
+    def _subscribe(self, topic: HeardTopic, kind: type, qos: QoSProfile) -> None:
         name = topic.channel.topic
 
         def missed(count: int, to_ns: int, reason: str) -> None:
@@ -154,7 +154,7 @@ class Listener:
         self._drained.append(
             DrainedSubscription(
                 self._node,
-                message_type,
+                kind,
                 name,
                 qos,
                 self._node.health.guarded(handle),
@@ -176,10 +176,11 @@ def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
     }
 
 
-def _message_type(type_name: str) -> type:
+def message_type(type_name: str) -> type:
+    """Return the class of messages of a type; BagError where it is not installed."""
     package, kind, name = type_name.split("/")
     try:
-        message_type: type = getattr(import_module(f"{package}.{kind}"), name)
+        found: type = getattr(import_module(f"{package}.{kind}"), name)
     except (ImportError, AttributeError) as error:
         raise BagError(f"message type {type_name} is not installed here: {error}") from error
-    return message_type
+    return found
