@@ -339,7 +339,7 @@ class Capture:
         lag_ns = self._streams.lag_ns(attempt, outcome)
         if lag_ns > self._streams.patience_ns(outcome.stream, self._settings):
             if outcome.stream.single_shot:
-                return attempt.rejection(no_shot(outcome, lag_ns))
+                return attempt.rejection(no_shot(attempt, outcome, lag_ns))
             return attempt.rejection(
                 f"{self._name(outcome.stream)} are {seconds(lag_ns):.3g} s behind the other "
                 f"streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or stamped by "

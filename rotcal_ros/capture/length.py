@@ -13,8 +13,9 @@ from rotcal_ros.capture.attempt import (
     seconds,
 )
 from rotcal_ros.capture.settings import CaptureSettings
-from rotcal_ros.capture.table import arrival, departure, mean_angle, why_not_at_rest
-from rotcal_ros.capture.window import TracerStream, clock_jump, reduce_window
+from rotcal_ros.capture.streams import Stream
+from rotcal_ros.capture.table import arrival, departure, why_not_at_rest
+from rotcal_ros.capture.window import TracerStream
 from rotcal_ros.observations import Observation
 
 _MEMORY = "samples of that time are no longer in memory: one stream is far behind the others"
@@ -106,39 +107,28 @@ def _too_few(
     if not found and first < len(tracer.stamps):
         ahead = seconds(int(tracer.stamps[first]) - begin)
         reason += f"; the next is stamped {ahead:.3g} s after settling (another clock?)"
-    elif not found and first and tracer.stamps[first - 1] > attempt.begin_ns:
-        early = seconds(begin - int(tracer.stamps[first - 1]))
-        reason += (
-            f"; the last one is stamped {early:.3g} s before its end: it was taken too early "
-            "(capture.settle_time_s)"
-        )
+    elif not found:
+        reason += _too_early(attempt, tracer, begin)
     return reason
 
 
-def _observe(
-    attempt: Attempt, streams: Streams, settings: CaptureSettings, first: int, last: int
-) -> Observation:
-    """Reduce the readings ``first`` to ``last``, the latter included."""
-    tracer = streams.tracer
-    stamps, readings = tracer.stamps[first : last + 1], tracer.values[first : last + 1]
-    begin_ns, end_ns = int(stamps[0]), int(stamps[-1])
-    epoch, since_ns = streams.counted_from or (tracer.beam.epoch, attempt.begin_ns)
-    if jump := clock_jump(tracer, attempt.begin_ns, last):
-        return attempt.rejection(jump)
-    return attempt.observation(
-        reduce_window(stamps, readings, settings),
-        n_samples=len(stamps),
-        window_ns=(begin_ns, end_ns),
-        table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
-        air=streams.air_at(attempt, settings),
-        segment=tracer.beam.segment(since_ns, begin_ns, end_ns, epoch),
-    )
-
-
-def no_shot(wait: Wait, lag_ns: int) -> str:
+def no_shot(attempt: Attempt, wait: Wait, lag_ns: int) -> str:
     """Say that a single shot did not come."""
     return (
         f"{wait.samples} tracer readings of the window have not come in {seconds(lag_ns):.3g} s: "
         "one for each order and step, taken at the earliest capture.settle_time_s after the table "
         "came to rest, or asked for by topics.length_trigger"
+        f"{_too_early(attempt, wait.stream, wait.stamp_ns)}"
+    )
+
+
+def _too_early(attempt: Attempt, tracer: Stream, begin_ns: int) -> str:
+    """Say that a reading of this attempt came before it was settled; empty: none did."""
+    first = tracer.index(begin_ns)
+    if not first or tracer.stamps[first - 1] <= attempt.begin_ns:
+        return ""
+    early_s = seconds(begin_ns - int(tracer.stamps[first - 1]))
+    return (
+        f"; the last one is stamped {early_s:.3g} s before the end of settling: it was taken too "
+        "early (capture.settle_time_s)"
     )

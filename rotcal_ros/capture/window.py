@@ -165,7 +165,8 @@ def clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> str:
     pauses = np.diff(tracer.stamps[first : last + 1])
     number = tracer.values[first : last + 1, SEQUENCE]
     steps = sequence_steps(number[1:], number[0])
-    limit = max(CLOCK_JUMP_S / NANOSECOND, LONG_PAUSE * float(np.median(pauses)))
+    usual = float(np.median(pauses)) if len(pauses) else 0.0
+    limit = max(CLOCK_JUMP_S / NANOSECOND, LONG_PAUSE * usual)
     at = np.flatnonzero((steps == 1) & (pauses > limit))
     if not len(at):
         return ""

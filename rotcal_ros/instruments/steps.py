@@ -55,17 +55,24 @@ class StepFinder:
 
     The table rests in position within ``position_tolerance_arcsec`` of the angle, whole turns
     apart or not; the probe within ``probe_tolerance_m`` of its target, a touched ball within
-    ``ball_tolerance_m``. With orders, it is the ordered step; without any (a bag of somebody
-    else) the next one of the plan that fits, and steps that were left out are passed over. Events
-    are taken in the order of their stamps, whichever stream arrives first.
+    ``ball_tolerance_m``. Where there is a planner, it is the step that it has ``ordered``; without
+    one (a bag of somebody else) the next one of the plan that fits, and steps that were left out
+    are passed over. Events are taken in the order of their stamps, whichever stream arrives first.
     """
 
-    def __init__(self, plan: Plan, settings: CaptureSettings, tip_radius_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        settings: CaptureSettings,
+        tip_radius_m: float = 0.0,
+        *,
+        ordered: bool = False,
+    ) -> None:
         self._plan, self._settings, self._tip_radius = plan, settings, tip_radius_m
         self._angle_tolerance = settings.position_tolerance_arcsec * ARCSEC
         self._speed_limit = settings.velocity_tolerance_deg_s * DEGREE
         self._orders: deque[_Awaited] = deque(maxlen=_KEPT)
-        self._ordered = False
+        self.ordered = ordered
         self._planned = _Awaited(plan.steps[0], 0, 0)
         self._next = self._found = 0
         self._active = False
@@ -97,7 +104,7 @@ class StepFinder:
         now_ns = stamp_ns if self._newest_ns is None else self._newest_ns
         if abs(stamp_ns - now_ns) * NANOSECOND > self._settings.clock_tolerance_s:
             stamp_ns = now_ns
-        self._ordered = True
+        self.ordered = True
         step = self._plan.steps[command.step]
         self._orders.append(_Awaited(step, command.attempt, stamp_ns))
 
@@ -157,7 +164,7 @@ class StepFinder:
 
     def _waited_for(self, stamp_ns: int) -> _Awaited | None:
         """Return what is waited for at a time, if table and probe are there."""
-        if self._ordered:
+        if self.ordered:
             waited = next((o for o in reversed(self._orders) if o.since_ns <= stamp_ns), None)
             return waited if waited is not None and self._is_reached(waited.step) else None
         planned = self._planned

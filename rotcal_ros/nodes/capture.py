@@ -77,7 +77,9 @@ class CaptureNode(CellNode):
             settings = calibration.configuration.capture
             self._instruments.use(calibration.configuration)
             topics = self._instruments.topics.settings
-            self._finder = StepFinder(calibration.plan, settings, topics.tip_radius_m)
+            self._finder = StepFinder(
+                calibration.plan, settings, topics.tip_radius_m, ordered=True
+            )
             self._trigger.serve(topics.length_trigger)
             self._capture = calibration.capture(message.run)
         except Exception as error:

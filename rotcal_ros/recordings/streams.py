@@ -117,6 +117,8 @@ class StreamFeeder:
         """Feed one block that ``parts`` splits into the topics of the cell."""
         others: list[Numbered] = []
         readings, feedback = np.zeros(0, READING), np.zeros(0, FEEDBACK)
+        if self._finder is not None and any(part.role == names.PLAN for part in parts):
+            self._finder.ordered = True
         self._finding |= self._finder is not None and any(map(_tells_positions, parts))
         for part in parts:
             with part.taken_as_expected():
