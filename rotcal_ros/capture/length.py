@@ -112,6 +112,26 @@ def _too_few(
     return reason
 
 
+def _observe(
+    attempt: Attempt, streams: Streams, settings: CaptureSettings, first: int, last: int
+) -> Observation:
+    """Reduce the readings ``first`` to ``last``, the latter included."""
+    tracer = streams.tracer
+    stamps, readings = tracer.stamps[first : last + 1], tracer.values[first : last + 1]
+    begin_ns, end_ns = int(stamps[0]), int(stamps[-1])
+    epoch, since_ns = streams.counted_from or (tracer.beam.epoch, attempt.begin_ns)
+    if jump := clock_jump(tracer, attempt.begin_ns, last):
+        return attempt.rejection(jump)
+    return attempt.observation(
+        reduce_window(stamps, readings, settings),
+        n_samples=len(stamps),
+        window_ns=(begin_ns, end_ns),
+        table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
+        air=streams.air_at(attempt, settings),
+        segment=tracer.beam.segment(since_ns, begin_ns, end_ns, epoch),
+    )
+
+
 def no_shot(attempt: Attempt, wait: Wait, lag_ns: int) -> str:
     """Say that a single shot did not come."""
     return (

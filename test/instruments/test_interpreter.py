@@ -119,7 +119,7 @@ def test_own_messages_in_plain_settings_are_left_as_they_are():
 
 def test_what_is_not_understood_is_named():
     text = not_understood(names.TRACER_LENGTH, "std_msgs/msg/String")
-    assert "std_msgs/msg/String" in text and FLOAT in text and "TracerLength" in text
+    assert all(name in text for name in ("std_msgs/msg/String", FLOAT, "TracerLength"))
     assert not_understood(names.TRACER_LENGTH, RANGE) == ""
 
 
