@@ -28,6 +28,9 @@ class BridgeNode(CellNode):
 
     def __init__(self) -> None:
         super().__init__("bridge")
+
+    def configure(self) -> None:
+        """Open the controller."""
         settings = self.settings("bridge", BridgeSettings)
         cell = self.settings("cell", CellSettings)
         simulated = "simulation" in self.given
@@ -37,7 +40,7 @@ class BridgeNode(CellNode):
         self._own: dict[str, Any] = {"controller": settings.controller, "axis": cell.axis}
         self._facts: dict[str, Any] = {}
         self.listen(CompensationTableMsg, "compensation_table", self._take, LATCHED)
-        self.create_service(GetCorrection, "get_correction", self._look_up)
+        self.offer(GetCorrection, "get_correction", self._look_up)
         self._access = ControllerAccess(self, self._feed, self._note)
 
     def begin_stop(self) -> None:

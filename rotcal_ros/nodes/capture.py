@@ -30,6 +30,9 @@ class CaptureNode(CellNode):
 
     def __init__(self) -> None:
         super().__init__("capture")
+
+    def configure(self) -> None:
+        """Hear the instruments."""
         self._capture: Capture | None = None
         self._finder: StepFinder | None = None
         self._run = ""
@@ -44,12 +47,18 @@ class CaptureNode(CellNode):
         self._orders = self.take_orders(self._take_order)
         self.every(PERIOD_S, self._ask)
 
+    def deactivated(self) -> None:
+        """Feed nothing more: what an instrument says in between is missing from every window."""
+        self._capture, self._finder, self._run = None, None, ""
+        self._state = "waiting for a plan"
+        self._orders.clear()
+
     def _take_order(self, command: Command) -> None:
         self._hear(Order(command, self._orders.stamp_ns))
 
     def _hear(self, record: Any) -> None:
         """Take a record; a position without a step becomes the step that it belongs to."""
-        if self._finder is not None:
+        if self._finder is not None and self.active:
             for understood in self._finder.understood(record):
                 self._feed(understood)
 

@@ -25,6 +25,7 @@ from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import show
+from rotcal_ros.nodes.managed_node import INACTIVE, UNCONFIGURED
 from rotcal_ros.nodes.matching import deaf_listeners
 from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
@@ -34,6 +35,8 @@ from rotcal_ros.observations import Command, Observation
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
 NO_MACHINE: Final = frozenset({"capture", "recorder", *VIEWERS.values()})
 """Nodes that listen to orders without obeying them."""
+SPARE: Final = frozenset({"bridge", *VIEWERS.values()})
+"""Nodes that may be inactive while a calibration runs."""
 Attempt = tuple[int, int]
 """Step and attempt."""
 
@@ -124,6 +127,7 @@ class CellLinks:
     def missing_nodes(self) -> list[str]:
         """Return what keeps the nodes of the suite from working together, in words."""
         lost = [f"node {name} does not beat" for name in self.health.missing(PREFLIGHT_NODES)]
+        lost += self.idle_nodes()
         for node, client in (
             ("recorder", self.start_recording),
             ("recorder", self.stop_recording),
@@ -132,6 +136,12 @@ class CellLinks:
             if not lost and not client.service_is_ready():
                 lost.append(f"node {node} does not offer {client.srv_name}")
         return lost
+
+    def idle_nodes(self) -> list[str]:
+        """Return which nodes of the calibration are there and not active, in words."""
+        states = {name: self.health.state(name) for name in self.health.present() - SPARE}
+        idle = (INACTIVE, UNCONFIGURED)
+        return [f"node {n} is {s}" for n, s in sorted(states.items()) if s.startswith(idle)]
 
     def missing_topics(self, topics: Sequence[str], silent: Collection[str] = ()) -> list[str]:
         """Return what is missing around the instrument topics and the orders, in words.

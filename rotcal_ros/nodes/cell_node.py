@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator
+from collections.abc import Awaitable, Callable, Generator
 from concurrent.futures import Future
+from inspect import isawaitable
 from types import coroutine
 from typing import Any, TypeVar
 
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rotcal_msgs.msg import ProbeTarget, TableAngle
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.orders import Orders
 from rotcal_ros.nodes.health import Health, Values
+from rotcal_ros.nodes.managed_node import ManagedNode
 from rotcal_ros.nodes.parameters import declare_settings, given_parameters
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.steady import steady_timer
@@ -48,14 +51,21 @@ async def until(
     return True
 
 
-class CellNode(Node, ABC):
-    """A node of the cell. ``given`` holds the parameters it was started with, in groups."""
+class CellNode(ManagedNode, ABC):
+    """A node of the cell. ``given`` holds the parameters it was started with, in groups.
+
+    What it listens to, does regularly and offers begins and ends with its being active; a latched
+    message that comes earlier waits. It beats in every state.
+    """
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.given = given_parameters(self)
+        self._latched: dict[Callable[[Any], None], Any] = {}
+        self._left_alone: set[str] = set()
+        self._answering = 0
         self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
-        self.health = Health(self, self._told, self._node_lost)
+        self.health = Health(self, self._told, self._missed)
 
     def settings(self, group: str, cls: type[T], *, read_only: bool = True) -> T:
         """Declare a group of settings as parameters and return their values."""
@@ -65,11 +75,58 @@ class CellNode(Node, ABC):
         self, kind: type, topic: str, handle: Callable[[Any], None], qos: QoSProfile
     ) -> None:
         """Subscribe to a topic; an exception in ``handle`` is counted and logged."""
-        self.create_subscription(kind, topic, self.health.guarded(handle), qos)
+        handle = self.health.guarded(handle)
+        latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+
+        def take(message: Any) -> None:
+            if self.active:
+                handle(message)
+            elif latched:
+                self._latched[handle] = message
+            elif topic not in self._left_alone:
+                self._left_alone.add(topic)
+                self.get_logger().warning(f"{topic} is left alone: {self.why_not()}")
+
+        self.create_subscription(kind, topic, take, qos)
 
     def every(self, period_s: float, work: Callable[[], None]) -> None:
         """Do ``work`` regularly; an exception in it is counted and logged."""
-        steady_timer(self, period_s, self.health.guarded(work))
+        work = self.health.guarded(work)
+        steady_timer(self, period_s, lambda: work() if self.active else None)
+
+    def offer(
+        self, kind: type, name: str, handle: Callable[[Any, Any], Any], *, always: bool = False
+    ) -> None:
+        """Offer a service, whose response has a ``message`` that says why it was refused.
+
+        ``always``: it is not refused while the node is inactive.
+        """
+
+        async def answer(request: Any, response: Any) -> Any:
+            if not (self.active or always):
+                response.message = self.why_not()
+                return response
+            self._answering += 1
+            try:
+                answered = handle(request, response)
+                return await answered if isawaitable(answered) else answered
+            finally:
+                self._answering -= 1
+
+        self.create_service(kind, name, answer)
+
+    def begin(self, work: Callable[..., Awaitable[None]], *arguments: Any) -> None:
+        """Do ``work`` in the executor's turns; it is given up when the node is cleaned up."""
+
+        async def do() -> None:
+            try:
+                await work(*arguments)
+            except rclpy_implementation.InvalidHandle:
+                self.get_logger().info(f"given up: {work.__name__.strip('_')}")
+            except Exception as error:
+                self.health.note_error(work.__name__, error)
+
+        self.executor.create_task(do)
 
     def take_orders(self, obey: Callable[[Command], None]) -> Orders:
         """Call ``obey`` with every complete order; return what waits for its other half."""
@@ -86,6 +143,19 @@ class CellNode(Node, ABC):
         listen(ProbeTarget, names.PROBE_TARGET, orders.probe_target)
         return orders
 
+    def why_not(self) -> str:
+        """Return why this node does not do what it is asked; empty: it does."""
+        return "" if self.active else f"node {self.get_name()} is {self.standing()}"
+
+    def over(self) -> bool:
+        """Return whether the node has to end: by a transition, by its work, or for another."""
+        done = self.configured and self.finished()
+        return self.shut_down or done or bool(self.health.refused)
+
+    def at_rest(self) -> bool:
+        """Return whether nothing is under way that a clean-up would break."""
+        return self._answering == 0 and self.stopped()
+
     def now_ns(self) -> int:
         """Return the time of the node's clock."""
         nanoseconds: int = self.get_clock().now().nanoseconds
@@ -97,25 +167,29 @@ class CellNode(Node, ABC):
         await until(future.done, timeout_s)
         return future.result(timeout=0.0)
 
-    def begin_stop(self) -> None:
-        """Begin to end: give up running work, close files."""
-
-    def stopped(self) -> bool:
-        """Return whether nothing is left to do before the end."""
-        return True
-
-    def finished(self) -> bool:
-        """Return whether the work is done before the system asks the node to end."""
-        return False
-
-    def _told(self) -> tuple[str, Values]:
-        """Return what every beat tells: the report, and which topics are called otherwise."""
-        state, values = self._report()
-        return state, {**self._names, **values}
-
     @abstractmethod
     def _report(self) -> tuple[str, Values]:
         """Return the state in words and values; asked for every beat."""
 
     def _node_lost(self, name: str) -> None:
         """Hear that another node fell silent."""
+
+    def _told(self) -> tuple[str, Values]:
+        """Return what the beat tells in every state: the report, and other names of topics."""
+        words, values = self._report() if self.configured else ("", {})
+        return self.standing() or words, {**self._names, **values}
+
+    def _missed(self, name: str) -> None:
+        if self.configured:
+            self._node_lost(name)
+
+    def _entered(self, success: bool) -> TransitionCallbackReturn:
+        """Handle what waited for the node to be active, and tell the others how it stands."""
+        if self.active:
+            for handle, message in self._latched.items():
+                handle(message)
+        if self.active or not self.configured:
+            self._latched.clear()
+        self._left_alone.clear()
+        self.health.beat()
+        return super()._entered(success)

@@ -87,8 +87,8 @@ class ControllerAccess:
         self._opening.cancel()
         self.facts = {"apply": "offered"}
         self._warn_of(unfinished)
-        self._node.create_service(ApplyTable, "apply", self._apply)
-        self._node.create_service(RestoreTable, "restore", self._restore)
+        self._node.offer(ApplyTable, "apply", self._apply)
+        self._node.offer(RestoreTable, "restore", self._restore)
 
     def _offered(self, service: str) -> int:
         """Return how many nodes offer a service of the cell."""

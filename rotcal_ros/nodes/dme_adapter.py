@@ -42,6 +42,9 @@ class DmeAdapter(CellNode):
 
     def __init__(self) -> None:
         super().__init__("dme_adapter")
+
+    def configure(self) -> None:
+        """Get ready to speak to the machine, which begins with the first activation."""
         settings = self.settings("dme", DmeSettings)
         self._joint = self.settings("cell", CellSettings).joint or "table"
         self._plan: Plan | None = None
@@ -57,6 +60,10 @@ class DmeAdapter(CellNode):
         PlannersPlans(self, self._take_plan)
         self.every(WATCH_PERIOD_S, self._watch)
 
+    def deactivated(self) -> None:
+        """Stop the machine; its session stays."""
+        self._drop("the adapter was deactivated in the middle of a step")
+
     def begin_stop(self) -> None:
         """Stop what moves and end the session."""
         self._driver.stop()
@@ -69,7 +76,7 @@ class DmeAdapter(CellNode):
         """Begin a session with the machine, and obey."""
         self._driver.begin()
         self._orders = self.take_orders(self._obey)
-        self.create_service(Trigger, "clear_errors", self._clear)
+        self.offer(Trigger, "clear_errors", self._clear)
 
     def _take_plan(self, message: CalibrationPlan) -> None:
         """Take the plan: it says which ball is touched how often."""

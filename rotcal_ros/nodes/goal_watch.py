@@ -109,6 +109,8 @@ class GoalWatch:
             how = "fell silent" if lost else "was ended"
             words = f" ({self.links.health.last_words(lost[0])})" if lost else ""
             raise GoalError(Codes.NODE_LOST, f"node {', '.join(missing)} {how} {place}{words}")
+        if idle := self.links.idle_nodes():
+            raise GoalError(Codes.NODE_LOST, f"{idle[0]} ({place})")
         if self.recording:
             state = self.links.health.state("recorder")
             if state.startswith(RECORDING_FAILED):

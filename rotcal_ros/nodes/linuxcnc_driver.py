@@ -37,10 +37,17 @@ class LinuxCncDriver(CellNode):
 
     def __init__(self) -> None:
         super().__init__("linuxcnc_driver")
-        ini = self.declare_parameter("ini_file", "").value
-        number = self.declare_parameter("linuxcnc_joint", 0).value
-        command = list(self.declare_parameter("agent_command", [""]).value)
-        self._overshoot_deg = self.declare_parameter("overshoot_deg", 2.0).value
+
+    def configure(self) -> None:
+        """Start the agent."""
+        ini = self.parameter("ini_file", "", "ini file of LinuxCNC")
+        number = self.parameter("linuxcnc_joint", 0, "number of the table's joint in LinuxCNC")
+        command = list(
+            self.parameter("agent_command", [""], "what starts the agent; empty: found out")
+        )
+        self._overshoot_deg = self.parameter(
+            "overshoot_deg", 2.0, "deg, how far it is overrun to arrive from the ordered side"
+        )
         cell = self.settings("cell", CellSettings)
         self._joint = cell.joint or "table"
         if command == [""]:

@@ -39,9 +39,11 @@ class OperatorPage(CellNode):
 
     def __init__(self) -> None:
         super().__init__("operator_page")
+
+    def configure(self) -> None:
+        """Serve the page."""
         settings = self.settings("page", PageSettings)
         self.board = Board()
-        self._server: PageServer | None = None
         self._streams = Streams()
         self._course = Course()
         self._drawn: float | None = None
@@ -76,7 +78,6 @@ class OperatorPage(CellNode):
         """Return whether the viewers know how it ended."""
         assert self._ending_s is not None
         if self._goal.settled or time.monotonic() - self._ending_s > LAST_WORD_S:
-            assert self._server is not None
             if not self.board.state.ended:
                 self._look()
                 self._server.close()
@@ -89,7 +90,8 @@ class OperatorPage(CellNode):
 
         async def do() -> None:
             try:
-                future.set_result(await work())
+                why_not = self.why_not()
+                future.set_result(Answer(False, why_not) if why_not else await work())
             except Exception as error:
                 self.health.note_error("request of a person", error)
                 future.set_result(Answer(False, str(error)))
@@ -164,8 +166,6 @@ class OperatorPage(CellNode):
         )
 
     def _report(self) -> tuple[str, dict[str, Any]]:
-        if self._server is None:
-            return "starting", {}
         return self._topics.state or f"serving {self._server.address}", {}
 
 

@@ -94,8 +94,7 @@ class WaitingTable:
         if (silent or self._asked_for != confirmation) and self._can_draw(table_hash):
             self._asked_for, self._attempt = confirmation, object()
             self._heard_s = time.monotonic()
-            task = (self._draw, confirmation, self._table, self._attempt)
-            self._node.executor.create_task(*task)
+            self._node.begin(self._draw, confirmation, self._table, self._attempt)
 
     def _can_draw(self, table_hash: str) -> bool:
         """Return whether the table of the bridge has come here too, and the bridge answers."""

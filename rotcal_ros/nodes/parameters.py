@@ -58,7 +58,7 @@ def declare_settings(
     settings = load(cls, given.get(group), f"{node.get_name()}: parameters {group}")
     for declared in declarations(cls):
         value = attrgetter(declared.name)(settings)
-        if value is not None:
+        if value is not None and not node.has_parameter(f"{group}.{declared.name}"):
             _declare(node, f"{group}.{declared.name}", value, declared, read_only)
     return settings
 

@@ -12,7 +12,6 @@ from typing import Any, Final
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rotcal_msgs.action import Calibrate
 from std_srvs.srv import Trigger
 
@@ -31,18 +30,22 @@ RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1
 
 
-class Planner(CellNode, LifecycleNode):
+class Planner(CellNode):
     """Commands the cell from the first step to the result."""
 
     def __init__(self) -> None:
         super().__init__("planner")
+
+    def configure(self) -> None:
+        """Read the configuration, and offer to calibrate."""
         self._run: GoalRun | None = None
-        self._active = self._stopping = self._preparing = False
+        self._preparing = False
+        self._giving_up = ""
         self._shown_s = -math.inf
         self._configured = PlannerParameters(self)
         self._continuation = read_continuation(self)
         self._links = CellLinks(self)
-        self.create_service(Trigger, "resume", self._resume)
+        self.offer(Trigger, "resume", self._resume)
         self._server = ActionServer(
             self,
             Calibrate,
@@ -52,40 +55,34 @@ class Planner(CellNode, LifecycleNode):
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             result_timeout=RESULT_TIMEOUT_S,
         )
-        if self.declare_parameter("autostart", True).value:
-            self.trigger_configure()
-            self.trigger_activate()
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Accept goals from now on."""
-        self._active = True
-        return super().on_activate(state)
+    def activated(self) -> None:
+        """Take goals."""
+        self._giving_up = ""
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give up the running goal and accept no more."""
-        self._active = False
+    def deactivated(self) -> None:
+        """Give up the running goal; no other is accepted."""
         self._give_up("the planner was deactivated")
-        return super().on_deactivate(state)
 
     def begin_stop(self) -> None:
         """End the running goal with a valid bag."""
-        self._stopping = True
         self._give_up("the planner was ended")
 
     def stopped(self) -> bool:
         """Return whether no goal runs any more."""
-        return self._run is None
+        return self._run is None and not self._preparing
 
     def _give_up(self, why: str) -> None:
+        self._giving_up = why
         if self._run is not None:
             self._run.watch.stopping = why
 
     def _judge_goal(self, _goal: Calibrate.Goal) -> GoalResponse:
         """Refuse a goal while another runs; the heartbeat tells the reason to the client."""
         free = self._run is None and not self._preparing
-        if self._active and not self._stopping and free:
+        if self.active and not self._giving_up and free:
             return GoalResponse.ACCEPT
-        self.get_logger().warning(f"goal refused: the planner is {self._report()[0]}")
+        self.get_logger().warning(f"goal refused: the planner is {self._told()[0]}")
         return GoalResponse.REJECT
 
     def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -104,6 +101,7 @@ class Planner(CellNode, LifecycleNode):
             handle.abort()
             return Codes(error_code=Codes.BAD_CONFIGURATION, error_msg=str(error))
         self._run = goal
+        goal.watch.stopping = self._giving_up
         try:
             outcome = await goal.execute()
         except Exception as error:
@@ -183,8 +181,7 @@ class Planner(CellNode, LifecycleNode):
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         if self._run is None:
-            waiting = "preparing" if self._preparing else "ready"
-            return waiting if self._active else "inactive", {}
+            return "preparing" if self._preparing else "ready", {}
         progress = self._run.watch.progress
         words = f"{CALIBRATING}: step {progress.step} of {progress.total}, {progress.activity}"
         return words, self._run.values()

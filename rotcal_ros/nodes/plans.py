@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from rclpy.node import Node
 from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CalibrationPlan
 
@@ -43,7 +42,7 @@ class PlannerParameters:
 
     def __init__(self, node: CellNode) -> None:
         self._node = node
-        method = find_method(node.declare_parameter("method", DEFAULT).value)
+        method = find_method(node.parameter("method", DEFAULT, "method of the calibration"))
         for group, value in node.given.items():
             if isinstance(value, dict) and group not in GROUPS:
                 raise ConfigurationError(
@@ -99,9 +98,11 @@ def calibration_of(message: CalibrationPlan) -> Calibration:
     return calibration
 
 
-def read_continuation(node: Node) -> Continuation | None:
+def read_continuation(node: CellNode) -> Continuation | None:
     """Declare ``continuation_file`` and return what it holds; None when it is not given."""
-    path = node.declare_parameter("continuation_file", "").value
+    path = node.parameter(
+        "continuation_file", "", "what an interrupted calibration has left; empty: nothing"
+    )
     if not path:
         return None
     try:

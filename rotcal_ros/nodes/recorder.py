@@ -38,22 +38,24 @@ class RecorderNode(CellNode):
 
     def __init__(self) -> None:
         super().__init__("recorder")
+
+    def configure(self) -> None:
+        """Get ready to write."""
         self._settings = self.settings("recorder", RecorderSettings)
         self._bags = SessionBags(self._settings)
         self._recording: Recording | None = None
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._pending = PendingReceipts()
-        self._jumps_before = 0
         self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
-        self.create_service(StartRecording, "start_recording", self._start)
-        self.create_service(StopRecording, "stop_recording", self._stop)
+        self.offer(StartRecording, "start_recording", self._start)
+        self.offer(StopRecording, "stop_recording", self._stop, always=True)
         self._called = CalledOtherwise(self.get_namespace())
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         further = self._called.topics.values
         self._listener = Listener(self, self._take, self._dropouts.note, further)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
-    def begin_stop(self) -> None:
+    def deactivated(self) -> None:
         """Write what has arrived and close the bag."""
         self._close()
 
@@ -141,7 +143,7 @@ class RecorderNode(CellNode):
         self._called.keep_in(recording)  # before the configuration, where readers stop to look
         keep_surroundings(recording, request.configuration)
         self._recording = recording
-        self.executor.create_task(self._attach_parameters, recording)
+        self.begin(self._attach_parameters, recording)
         return folder.path
 
     async def _attach_parameters(self, recording: Recording) -> None:
@@ -180,15 +182,14 @@ class RecorderNode(CellNode):
             self._close()
 
     def _report(self) -> tuple[str, dict[str, Any]]:
-        counts = self._all_losses() + self._silences.counts
-        values = {"topics": len(self._listener.topics), **self._listener.refused, **counts}
+        values = {"topics": len(self._listener.topics), **self._listener.refused}
+        values |= self._all_losses() + self._silences.counts
         recording = self._recording
         if recording is not None and recording.error:
             return f"{RECORDING_FAILED}: {recording.error}", values
         if recording is None or recording.finished:
             return "idle", values
-        values |= {"file": recording.file, "messages": recording.messages}
-        return "recording", values
+        return "recording", values | {"file": recording.file, "messages": recording.messages}
 
 
 def main() -> None:

@@ -81,13 +81,16 @@ def _spin(make: Callable[[], CellNode]) -> None:
     end = EndRequest()
     with rclpy.init(signal_handler_options=SignalHandlerOptions.NO):
         node = make()
+        node.autostart()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         wake_after_jumps(executor)
         with suppress(ExternalShutdownException):
-            while not (end or node.finished() or node.health.refused):
+            while not (end or node.over()):
                 executor.spin_once(timeout_sec=_TURN_S)
-            _finish(node, executor)
+            if node.configured:
+                _finish(node, executor)
+            node.health.leave()
         executor.shutdown(timeout_sec=1.0)
         refused = node.health.refused
         node.destroy_node()
@@ -96,11 +99,10 @@ def _spin(make: Callable[[], CellNode]) -> None:
 
 
 def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
-    """Let a node end its work, for a limited time, and leave the others with a word."""
+    """Let a node end its work, for a limited time."""
     node.begin_stop()
     deadline = time.monotonic() + STOP_TIMEOUT_S
     while not node.stopped():
         if time.monotonic() > deadline:
             return
         executor.spin_once(timeout_sec=_TURN_S)
-    node.health.leave()

@@ -55,7 +55,12 @@ class SceneNode(CellNode):
 
     def __init__(self) -> None:
         super().__init__("scene")
-        self._exaggeration = self.declare_parameter("exaggeration", 20000.0).value
+
+    def configure(self) -> None:
+        """Wait for a plan."""
+        self._exaggeration = self.parameter(
+            "exaggeration", 20000.0, "how many times larger than they are errors are drawn"
+        )
         self._layout: Layout | None = None
         self._progress: Progress | None = None
         self._errors: Errors | None = None

@@ -38,7 +38,10 @@ class SimulatedCellNode(CellNode):
 
     def __init__(self) -> None:
         super().__init__("simulated_cell")
-        method = find_method(self.declare_parameter("method", DEFAULT).value)
+
+    def configure(self) -> None:
+        """Build the cell."""
+        method = find_method(self.parameter("method", DEFAULT, "method of the calibration"))
         settings = self.settings("simulation", method.simulation_settings)
         cell = self.settings("cell", CellSettings)
         self._called = self.settings("topics", TopicSettings).renamed()

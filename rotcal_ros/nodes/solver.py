@@ -35,7 +35,12 @@ class SolverNode(CellNode):
 
     def __init__(self) -> None:
         super().__init__("solver")
-        period = self.declare_parameter("preliminary_period_s", 3.0).value
+
+    def configure(self) -> None:
+        """Wait for plans."""
+        period_s = self.parameter(
+            "preliminary_period_s", 3.0, "s, how often a preliminary result is solved for"
+        )
         self._continuation = read_continuation(self)
         self._calibration: Calibration | None = None
         self._run = ""
@@ -51,8 +56,8 @@ class SolverNode(CellNode):
         PlannersPlans(self, self._take_plan)
         self.listen(TableInForce, names.TABLE_IN_FORCE, self._note_in_force, LATCHED)
         self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
-        self.create_service(FinishCalibration, "finish_calibration", self._finish)
-        self.every(period, self._preliminary)
+        self.offer(FinishCalibration, "finish_calibration", self._finish)
+        self.every(period_s, self._preliminary)
 
     def begin_stop(self) -> None:
         """Give up what is being solved."""
@@ -113,7 +118,8 @@ class SolverNode(CellNode):
         return self._solving is not None and not self._solving.done()
 
     def _show_preliminary(self, future: Future[Result], run: str) -> None:
-        if future is not self._solving or future.cancelled() or run != self._run:
+        outdated = future is not self._solving or future.cancelled() or run != self._run
+        if outdated or not self.active:
             return
         try:
             self._publish(future.result(), final=False)

@@ -41,6 +41,9 @@ class TableAdapter(CellNode):
 
     def __init__(self) -> None:
         super().__init__("table_adapter")
+
+    def configure(self) -> None:
+        """Hear the joint."""
         self._settings = self.settings("table_adapter", TableAdapterSettings)
         self._joint = self.settings("cell", CellSettings).joint
         if not self._joint:

@@ -14,7 +14,6 @@ from std_msgs.msg import Header
 
 from rotcal_ros.capture.orders import Orders
 from rotcal_ros.nodes import dme_adapter
-from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.dme_adapter import LOOKS_FIRST, DmeAdapter
 from rotcal_ros.nodes.plans import RUN, run_name
 from rotcal_ros.observations import Approach, Command, PointKind
@@ -235,9 +234,8 @@ def test_plans_are_taken_from_the_planner_alone_and_nothing_begins_at_once(made,
     sources = []
     monkeypatch.setattr(dme_adapter, "PlannersPlans", lambda *source: sources.append(source))
     monkeypatch.setattr(dme_adapter, "Driver", lambda *_: Driver())
-    monkeypatch.setattr(CellNode, "__init__", lambda _self, _name: None)
     made.settings = lambda _group, kind: kind()
     made.create_publisher = made.every = lambda *_: None
-    DmeAdapter.__init__(made)
+    made.configure()
     assert sources == [(made, made._take_plan)]
     assert (made._driver.told, made.listening) == ([], {})

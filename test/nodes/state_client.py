@@ -1,0 +1,50 @@
+"""The calls behind ``ros2 lifecycle`` and ``ros2 param``, for nodes of /cell."""
+
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from live_cell import DEADLINE_S
+
+from rotcal_ros.nodes.peer import Peer
+
+
+class StateClient:
+    """Asks nodes for their state, and for others; a context that leaves the graph."""
+
+    def __init__(self):
+        self.peer = Peer("state_client", "/cell")
+        self._clients = {}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.peer.close()
+
+    def call(self, kind, name, **fields):
+        """Return the answer of service ``name``."""
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self.peer.node.create_client(kind, name)
+        assert self.peer.work_until(client.service_is_ready, DEADLINE_S), f"no {name}"
+        request = kind.Request()
+        for field, value in fields.items():
+            setattr(request, field, value)
+        future = client.call_async(request)
+        assert self.peer.work_until(future.done, DEADLINE_S), f"no answer of {name}"
+        return future.result()
+
+    def state(self, node):
+        return self.call(GetState, f"{node}/get_state").current_state.label
+
+    def transitions(self, node):
+        found = self.call(GetAvailableTransitions, f"{node}/get_available_transitions")
+        return {t.transition.label for t in found.available_transitions}
+
+    def change(self, node, *labels):
+        """Go through transitions one by one; return whether each of them succeeded."""
+        return [self._change(node, label) for label in labels]
+
+    def _change(self, node, label):
+        request = ChangeState.Request()
+        request.transition.label = label
+        name = f"{node}/change_state"
+        return self.call(ChangeState, name, transition=request.transition).success
