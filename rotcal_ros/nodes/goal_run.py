@@ -94,7 +94,7 @@ class GoalRun:
                 return odd
             air = [f"nobody publishes {name}, without which the index of refraction is unknown"
                    for name in links.missing_air(needed).values()]  # fmt: skip
-            wrong = faults(links.health.values("capture"), self._calibration)
+            wrong = faults(links.health.values("capture"), configuration, self._calibration.plan)
             silent = single_shots(configuration.topics)
             return links.missing_topics(topics, silent) + air + wrong
 

@@ -23,6 +23,7 @@ from rotcal_ros.instruments.plausibility import (
 from rotcal_ros.nodes.concerns import OFFSET
 from rotcal_ros.nodes.latest import JOINT, MOST_JOINTS, NOW, RATE, REFUSED
 from rotcal_ros.nodes.topic_names import name_in
+from rotcal_ros.planning.plan import Plan
 
 _AIR: Final = {
     "temperature": names.TEMPERATURE,
@@ -34,15 +35,17 @@ _AIR: Final = {
 Values = Mapping[str, str]
 
 
-def faults(values: Values, calibration: Calibration) -> list[str]:
-    """Return why no observation can come of these instruments, in words."""
-    configuration = calibration.configuration
+def faults(values: Values, configuration: Configuration, plan: Plan | None = None) -> list[str]:
+    """Return why no observation can come of these instruments, in words.
+
+    The probe's positions are held against the ``plan``.
+    """
     clocks = [values[OFFSET]] if OFFSET in values else []
     return [
         *(text for key, text in values.items() if key.startswith(REFUSED)),
         *_of_the_joint(values, configuration.cell.joint),
         *_of_lengths(values, configuration),
-        *_of_the_probe(values, calibration),
+        *(() if plan is None else _of_the_probe(values, configuration, plan)),
         *_of_rates(values, configuration),
         *clocks,
     ]
@@ -112,13 +115,13 @@ def _of_lengths(values: Values, configuration: Configuration) -> Iterator[str]:
         yield f"{name_in(values, names.TRACER_LENGTH)} {text}"
 
 
-def _of_the_probe(values: Values, calibration: Calibration) -> Iterator[str]:
+def _of_the_probe(values: Values, configuration: Configuration, plan: Plan) -> Iterator[str]:
     """Yield that the probe's positions are in another unit than stated."""
     words = values.get(NOW + names.PROBE_POINT, "").split()
     if len(words) != 3:
         return
     x, y, z = map(float, words)
-    text = position_in_words((x, y, z), calibration.plan, calibration.configuration.topics)
+    text = position_in_words((x, y, z), plan, configuration.topics)
     if text:
         yield f"{name_in(values, names.PROBE_POINT)} {text}"
 
