@@ -76,6 +76,26 @@ class Streams:
         """Return the streams, fastest first."""
         return {"tracer": self.tracer, "table": self.table, **self.air.by_name}
 
+    def lag_ns(self, attempt: Attempt, wait: Wait) -> int:
+        """Return how far the awaited stream is behind the newest of probe, tracer and table."""
+        fast = (self.tracer, self.table)
+        newest = max(attempt.begin_ns, *(self.reached(stream, attempt) for stream in fast))
+        return newest - self.reached(wait.stream, attempt)
+
+    def reached(self, stream: Stream, attempt: Attempt) -> int:
+        """Return how far a stream has come; one without samples is at the attempt's begin.
+
+        So is a single shot that comes only after it.
+        """
+        if stream.latest is None:
+            return attempt.begin_ns
+        return max(stream.latest, attempt.begin_ns) if stream.single_shot else stream.latest
+
+    def patience_ns(self, stream: Stream, settings: CaptureSettings) -> int:
+        """Return how far a stream may be behind the others."""
+        timeout_s = settings.step_timeout_s if stream.single_shot else 0.0
+        return nanoseconds(settings.clock_tolerance_s) + nanoseconds(timeout_s)
+
     def air_at(self, attempt: Attempt, settings: CaptureSettings) -> Air:
         """Return the air that goes with an attempt."""
         return self.air.at(attempt.begin_ns, self.since_ns, settings)

@@ -16,6 +16,7 @@ from rotcal_ros.capture.air import QUANTITIES, AirSample, AirStreams
 from rotcal_ros.capture.answers import Answers
 from rotcal_ros.capture.attempt import Attempt, Streams, Wait, nanoseconds, seconds
 from rotcal_ros.capture.beam import Beam
+from rotcal_ros.capture.length import no_shot
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
@@ -55,7 +56,8 @@ class Capture:
     clock is set back, what was undecided is rejected and what was before it is forgotten.
 
     ``rules`` are those of the method; ``run`` is the number of the run that is captured;
-    ``required_air`` names what of the air an observation is useless without. Nor does
+    ``required_air`` names what of the air an observation is useless without; the tracer of a
+    ``single_shot`` is silent until it is asked. Nor does
     it matter how long before the first attempt the capture began to listen. Commands are only
     compared with the plan: what counts is what the machine did.
     """
@@ -67,6 +69,8 @@ class Capture:
         rules: CaptureRules,
         run: int = 0,
         required_air: Collection[str] = (),
+        *,
+        single_shot: bool = False,
     ) -> None:
         tolerance = nanoseconds(settings.clock_tolerance_s)
         self._plan, self._settings, self._rules, self._run = plan, settings, rules, run
@@ -76,6 +80,7 @@ class Capture:
                 tolerance,
                 settings.max_length_m,
                 Beam(settings.max_silence_s, settings.max_length_speed_m_s),
+                single_shot=single_shot,
             ),
             table=Stream(2, tolerance),
             air=AirStreams(tolerance),
@@ -139,11 +144,24 @@ class Capture:
         if not self._pending or self._waiting is None:
             return self._answers.waited_for()
         attempt, wait = self._pending[0], self._waiting
+        lag_s = seconds(self._streams.lag_ns(attempt, wait))
         return (
             f"step {attempt.step.index}, attempt {attempt.number}: waiting for "
-            f"{self._name(wait.stream)}, now {seconds(self._lag_ns(attempt, wait)):.3g} s behind "
-            "the other streams"
+            f"{self._name(wait.stream)}, now {lag_s:.3g} s behind the other streams"
         )
+
+    @property
+    def readings(self) -> int:
+        """How many tracer readings have come."""
+        return self._streams.tracer.received
+
+    @property
+    def asks_for_length(self) -> bool:
+        """Whether an instrument that has to be asked may measure now: the table rests, settled."""
+        if not self._pending or self._waiting is None:
+            return False
+        tracer, table = self._streams.tracer, self._streams.table
+        return self._waiting.stream is tracer and table.newest_ns >= self._waiting.stamp_ns
 
     def complaint(self) -> str:
         """Return what keeps the latest order from being measured, for people; empty: nothing.
@@ -153,7 +171,7 @@ class Capture:
         if not self._pending:
             return self._answers.complaint()
         attempt, table = self._pending[-1], self._streams.table
-        reached_ns = self._reached(table, attempt)
+        reached_ns = self._streams.reached(table, attempt)
         if reached_ns - attempt.begin_ns < _PATIENCE_NS or attempt.search_ns <= reached_ns:
             return ""
         step = attempt.step
@@ -318,8 +336,10 @@ class Capture:
         outcome = self._judge(attempt)
         if not isinstance(outcome, Wait):
             return outcome
-        lag_ns = self._lag_ns(attempt, outcome)
-        if lag_ns > self._tolerance_ns:
+        lag_ns = self._streams.lag_ns(attempt, outcome)
+        if lag_ns > self._streams.patience_ns(outcome.stream, self._settings):
+            if outcome.stream.single_shot:
+                return attempt.rejection(no_shot(attempt, outcome, lag_ns))
             return attempt.rejection(
                 f"{self._name(outcome.stream)} are {seconds(lag_ns):.3g} s behind the other "
                 f"streams, allowed {self._settings.clock_tolerance_s:g} s: silent, or stamped by "
@@ -334,7 +354,7 @@ class Capture:
         since_ns, late = self._streams.since_ns, []
         for missing in self._streams.air.missing(attempt.begin_ns, since_ns, self._settings):
             wait = Wait(missing.stream, missing.stamp_ns)
-            if self._lag_ns(attempt, wait) <= self._tolerance_ns:
+            if self._streams.lag_ns(attempt, wait) <= self._tolerance_ns:
                 return wait
             late.append(missing.quantity.name)
         decide = self._rules.decide[attempt.step.kind]
@@ -356,20 +376,14 @@ class Capture:
     def _sleep(self, attempt: Attempt, wait: Wait) -> None:
         """Let every stream report when it brings what is needed, or gets too far ahead."""
         self._waiting = wait
-        too_late = self._reached(wait.stream, attempt) + self._tolerance_ns + 1
+        too_late = (
+            self._streams.reached(wait.stream, attempt)
+            + self._streams.patience_ns(wait.stream, self._settings)
+            + 1
+        )
         for stream in self._streams.by_name().values():
             stream.wait(too_late)
         wait.stream.wait(wait.stamp_ns, wait.samples, wait.latest_ns)
-
-    def _lag_ns(self, attempt: Attempt, wait: Wait) -> int:
-        """Return how far the awaited stream is behind the newest of probe, tracer and table."""
-        fast = (self._streams.tracer, self._streams.table)
-        newest = max(attempt.begin_ns, *(self._reached(stream, attempt) for stream in fast))
-        return newest - self._reached(wait.stream, attempt)
-
-    def _reached(self, stream: Stream, attempt: Attempt) -> int:
-        """Return how far a stream has come; a stream without samples is at the attempt's begin."""
-        return attempt.begin_ns if stream.latest is None else stream.latest
 
     def _name(self, stream: Stream) -> str:
         name = next(n for n, known in self._streams.by_name().items() if known is stream)

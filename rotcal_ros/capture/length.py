@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from rotcal_ros.capture.attempt import (
     Attempt,
     Streams,
@@ -11,8 +13,9 @@ from rotcal_ros.capture.attempt import (
     seconds,
 )
 from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.streams import Stream
 from rotcal_ros.capture.table import arrival, departure, mean_angle, why_not_at_rest
-from rotcal_ros.capture.window import clock_jump, reduce_window
+from rotcal_ros.capture.window import TracerStream, clock_jump, reduce_window
 from rotcal_ros.observations import Observation
 
 _MEMORY = "samples of that time are no longer in memory: one stream is far behind the others"
@@ -80,15 +83,33 @@ def _window(
         return first, last
     if last >= len(tracer.stamps) and not tracer.knows(deadline):
         return Wait(tracer, begin, last + 1 - len(tracer.stamps), deadline)
+    return attempt.rejection(_too_few(attempt, tracer, settings, deadline, begin))
+
+
+def _too_few(
+    attempt: Attempt, tracer: TracerStream, settings: CaptureSettings, deadline: int, begin: int
+) -> str:
+    """Say why there is no whole window from ``begin`` on, and what to change."""
+    first = tracer.index(begin)
     found = max(0, tracer.index(deadline + 1) - first)
+    left_s = max(0.0, seconds(deadline - begin))
     reason = (
-        f"only {found} of {settings.window_samples} tracer readings in the "
-        f"{max(0.0, seconds(deadline - begin)):.3g} s that were left after settling"
+        f"only {found} of {settings.window_samples} tracer readings in the {left_s:.3g} s that "
+        "were left after settling"
     )
+    pauses = np.diff(tracer.stamps[-settings.window_samples :])
+    needed_s = settings.window_samples * seconds(int(np.median(pauses))) if len(pauses) else 0.0
+    if needed_s > settings.step_timeout_s - settings.settle_time_s:
+        reason += (
+            f"; so many take {needed_s:.3g} s: a smaller capture.window_samples, or a longer "
+            "capture.step_timeout_s and planner.step_timeout_s"
+        )
     if not found and first < len(tracer.stamps):
         ahead = seconds(int(tracer.stamps[first]) - begin)
         reason += f"; the next is stamped {ahead:.3g} s after settling (another clock?)"
-    return attempt.rejection(reason)
+    elif not found:
+        reason += _too_early(attempt, tracer, begin)
+    return reason
 
 
 def _observe(
@@ -108,4 +129,26 @@ def _observe(
         table_angle_measured=mean_angle(streams.table, begin_ns, end_ns, attempt.step.table_angle),
         air=streams.air_at(attempt, settings),
         segment=tracer.beam.segment(since_ns, begin_ns, end_ns, epoch),
+    )
+
+
+def no_shot(attempt: Attempt, wait: Wait, lag_ns: int) -> str:
+    """Say that a single shot did not come."""
+    return (
+        f"{wait.samples} tracer readings of the window have not come in {seconds(lag_ns):.3g} s: "
+        "one for each order and step, taken at the earliest capture.settle_time_s after the table "
+        "came to rest, or asked for by topics.length_trigger"
+        f"{_too_early(attempt, wait.stream, wait.stamp_ns)}"
+    )
+
+
+def _too_early(attempt: Attempt, tracer: Stream, begin_ns: int) -> str:
+    """Say that a reading of this attempt came before it was settled; empty: none did."""
+    first = tracer.index(begin_ns)
+    if not first or tracer.stamps[first - 1] <= attempt.begin_ns:
+        return ""
+    early_s = seconds(begin_ns - int(tracer.stamps[first - 1]))
+    return (
+        f"; the last one is stamped {early_s:.3g} s before the end of settling: it was taken too "
+        "early (capture.settle_time_s)"
     )

@@ -33,7 +33,10 @@ class CaptureSettings:
         0.5, doc="s, from table in position and probe at its target to the window", minimum=0.0
     )
     window_samples: int = setting(
-        200, doc="number of tracer readings in a window", minimum=2, maximum=MAX_WINDOW_SAMPLES
+        200,
+        doc="number of tracer readings in a window; 1: a reading alone, which tells no scatter",
+        minimum=1,
+        maximum=MAX_WINDOW_SAMPLES,
     )
     max_std_m: float = setting(
         2e-6, doc="m, largest standard deviation of the readings of a window", minimum=0.0

@@ -49,6 +49,11 @@ class StampOffsets:
             while len(events) > _EVENTS:
                 del events[next(iter(events))]
 
+    def forget(self, stream: str) -> None:
+        """Begin anew with a stream: it is another, or stamped by another clock."""
+        self._ahead.pop(stream, None)
+        self._events.pop(stream, None)
+
     def note_many(self, stream: str, stamps: NDArray[Any], received: NDArray[Any]) -> None:
         """Take many messages of a stream that never pauses, arrays (n,) of int64 ns."""
         buckets = received // _BUCKET_NS

@@ -55,17 +55,19 @@ class Stream:
     takes arrays. Both ways end in the same state. A stamp that does not ascend is dropped; so
     is one that jumps ahead by more than the clock tolerance, unless ten in a row do (then the
     stream had paused). When ten in a row ascend behind the latest one, over 0.1 s, the clock
-    was set back: the stream begins anew with them, and what it remembered is forgotten.
+    was set back: the stream begins anew with them, and what it remembered is forgotten. A
+    ``single_shot`` stream comes now and then, one sample or a burst: no pause is too long.
     """
 
-    def __init__(self, width: int, clock_tolerance_ns: int) -> None:
+    def __init__(self, width: int, clock_tolerance_ns: int, *, single_shot: bool = False) -> None:
+        self.single_shot = single_shot
         self.counts = StreamCounts()
         self.latest: int | None = None
         self.forgotten: int | None = None  # stamp of the newest sample that memory let go
         self.wake_ns = NEVER  # a staged stamp from here on is worth a new decision
         self.wake_samples = 1  # once so many are staged,
         self.wake_latest_ns = NEVER  # and from this stamp on in any case
-        self._tolerance_ns = clock_tolerance_ns
+        self._tolerance_ns = NEVER if single_shot else clock_tolerance_ns
         self.set_back_ns = 0  # how far the clock was set back when it was last,
         self.set_back_at: int | None = None  # and the latest stamp before that
         self._ahead = 0
@@ -78,6 +80,16 @@ class Stream:
         self._admitted = 0  # samples that came many at once since the last decision
         self._staged_stamps: list[int] = []
         self._staged_values: list[tuple[float, ...]] = []
+
+    @property
+    def received(self) -> int:
+        """How many samples have come, admitted or not."""
+        return self.counts.received + len(self._staged_stamps)
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp of the newest sample, admitted or not."""
+        return self._staged_to
 
     @property
     def stamps(self) -> Stamps:

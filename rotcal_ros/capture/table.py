@@ -95,6 +95,12 @@ def why_not_at_rest(
         elif table.latest is None:
             text += ", and none before: does cell.joint name a joint of the feedback?"
         return text
+    pause = float(np.diff(table.stamps[first:last]).max(initial=0)) * NANOSECOND
+    if pause > settings.table_silence_s:
+        return (
+            f"the table's feedback pauses for up to {pause:.3g} s, allowed "
+            f"{settings.table_silence_s:g} s (capture.table_silence_s)"
+        )
     angle, velocity = table.values[last - 1].tolist()
     off = float(offset(np.array([angle]), commanded)[0])
     return (
@@ -113,6 +119,6 @@ def _wrongly_told(angle: float, velocity: float, commanded: float) -> str:
     if in_degrees(angle, commanded):
         return (
             f"; it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
-            "commanded: degrees? Publish radians"
+            "commanded: degrees? Publish radians, or say topics.angle_unit: deg"
         )
     return ""

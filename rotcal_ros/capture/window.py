@@ -73,9 +73,14 @@ class TracerStream(Stream):
     """Tracer readings: columns sequence, length (m), status; the status becomes a fault."""
 
     def __init__(
-        self, clock_tolerance_ns: int, max_length: float, beam: Beam | None = None
+        self,
+        clock_tolerance_ns: int,
+        max_length: float,
+        beam: Beam | None = None,
+        *,
+        single_shot: bool = False,
     ) -> None:
-        super().__init__(3, clock_tolerance_ns)
+        super().__init__(3, clock_tolerance_ns, single_shot=single_shot)
         self._max_length = max_length
         self.beam = beam or Beam(silence_s=1.0, fastest=10.0)
 
@@ -133,8 +138,10 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
     used = faults == Fault.NONE
     n_used = int(np.count_nonzero(used))
     gap = _gap(readings[:, SEQUENCE])
-    if n_used < 2 or n_used < settings.min_used_share * len(length):
+    if n_used < min(2, len(length)) or n_used < settings.min_used_share * len(length):
         return Reduced(n_used=n_used, reason=gap or _too_few(faults, length, settings))
+    if n_used == 1:  # a reading alone tells no scatter
+        return Reduced((float(length[used][0]),), (0.0,), (0.0,), 1)
     mean, scatter = mean_and_scatter(length[used])
     drift = _drift(stamps[used], length[used], mean)
     return Reduced(
@@ -149,19 +156,24 @@ def reduce_window(stamps: Stamps, readings: Floats, settings: CaptureSettings) -
 def clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> str:
     """Say where the clock was set ahead between ``begin_ns`` and the reading ``last``; empty: not.
 
-    Of readings in a row, by their numbers, none may be stamped long behind the one before.
+    Of readings in a row, by their numbers, none may be stamped long behind the one before; those
+    of a single shot may.
     """
+    if tracer.single_shot:
+        return ""
     first = max(0, tracer.index(begin_ns) - 1)
     pauses = np.diff(tracer.stamps[first : last + 1])
     number = tracer.values[first : last + 1, SEQUENCE]
     steps = sequence_steps(number[1:], number[0])
-    limit = max(CLOCK_JUMP_S / NANOSECOND, LONG_PAUSE * float(np.median(pauses)))
+    usual = float(np.median(pauses)) if len(pauses) else 0.0
+    limit = max(CLOCK_JUMP_S / NANOSECOND, LONG_PAUSE * usual)
     at = np.flatnonzero((steps == 1) & (pauses > limit))
     if not len(at):
         return ""
     return (
         f"the stamps of the tracer readings jump ahead by {pauses[at[0]] * NANOSECOND:.3g} s from "
-        f"{int(number[at[0]])} to {int(number[at[0] + 1])}: their clock was set"
+        f"{int(number[at[0]])} to {int(number[at[0] + 1])}: their clock was set, "
+        "or the instrument pauses by itself (topics.length_single_shot)"
     )
 
 
@@ -214,7 +226,7 @@ def _too_few(faults: Ints, length: Floats, settings: CaptureSettings) -> str:
         largest = float(np.abs(length[faults == Fault.IMPLAUSIBLE]).max())
         text += (
             f"; found {largest:.6g} m, plausible are {settings.max_length_m:g} m"
-            " (millimetres instead of metres?)"
+            " (millimetres instead of metres?); topics.length_unit says which"
         )
     return text
 

@@ -61,7 +61,10 @@ class Calibration:
         """Return a new capture for one run of the plan."""
         settings = self.configuration.capture
         required = self.refraction.required(settings)
-        return Capture(self.plan, settings, self.method.capture, run, required)
+        single_shot = self.configuration.topics.length_single_shot
+        return Capture(
+            self.plan, settings, self.method.capture, run, required, single_shot=single_shot
+        )
 
     def solve(self, observations: Iterable[Observation], announced: Iterable[str] = ()) -> Result:
         """Solve with the observations that count; see :func:`final_observations`.

@@ -36,6 +36,15 @@ _OWNERS: Final = {
 """How the settings of a role's clock begin."""
 
 
+def single_shots(settings: TopicSettings) -> tuple[str, ...]:
+    """Return the roles that say nothing before they are asked, or have arrived."""
+    silent = {
+        names.TRACER_LENGTH: settings.length_single_shot,
+        names.PROBE_POINT: settings.probe_single_shot,
+    }
+    return tuple(role for role, is_silent in silent.items() if is_silent)
+
+
 @dataclass(frozen=True)
 class Conventions:
     """What the ``settings`` say of units and clocks, applied to the numbers of each role."""
@@ -106,9 +115,12 @@ class Conventions:
         )
 
     @property
+    def nameless(self) -> TopicSettings:
+        """The settings without what the topics are called."""
+        return replace(self.settings, **dict.fromkeys(self.settings.renamed(), ""))
+
+    @property
     def plain(self) -> bool:
         """Whether nothing is to be changed: SI, and the stamps of the headers."""
-        names_only = {name: getattr(self.settings, name) for name in self.settings.renamed()}
-        untouched = ("length_single_shot", "probe_single_shot", "length_trigger")
-        names_only |= {name: getattr(self.settings, name) for name in untouched}
-        return self.settings == TopicSettings(**names_only)
+        untouched = {"length_single_shot": False, "probe_single_shot": False, "length_trigger": ""}
+        return replace(self.nameless, **untouched) == TopicSettings()

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import dist, isfinite, pi
-from typing import Final
+from typing import Any, Final
 
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.observations import Command, PointKind, ProbeSample, TableSample
@@ -31,8 +32,16 @@ class Position:
     position: Point
 
 
+@dataclass(frozen=True, slots=True)
+class Order:
+    """An order with its stamp."""
+
+    command: Command
+    stamp_ns: int
+
+
 @dataclass(slots=True)
-class _Order:
+class _Awaited:
     """What is waited for: ``points`` of step and attempt have come since ``since_ns``."""
 
     step: Step
@@ -46,52 +55,69 @@ class StepFinder:
 
     The table rests in position within ``position_tolerance_arcsec`` of the angle, whole turns
     apart or not; the probe within ``probe_tolerance_m`` of its target, a touched ball within
-    ``ball_tolerance_m``. With orders, it is the ordered step; without any (a bag of somebody
-    else) the next one of the plan that fits, and steps that were left out are passed over. Events
-    are taken in the order of their stamps, whichever stream arrives first.
+    ``ball_tolerance_m``. Where there is a planner, it is the step that it has ``ordered``; without
+    one (a bag of somebody else) the next one of the plan that fits, and steps that were left out
+    are passed over. Events are taken in the order of their stamps, whichever stream arrives first.
     """
 
-    def __init__(self, plan: Plan, settings: CaptureSettings, tip_radius_m: float = 0.0) -> None:
+    def __init__(
+        self,
+        plan: Plan,
+        settings: CaptureSettings,
+        tip_radius_m: float = 0.0,
+        *,
+        ordered: bool = False,
+    ) -> None:
         self._plan, self._settings, self._tip_radius = plan, settings, tip_radius_m
         self._angle_tolerance = settings.position_tolerance_arcsec * ARCSEC
         self._speed_limit = settings.velocity_tolerance_deg_s * DEGREE
-        self._orders: deque[_Order] = deque(maxlen=_KEPT)
-        self._ordered = False
-        self._planned = _Order(plan.steps[0], 0, 0)
+        self._orders: deque[_Awaited] = deque(maxlen=_KEPT)
+        self.ordered = ordered
+        self._planned = _Awaited(plan.steps[0], 0, 0)
         self._next = self._found = 0
+        self._active = False
         self._waiting: list[tuple[int, TableSample | Position]] = []
         self._newest_ns: int | None = None
         self._angle: float | None = None
         self._position: Position | None = None
 
-    def order(self, command: Command, stamp_ns: int) -> None:
-        """Take an order that was stamped at ``stamp_ns``.
+    def understood(self, record: Any) -> Iterator[Any]:
+        """Yield the records for the capture: a position becomes the step it stands at."""
+        match record:
+            case Order():
+                yield record.command
+                self.order(record)
+            case Position():
+                self._active = True
+                self._keep(record.stamp_ns, record)
+            case TableSample():
+                yield record
+                yield from self.table(record)
+            case _:
+                yield record
 
-        An order by a far-off clock counts from when it comes.
-        """
+    def order(self, order: Order) -> None:
+        """Take an order; one by a far-off clock counts from when it comes."""
+        command, stamp_ns = order.command, order.stamp_ns
         if not 0 <= command.step < len(self._plan.steps):
             return
         now_ns = stamp_ns if self._newest_ns is None else self._newest_ns
         if abs(stamp_ns - now_ns) * NANOSECOND > self._settings.clock_tolerance_s:
             stamp_ns = now_ns
-        self._ordered = True
+        self.ordered = True
         step = self._plan.steps[command.step]
-        self._orders.append(_Order(step, command.attempt, stamp_ns))
+        self._orders.append(_Awaited(step, command.attempt, stamp_ns))
 
     def table(self, sample: TableSample) -> tuple[ProbeSample, ...]:
         """Take where the table is; return the answers that are known now."""
+        newest_ns = sample.stamp_ns if self._newest_ns is None else self._newest_ns
+        set_back = (newest_ns - sample.stamp_ns) * NANOSECOND > self._settings.clock_tolerance_s
+        self._newest_ns = sample.stamp_ns if set_back else max(newest_ns, sample.stamp_ns)
+        if not self._active:  # nobody tells a position without its step
+            self._event(sample.stamp_ns, sample)
+            return ()
         self._keep(sample.stamp_ns, sample)
-        if self._newest_ns is not None and abs(sample.stamp_ns - self._newest_ns) > (
-            self._settings.clock_tolerance_s / NANOSECOND
-        ):
-            self._newest_ns = None  # its clock was set
-        self._newest_ns = max(sample.stamp_ns, self._newest_ns or sample.stamp_ns)
         return self._look(self._newest_ns - HELD_NS)
-
-    def probe(self, sample: Position) -> tuple[ProbeSample, ...]:
-        """Take where the probe is; the answer comes with the table's feedback."""
-        self._keep(sample.stamp_ns, sample)
-        return ()
 
     def complaint(self) -> str:
         """Return why the last order has no answer, for people; empty: it has, or all moves yet."""
@@ -136,9 +162,9 @@ class StepFinder:
             return None
         return self._answer(waited, stamp_ns)
 
-    def _waited_for(self, stamp_ns: int) -> _Order | None:
+    def _waited_for(self, stamp_ns: int) -> _Awaited | None:
         """Return what is waited for at a time, if table and probe are there."""
-        if self._ordered:
+        if self.ordered:
             waited = next((o for o in reversed(self._orders) if o.since_ns <= stamp_ns), None)
             return waited if waited is not None and self._is_reached(waited.step) else None
         planned = self._planned
@@ -146,11 +172,11 @@ class StepFinder:
             return planned if self._is_reached(planned.step) else None
         for step in self._plan.steps[self._next :]:
             if self._is_reached(step):
-                self._next, self._planned = step.index + 1, _Order(step, 0, stamp_ns)
+                self._next, self._planned = step.index + 1, _Awaited(step, 0, stamp_ns)
                 return self._planned
         return None
 
-    def _answer(self, waited: _Order, stamp_ns: int) -> ProbeSample:
+    def _answer(self, waited: _Awaited, stamp_ns: int) -> ProbeSample:
         assert self._position is not None
         step, point = waited.step, waited.points
         waited.points, self._found = point + 1, self._found + 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Final
 
 from rotcal_msgs.msg import (
@@ -137,8 +137,11 @@ class CellLinks:
         idle = (INACTIVE, UNCONFIGURED)
         return [f"node {n} is {s}" for n, s in sorted(states.items()) if s.startswith(idle)]
 
-    def missing_topics(self, topics: Sequence[str]) -> list[str]:
-        """Return what is missing around the instrument topics and the orders, in words."""
+    def missing_topics(self, topics: Sequence[str], silent: Collection[str] = ()) -> list[str]:
+        """Return what is missing around the instrument topics and the orders, in words.
+
+        Those that are ``silent`` before the first order need deliver nothing yet.
+        """
         found: list[str] = []
         here: list[str] = []
         heard = self.health.values("capture")
@@ -153,7 +156,7 @@ class CellLinks:
                     f"{len(publishers)} publishers on {name} (nodes {', '.join(publishers)}): "
                     "one instrument topic has one publisher; stop the others"
                 )
-            elif heard.get(f"valid.{topic}", "0") == "0":
+            elif topic not in silent and heard.get(f"valid.{topic}", "0") == "0":
                 found.append(f"{name} has not delivered a valid message (node {publishers[0]})")
             found += deaf_listeners(self.node, name, {"capture", "recorder"}.__contains__)
         disobeyed = (t for t in ORDERS if not set(self.listeners(t)) - NO_MACHINE)

@@ -7,13 +7,12 @@ Emptying the subscription inside the callback takes several times more without a
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.nodes.steady import steady_timer
 
@@ -27,14 +26,17 @@ Batch = Sequence[tuple[Any, Any]]
 """Pairs of a message (or its serialised bytes) and rclpy's message info."""
 
 
-def arrivals(batch: Batch, sim_ns: int = 0) -> Iterator[tuple[int, int]]:
-    """Yield stamp and time of arrival, both in ns since 1970, of messages with a header.
+def received_ns(info: Any) -> int:
+    """Return when a message arrived, in ns since 1970."""
+    return int(info["received_timestamp"] or time.time_ns())
 
-    ``sim_ns`` is the time of ``/clock`` for a node that follows it.
+
+def sent_ns(info: Any) -> int:
+    """Return when a message was sent; when it arrived where the middleware does not say that.
+
+    It is the same for every listener, and in the bag.
     """
-    for message, info in batch:
-        received_ns = sim_ns or info["received_timestamp"] or time.time_ns()
-        yield stamp_ns(message.header.stamp), received_ns
+    return int(info["source_timestamp"]) or received_ns(info)
 
 
 class DrainedSubscription:
@@ -84,11 +86,15 @@ class InstrumentSubscription:
     """Subscribes once there is a publisher, to match its quality of service.
 
     Reliable where the instrument offers it: best effort would match every publisher, but lose
-    readings of a fast one.
+    readings of a fast one. ``message_type`` may choose by the names of the publishers' types.
     """
 
     def __init__(
-        self, node: Node, message_type: type, topic: str, handle: Callable[[Batch], None]
+        self,
+        node: Node,
+        message_type: type | Callable[[Sequence[str]], type | None],
+        topic: str,
+        handle: Callable[[Batch], None],
     ) -> None:
         self._node, self._type, self._handle = node, message_type, handle
         self.topic = topic
@@ -108,9 +114,11 @@ class InstrumentSubscription:
 
     def _look(self) -> None:
         infos = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self.topic))
-        if infos:
+        kind = self._kind([info.topic_type for info in infos]) if infos else None
+        if kind is not None:
             qos = adapted_qos([info.qos_profile for info in infos])
-            self._drained = DrainedSubscription(
-                self._node, self._type, self.topic, qos, self._handle
-            )
+            self._drained = DrainedSubscription(self._node, kind, self.topic, qos, self._handle)
             self._node.destroy_timer(self._timer)
+
+    def _kind(self, type_names: Sequence[str]) -> type | None:
+        return self._type if isinstance(self._type, type) else self._type(type_names)

@@ -13,6 +13,7 @@ from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.files import write_atomically
+from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import until
@@ -95,8 +96,9 @@ class GoalRun:
                 return odd
             air = [f"nobody publishes {name}, without which the index of refraction is unknown"
                    for name in links.missing_air(needed).values()]  # fmt: skip
-            wrong = faults(links.health.values("capture"), configuration)
-            return links.missing_topics(topics) + air + wrong
+            wrong = faults(links.health.values("capture"), configuration, self._calibration.plan)
+            silent = single_shots(configuration.topics)
+            return links.missing_topics(topics, silent) + air + wrong
 
         links.forget()
         watch.tell("preflight: nodes")

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.catalogue import Configuration
+from rotcal_ros.instruments.conventions import Conventions
+from rotcal_ros.instruments.forms import not_understood
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.channels import message_type
 from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.health import BEAT_PERIOD_S
+from rotcal_ros.nodes.latest import REFUSED
 from rotcal_ros.nodes.topic_names import TOPICS, given_topics, other_names
 from rotcal_ros.settings import load
 
@@ -20,7 +24,8 @@ class InstrumentTopics:
 
     ``settings`` are the group ``topics`` in force: what a goal gives, told by the planner's beat
     before the preflight, else by the plan, goes before the parameters of the node. ``switched`` is
-    called with the role of a stream that comes from elsewhere now.
+    called with the role of a stream that comes from elsewhere now, or is understood otherwise.
+    ``refused`` says by role which types cannot be used.
     """
 
     def __init__(self, node: CellNode, switched: Callable[[str], None]) -> None:
@@ -29,11 +34,29 @@ class InstrumentTopics:
         self._goals = ""
         self.settings = node.settings("topics", TopicSettings)
         self._streams: dict[str, InstrumentSubscription] = {}
+        self.refused: dict[str, str] = {}
         node.every(BEAT_PERIOD_S, self._follow)
 
-    def listen(self, kind: type, role: str, handle: Callable[[Batch], None]) -> None:
-        """Subscribe to the instrument of a role once somebody publishes it."""
-        self._streams[role] = InstrumentSubscription(self._node, kind, self.name(role), handle)
+    def listen(self, role: str, handle: Callable[[str, Batch], None]) -> None:
+        """Subscribe to the instrument of a role once somebody publishes it, whatever its type.
+
+        ``handle`` is called with the name of the type.
+        """
+        chosen = ""
+
+        def choose(type_names: Sequence[str]) -> type | None:
+            nonlocal chosen
+            for chosen in type_names:
+                self.refused[role] = f"{self.name(role)}: {not_understood(role, chosen)}"
+                if not not_understood(role, chosen):
+                    del self.refused[role]
+                    return message_type(chosen)
+            return None
+
+        def take(batch: Batch) -> None:
+            handle(chosen, batch)
+
+        self._streams[role] = InstrumentSubscription(self._node, choose, self.name(role), take)
 
     def name(self, role: str) -> str:
         """Return the absolute name of the topic of a role."""
@@ -46,7 +69,9 @@ class InstrumentTopics:
 
     def values(self) -> dict[str, str]:
         """Return what the beat tells of names."""
-        return {**other_names(self._node.get_namespace(), self.name), TOPICS: self._goals}
+        refused = {REFUSED + role: text for role, text in self.refused.items()}
+        named = other_names(self._node.get_namespace(), self.name)
+        return {**named, **refused, TOPICS: self._goals}
 
     def _follow(self) -> None:
         """Listen where the goal of the planner says."""
@@ -59,8 +84,10 @@ class InstrumentTopics:
         self._goals = json.dumps(given, sort_keys=True)
         if settings == self.settings:
             return
+        nameless = Conventions(settings).nameless != Conventions(self.settings).nameless
         self.settings = settings
         for role, stream in self._streams.items():
-            if stream.move(self.name(role)):
+            if stream.move(self.name(role)) or nameless:
+                self.refused.pop(role, None)
                 self._switched(role)
         self._node.health.beat()

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from rotcal_ros.capture import Record
+from rotcal_ros.instruments.steps import Position
 from rotcal_ros.observations import (
     HumiditySample,
     LengthStatus,
@@ -22,18 +23,22 @@ NOW: Final = "now."
 """How the values of the capture begin that tell the latest reading of a topic."""
 WAITING_FOR: Final = "waiting_for"
 """Value of the capture: what its oldest undecided attempt waits for, in words."""
+RATE: Final = "rate_hz."
+"""How the values of the capture begin that tell how often a stream comes."""
+REFUSED: Final = "refused."
+"""How the values of the capture begin that tell why a topic's message type cannot be used."""
 JOINT: Final = "joint."
 """How the values of the capture begin that tell angle (rad) and velocity (rad/s) of a joint."""
 MOST_JOINTS: Final = 32
 """So many joints are told at most, beside the chosen one once there is a plan."""
 
 
-def reading(record: Record) -> str:
+def reading(record: Record | Position) -> str:
     """Return a reading in SI: length and status, point, angle, or the air and its sensor."""
     match record:
         case TracerSample():
             return f"{record.length:.9f} {LengthStatus(record.status).name}"
-        case ProbeSample():
+        case ProbeSample() | Position():
             return " ".join(f"{x:.7f}" for x in record.position)
         case TableSample():
             return f"{record.angle:.9f}"

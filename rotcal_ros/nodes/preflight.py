@@ -6,56 +6,60 @@ It is the values of the capture's beat that are judged: the latest reading of ev
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import isfinite, pi
+from math import isfinite
 from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.escapes import printable
+from rotcal_ros.instruments.conventions import Conventions
+from rotcal_ros.instruments.plausibility import (
+    air_in_words,
+    angle_in_words,
+    length_in_words,
+    position_in_words,
+)
 from rotcal_ros.nodes.concerns import OFFSET
-from rotcal_ros.nodes.latest import JOINT, MOST_JOINTS, NOW
+from rotcal_ros.nodes.latest import JOINT, MOST_JOINTS, NOW, RATE, REFUSED
 from rotcal_ros.nodes.topic_names import name_in
+from rotcal_ros.planning.plan import Plan
 
-_RANGES: Final = {
-    names.TEMPERATURE: (-20.0, 60.0, "degrees Celsius", "kelvin or Fahrenheit"),
-    names.AIR_PRESSURE: (50e3, 120e3, "pascal", "hectopascal"),
-    names.RELATIVE_HUMIDITY: (0.0, 1.0, "a share from 0 to 1", "per cent"),
-}
-"""Plausible values, their unit, and what others are likely to be."""
 _AIR: Final = {
     "temperature": names.TEMPERATURE,
     "pressure": names.AIR_PRESSURE,
     "humidity": names.RELATIVE_HUMIDITY,
 }
 """Topic of each quantity of the air, by its name in the settings of the capture."""
-_FULL_TURN: Final = 2 * pi
 
 Values = Mapping[str, str]
 
 
-def faults(values: Values, configuration: Configuration) -> list[str]:
-    """Return why no observation can come of these instruments, in words."""
+def faults(values: Values, configuration: Configuration, plan: Plan | None = None) -> list[str]:
+    """Return why no observation can come of these instruments, in words.
+
+    The probe's positions are held against the ``plan``.
+    """
     clocks = [values[OFFSET]] if OFFSET in values else []
-    joint = configuration.cell.joint
-    return [*_of_the_joint(values, joint), *_of_lengths(values, configuration), *clocks]
+    return [
+        *(text for key, text in values.items() if key.startswith(REFUSED)),
+        *_of_the_joint(values, configuration.cell.joint),
+        *_of_lengths(values, configuration),
+        *(() if plan is None else _of_the_probe(values, configuration, plan)),
+        *_of_rates(values, configuration),
+        *clocks,
+    ]
 
 
 def doubts(values: Values, configuration: Configuration) -> list[str]:
     """Return what looks wrong, though observations may come of it."""
-    found = []
-    angle, _ = _joints(values).get(_chosen(values, configuration.cell.joint), (0.0, 0.0))
-    if abs(angle) > _FULL_TURN:
-        found.append(
-            f"the table says {angle:.6g} rad, {abs(angle) / _FULL_TURN:.1f} turns from zero: are "
-            "these degrees? Feedback is in radians"
-        )
-    for topic, (low, high, unit, others) in _RANGES.items():
-        value = _number(values.get(NOW + topic, ""))
-        if value is not None and not low <= value <= high:
-            name = name_in(values, topic)
-            found.append(f"{name} says {value:.6g}; {unit} are expected: {others}?")
-    return found
+    angle = _number(values.get(NOW + names.JOINT_STATES, "")) or 0.0
+    if chosen := _joints(values).get(_chosen(values, configuration.cell.joint)):
+        angle = Conventions(configuration.topics).angle(chosen[0])
+    found = [(names.JOINT_STATES, angle_in_words(angle, configuration.topics))]
+    readings = {role: _number(values.get(NOW + role, "")) for role in _AIR.values()}
+    found += air_in_words({role: value for role, value in readings.items() if value is not None})
+    return [f"{name_in(values, role)} {text}" for role, text in found if text]
 
 
 def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
@@ -101,13 +105,53 @@ def _of_the_joint(values: Values, joint: str) -> Iterator[str]:
 
 
 def _of_lengths(values: Values, configuration: Configuration) -> Iterator[str]:
-    largest = configuration.capture.max_length_m
-    topic = name_in(values, names.TRACER_LENGTH)
     length = _number(values.get(NOW + names.TRACER_LENGTH, ""))
-    if length is not None and abs(length) > largest:
+    text = length_in_words(
+        0.0 if length is None else length,
+        configuration.capture.max_length_m,
+        configuration.topics,
+    )
+    if text:
+        yield f"{name_in(values, names.TRACER_LENGTH)} {text}"
+
+
+def _of_the_probe(values: Values, configuration: Configuration, plan: Plan) -> Iterator[str]:
+    """Yield that the probe's positions are in another unit than stated."""
+    words = values.get(NOW + names.PROBE_POINT, "").split()
+    if len(words) != 3:
+        return
+    x, y, z = map(float, words)
+    text = position_in_words((x, y, z), plan, configuration.topics)
+    if text:
+        yield f"{name_in(values, names.PROBE_POINT)} {text}"
+
+
+def _of_rates(values: Values, configuration: Configuration) -> Iterator[str]:
+    """Yield which stream is too slow for what waits for it, and what to change."""
+    capture, planner = configuration.capture, configuration.planner
+    lengths, table = names.TRACER_LENGTH, names.JOINT_STATES
+    rates = {
+        role: rate for role in (lengths, table) if (rate := _number(values.get(RATE + role, "")))
+    }
+    if (rate := rates.get(table)) and 1.0 / rate > capture.table_silence_s:
         yield (
-            f"{topic} says {length:.6g} m, plausible are {largest:g} m "
-            "(capture.max_length_m): millimetres? Lengths are in metres"
+            f"{name_in(values, table)} comes every {1.0 / rate:.3g} s: at rest "
+            f"{capture.table_silence_s:g} s are allowed (capture.table_silence_s)"
+        )
+    if configuration.topics.length_single_shot or not (rate := rates.get(lengths)):
+        return
+    name, window_s = name_in(values, lengths), capture.window_samples / rate
+    if capture.settle_time_s + window_s > capture.step_timeout_s:
+        yield (
+            f"{name} comes at {rate:.3g} Hz: {capture.window_samples} readings of a window take "
+            f"{window_s:.3g} s, more than capture.step_timeout_s = {capture.step_timeout_s:g} s "
+            "leaves: a smaller capture.window_samples, or a longer time-out"
+        )
+    if 1.0 / rate > planner.stream_timeout_s:
+        yield (
+            f"{name} comes every {1.0 / rate:.3g} s: after planner.stream_timeout_s = "
+            f"{planner.stream_timeout_s:g} s it is lost; a longer time, or "
+            "topics.length_single_shot: true for an instrument that is asked"
         )
 
 

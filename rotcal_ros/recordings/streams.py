@@ -21,8 +21,8 @@ from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.instruments.conversion import FEEDBACK, READING
 from rotcal_ros.instruments.forms import STAMP, Form, form_of
 from rotcal_ros.instruments.interpreter import Interpreter, table_samples
-from rotcal_ros.instruments.steps import Position, StepFinder
-from rotcal_ros.observations import Command, Observation, TableSample
+from rotcal_ros.instruments.steps import Order, Position, StepFinder
+from rotcal_ros.observations import Observation
 from rotcal_ros.recordings.topics import Part
 
 _TRACER: Final = (*STAMP, "sequence", "length", "status")
@@ -90,7 +90,6 @@ class StreamFeeder:
         self._slice_ns = max(1, slice_ns)
         self._instruments = Interpreter(topics or TopicSettings(), joint)
         self._orders = Orders()
-        self._ordered_ns: dict[tuple[int, int], int] = {}
         self._makers: dict[str, Callable[[Any], Any]] = {
             names.TABLE_ANGLE: self._orders.table_angle,
             names.PROBE_TARGET: self._orders.probe_target,
@@ -118,6 +117,8 @@ class StreamFeeder:
         """Feed one block that ``parts`` splits into the topics of the cell."""
         others: list[Numbered] = []
         readings, feedback = np.zeros(0, READING), np.zeros(0, FEEDBACK)
+        if self._finder is not None and any(part.role == names.PLAN for part in parts):
+            self._finder.ordered = True
         self._finding |= self._finder is not None and any(map(_tells_positions, parts))
         for part in parts:
             with part.taken_as_expected():
@@ -178,18 +179,12 @@ class StreamFeeder:
 
     def _understood(self, record: Any) -> Iterator[Any]:
         """Yield the records for the capture; a foreign position becomes the step it stands at."""
-        finder = self._finder
-        if not isinstance(record, Position):
+        if self._finder is not None:
+            yield from self._finder.understood(record)
+        elif isinstance(record, Order):
+            yield record.command
+        elif not isinstance(record, Position):
             yield record
-        if finder is None:
-            return
-        match record:
-            case Position():
-                yield from finder.probe(record)
-            case TableSample():
-                yield from finder.table(record)
-            case Command():
-                finder.order(record, self._ordered_ns.pop((record.step, record.attempt)))
 
     def _sent_ns(self, block: Block, rows: Ints) -> Ints:
         """Return when messages were sent, or recorded where the bag does not say that."""
@@ -262,8 +257,7 @@ class StreamFeeder:
                 record = self._instruments.record(part.role, type_name, message, sent_ns)
             else:
                 record = make(message)
-            if isinstance(record, Command):
-                self._ordered_ns[record.step, record.attempt] = self._orders.stamp_ns
+                record = record and Order(record, self._orders.stamp_ns)
             if record is not None:
                 yield row, record
 

@@ -47,7 +47,7 @@ def test_the_last_reading_may_be_at_the_deadline(settle_s, accepted):
     if accepted:
         assert (found.window_start_ns, found.window_end_ns) == (731 * MS, 750 * MS)
     else:
-        assert found.reason == (
+        assert found.reason.startswith(
             "only 19 of 20 tracer readings in the 0.019 s that were left after settling"
         )
 

@@ -8,7 +8,8 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 
 from rotcal_ros.capture.stamp_offsets import StampOffsets
-from rotcal_ros.nodes.draining import arrivals
+from rotcal_ros.messages import stamp_ns
+from rotcal_ros.nodes.draining import received_ns, sent_ns
 
 SECOND = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND
@@ -30,13 +31,17 @@ def test_an_offset_stays_known_behind_a_stall_of_the_node():
     offsets = StampOffsets(1.0)
     for begin_s, end_s in ((0.0, 0.3), (0.3, 1.6)):  # after 0.3 s the node stands still
         for stream, behind_s in (("joint_states", 0.0), ("tracer_length", 4.0)):
-            for stamp_ns, received_ns in arrivals(batch(begin_s, end_s, behind_s)):
-                offsets.note(stream, stamp_ns, received_ns)
+            for message, info in batch(begin_s, end_s, behind_s):
+                offsets.note(stream, stamp_ns(message.header.stamp), received_ns(info))
     assert "tracer_length are constantly 4.0 s behind" in offsets.in_words()
 
 
 def test_a_middleware_that_does_not_tell_when_a_message_came_means_now():
-    ((message, _),) = batch(0.0, 0.02, 0.0)
-    ((stamp_ns, received_ns),) = arrivals([(message, {"received_timestamp": 0})])
-    assert stamp_ns == START_NS
-    assert received_ns > START_NS
+    unknown = {"received_timestamp": 0, "source_timestamp": 0}
+    assert received_ns(unknown) > START_NS
+    assert sent_ns(unknown) > START_NS
+
+
+def test_when_a_message_was_sent_is_the_same_for_every_listener():
+    told = {"received_timestamp": START_NS + 3, "source_timestamp": START_NS + 1}
+    assert sent_ns(told) == START_NS + 1

@@ -57,6 +57,26 @@ def test_lengths_in_millimetres_are_a_fault():
     assert "says 350 m, plausible are 20 m" in fault
 
 
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"refused.tracer_length": "a text is no length"}, "a text is no length"),
+        ({"now.probe_point": "500.0 0.0 0.0"}, "set topics.position_unit: mm"),
+        ({"rate_hz.joint_states": "0.5"}, "comes every 2 s: at rest 1 s are allowed"),
+        ({"rate_hz.tracer_length": "5"}, "40 s, more than capture.step_timeout_s = 30 s"),
+        ({"rate_hz.tracer_length": "0.4"}, "topics.length_single_shot: true"),
+    ],
+)
+def test_what_no_window_can_come_of_is_a_fault(values, words):
+    patient = configured("capture.window_samples=200", "capture.step_timeout_s=30.0")
+    found = faults(GOOD | values, patient, prepare(patient).plan)
+    assert words in "; ".join(found)
+    asked = configured("topics.length_single_shot=true", "capture.window_samples=1")
+    assert (faults(GOOD | values, asked) == []) == (
+        "rate_hz.tracer_length" in values or "now.probe_point" in values
+    )
+
+
 def test_clocks_that_differ_are_a_fault():
     assert faults({**GOOD, "clock_offset": "4.0 s behind"}, TRACER) == ["4.0 s behind"]
 
@@ -64,7 +84,10 @@ def test_clocks_that_differ_are_a_fault():
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ({"joint.table": "30.0 0.0"}, "the table says 30 rad, 4.8 turns from zero: are these deg"),
+        (
+            {"joint.table": "30.0 0.0"},
+            "joint_states says 30 rad, 4.8 turns from zero: is it",
+        ),
         ({"now.temperature": "293.15 air"}, "temperature says 293.15; degrees Celsius"),
         ({"now.air_pressure": "1013.2 air"}, "air_pressure says 1013.2; pascal"),
         ({"now.relative_humidity": "45.0 air"}, "relative_humidity says 45; a share"),

@@ -1,0 +1,140 @@
+"""Messages of every kind become records in SI; what comes out follows from units and clocks."""
+
+import math
+from types import SimpleNamespace as Message
+
+import numpy as np
+import pytest
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.instruments.forms import not_understood
+from rotcal_ros.instruments.interpreter import Interpreter
+from rotcal_ros.observations import LengthStatus
+from rotcal_ros.settings import load
+
+SECOND = 1_000_000_000
+FLOAT = "std_msgs/msg/Float64"
+RANGE = "sensor_msgs/msg/Range"
+
+
+def header(stamp_ns, frame="f"):
+    seconds, nanoseconds = divmod(stamp_ns, SECOND)
+    return Message(stamp=Message(sec=seconds, nanosec=nanoseconds), frame_id=frame)
+
+
+def place(x, y, z):
+    return Message(x=x, y=y, z=z)
+
+
+@pytest.mark.parametrize(
+    ("type_name", "fields"),
+    [
+        ("geometry_msgs/msg/PointStamped", {"point": place(1.0, 2.0, 3.0)}),
+        ("geometry_msgs/msg/Vector3Stamped", {"vector": place(1.0, 2.0, 3.0)}),
+        ("geometry_msgs/msg/PoseStamped", {"pose": Message(position=place(1.0, 2.0, 3.0))}),
+    ],
+)
+def test_a_position_of_any_kind(type_name, fields):
+    settings = TopicSettings(position_unit="mm", probe_clock_offset_s=-0.25)
+    message = Message(header=header(5 * SECOND), **fields)
+    found = Interpreter(settings).record(names.PROBE_POINT, type_name, message, 0)
+    assert found.position == (0.001, 0.002, 0.003)
+    assert found.stamp_ns == 5_250_000_000
+
+
+@pytest.mark.parametrize(("unit", "value", "celsius"), [
+    ("degC", 20.0, 20.0), ("K", 293.15, 20.0), ("degF", 68.0, 20.0),
+])  # fmt: skip
+def test_temperatures(unit, value, celsius):
+    settings = TopicSettings(temperature_unit=unit)
+    bare = Message(data=value)
+    found = Interpreter(settings).record(names.TEMPERATURE, FLOAT, bare, 7)
+    assert (found.temperature_c, found.stamp_ns) == (pytest.approx(celsius), 7)
+    own = Message(header=header(9), temperature=value)
+    found = Interpreter(settings).record(names.TEMPERATURE, "sensor_msgs/msg/Temperature", own, 7)
+    assert (found.temperature_c, found.stamp_ns) == (pytest.approx(celsius), 9)
+
+
+def test_bare_lengths_are_numbered_and_say_what_they_can_of_the_beam():
+    interpreter = Interpreter(TopicSettings(length_unit="um", length_unit_m=-1.0))
+    values = (1500.0, math.nan, 2500.0)
+    sent = [(Message(data=value), 10 + k) for k, value in enumerate(values)]
+    found = interpreter.records(names.TRACER_LENGTH, FLOAT, sent)
+    assert [r.stamp_ns for r in found] == [10, 11, 12]
+    assert [r.sequence for r in found] == [0, 1, 2]
+    assert [found[0].length, found[2].length] == [-0.0015, -0.0025]
+    assert [r.status for r in found] == [
+        LengthStatus.OK, LengthStatus.BEAM_BROKEN, LengthStatus.OK,
+    ]  # fmt: skip
+    ((further,),) = [interpreter.records(names.TRACER_LENGTH, FLOAT, sent[:1])]
+    assert further.sequence == 3
+
+
+def test_a_range_beyond_its_own_limits_is_no_length():
+    sent = [
+        (Message(header=header(k), range=value, min_range=0.1, max_range=2.0), 0)
+        for k, value in enumerate((1.0, 3.0, 0.05))
+    ]
+    found = Interpreter(TopicSettings()).records(names.TRACER_LENGTH, RANGE, sent)
+    assert [r.status for r in found] == [LengthStatus.OK, *2 * [LengthStatus.BEAM_BROKEN]]
+
+
+def test_bare_angles_have_the_speed_of_their_motion_and_a_turn_is_none():
+    degrees = [359.0, 359.5, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0]  # 50 deg/s, then rest
+    sent = [(Message(data=a), k * SECOND // 100) for k, a in enumerate(degrees)]
+    found = Interpreter(TopicSettings(angle_unit="deg")).records(names.JOINT_STATES, FLOAT, sent)
+    assert [s.stamp_ns for s in found] == [k * SECOND // 100 for k in range(2, 8)]
+    assert found[0].velocity == pytest.approx(math.radians(50.0))
+    assert found[-1].velocity == 0.0
+    assert found[-1].angle == pytest.approx(math.radians(1.0))
+
+
+def test_a_joint_in_degrees_by_its_name():
+    message = Message(
+        header=header(3), name=["rail", "C"], position=[9.0, 180.0], velocity=[0.0, 90.0]
+    )
+    settings = TopicSettings(angle_unit="deg", angle_unit_rad=-1.0)
+    (found,) = Interpreter(settings, "C").records(
+        names.JOINT_STATES, "sensor_msgs/msg/JointState", [(message, 0)]
+    )
+    assert (found.angle, found.velocity) == (-math.pi, -math.pi / 2)
+
+
+def test_a_clock_that_drifts_is_not_asked_for_the_time():
+    settings = TopicSettings(length_clock="sent", length_clock_offset_s=0.5)
+    message = Message(header=header(123), range=1.0, min_range=0.0, max_range=0.0)
+    (found,) = Interpreter(settings).records(names.TRACER_LENGTH, RANGE, [(message, 9 * SECOND)])
+    assert found.stamp_ns == 8_500_000_000
+
+
+def test_own_messages_in_plain_settings_are_left_as_they_are():
+    message = Message(header=header(3), sequence=4, length=0.1, length_std=1e-7, status=1)
+    (found,) = Interpreter(TopicSettings(tracer_length="/x")).records(
+        names.TRACER_LENGTH, "rotcal_msgs/msg/TracerLength", [(message, 77)]
+    )
+    assert (found.stamp_ns, found.length, found.length_std) == (3, 0.1, 1e-7)
+
+
+def test_what_is_not_understood_is_named():
+    text = not_understood(names.TRACER_LENGTH, "std_msgs/msg/String")
+    assert all(name in text for name in ("std_msgs/msg/String", FLOAT, "TracerLength"))
+    assert not_understood(names.TRACER_LENGTH, RANGE) == ""
+
+
+@pytest.mark.parametrize(("given", "words"), [
+    ({"length_unit": "mm", "length_unit_m": 0.001}, "two units"),
+    ({"angle_unit": "deg", "angle_unit_rad": 0.5}, "two units"),
+    ({"angle_unit_rad": 0.0}, "zero"),
+    ({"length_unit": "inch"}, "is none of"),
+    ({"length_trigger": "not a name"}, "no name in ROS"),
+])  # fmt: skip
+def test_units_that_cannot_be(given, words):
+    with pytest.raises(ConfigurationError, match=words):
+        load(TopicSettings, given, "topics")
+
+
+def test_units_by_name_are_those_by_number():
+    assert TopicSettings(angle_unit="deg").angle_rad == np.deg2rad(1.0)
+    assert TopicSettings(length_unit="mm").length_m == TopicSettings(length_unit_m=1e-3).length_m

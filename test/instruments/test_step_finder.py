@@ -1,0 +1,102 @@
+"""Positions without steps: whichever stream arrives first, each becomes the step it stands at."""
+
+import math
+from itertools import permutations
+
+import pytest
+
+from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.instruments.steps import Order, Position, StepFinder
+from rotcal_ros.observations import Approach, PointKind, ProbeSample, TableSample
+from rotcal_ros.planning.plan import Plan, Step
+
+MS = 1_000_000
+SETTINGS = CaptureSettings()
+
+
+def plan_of(kind=PointKind.REFLECTOR, n_points=1, diameter=0.0):
+    steps = tuple(
+        Step(
+            index=k, table_position=k, table_angle=angle, approach=Approach.POSITIVE, kind=kind,
+            target=0, position=(1.0, 0.0, 0.0), n_points=n_points, ball_diameter=diameter,
+        )
+        for k, angle in enumerate((0.0, 1.0, 2.0))
+    )  # fmt: skip
+    return Plan(method="test", table_angles=(0.0, 1.0, 2.0), targets=(), steps=steps)
+
+
+def answers(finder, records):
+    found = (r for record in records for r in finder.understood(record))
+    return [(s.step, s.attempt, s.stamp_ns, s.point) for s in found if isinstance(s, ProbeSample)]
+
+
+def table(begin_ms, end_ms, angle, speed=0.0):
+    return [TableSample(t * MS, angle, speed) for t in range(begin_ms, end_ms, 10)]
+
+
+def ordered(step, attempt, stamp_ms, plan):
+    return Order(plan.steps[step].command(attempt), stamp_ms * MS)
+
+
+@pytest.mark.parametrize("late", [*permutations(("order", "probe"))])
+def test_streams_that_interleave_otherwise_give_the_same_answer(late):
+    plan = plan_of()
+    probe = [Position(5 * MS, (1.0, 0.0, 0.0)), Position(212 * MS, (1.0, 0.0, 1e-5))]
+    order = [ordered(1, 3, 100, plan)]
+    motion = table(0, 200, 0.0) + table(200, 250, 0.5, 1.0) + table(250, 800, 1.0)
+    queues = {"order": order, "probe": probe}
+    records = [probe[0], *motion[:15]]
+    for name in late:
+        records += queues[name][-1:]
+    found = answers(StepFinder(plan, SETTINGS), [*records, *motion[15:]])
+    assert found == [(1, 3, 250 * MS, 0)]
+
+
+def test_a_second_attempt_is_answered_from_its_order_on():
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS)
+    records = [Position(0, (1.0, 0.0, 0.0)), ordered(1, 0, 15, plan), *table(0, 500, 1.0)]
+    records += [ordered(1, 1, 505, plan), *table(500, 1000, 1.0)]
+    assert answers(finder, records) == [(1, 0, 20 * MS, 0), (1, 1, 510 * MS, 0)]
+
+
+def test_an_order_by_a_far_off_clock_counts_from_when_it_comes():
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS, ordered=True)
+    records = [Position(0, (1.0, 0.0, 0.0)), *table(0, 500, 1.0), ordered(1, 0, 10**9, plan)]
+    ((step, attempt, stamp_ns, _),) = answers(finder, [*records, *table(500, 1000, 1.0)])
+    assert (step, attempt) == (1, 0)
+    assert 480 * MS <= stamp_ns <= 510 * MS
+
+
+def test_without_orders_the_plan_s_next_step_that_fits():
+    finder = StepFinder(plan_of(), SETTINGS)
+    records = [Position(0, (1.0, 0.0, 0.0)), *table(0, 300, 0.0), *table(300, 900, 2.0)]
+    assert [a[0] for a in answers(finder, records)] == [0, 2]  # step 1 was left out
+
+
+def test_touches_are_points_of_the_ordered_step_and_travel_is_none():
+    plan = plan_of(PointKind.SURFACE, n_points=3, diameter=0.02)
+    finder = StepFinder(plan, SETTINGS, tip_radius_m=0.002)
+    touch = [(1.012, 0.0, 0.0), (1.0, 0.012, 0.0), (1.0, 0.0, 0.012)]
+    places = [(2.0, 0.0, 0.0), touch[0], touch[1], (0.0, 0.0, 0.5), touch[2], touch[2]]
+    records = [ordered(2, 0, 0, plan), *table(0, 100, 2.0)]
+    for k, at in enumerate(places):
+        records += [Position((100 + 20 * k) * MS, at), *table(100 + 20 * k, 120 + 20 * k, 2.0)]
+    found = answers(finder, [*records, *table(220, 600, 2.0)])
+    assert [(a[0], a[3]) for a in found] == [(2, 0), (2, 1), (2, 2)]
+    assert [a[2] for a in found] == [120 * MS, 140 * MS, 180 * MS]
+
+
+def test_a_probe_that_is_elsewhere_is_told():
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS)
+    records = [Position(0, (1000.0, 0.0, 0.0)), ordered(0, 0, 0, plan), *table(0, 500, 0.0)]
+    assert answers(finder, records) == []
+    assert "999 m from where it was sent" in finder.complaint()
+
+
+def test_a_position_that_is_no_number_is_none():
+    finder = StepFinder(plan_of(), SETTINGS)
+    records = [Position(0, (math.nan, 0.0, 0.0)), *table(0, 500, 0.0)]
+    assert answers(finder, records) == []

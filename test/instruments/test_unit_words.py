@@ -1,0 +1,65 @@
+"""An implausible unit is named, with the setting that says which it is."""
+
+import math
+
+import pytest
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_settings import ANGLE_UNITS, LENGTH_UNITS, TopicSettings
+from rotcal_ros.instruments.plausibility import (
+    air_in_words,
+    angle_in_words,
+    length_in_words,
+    likely_unit,
+)
+from rotcal_ros.instruments.rates import Rates
+
+SI = TopicSettings()
+
+
+@pytest.mark.parametrize(("value", "unit"), [(0.5, None), (500.0, "mm"), (5e5, "um"), (5e8, "nm")])
+def test_the_unit_of_a_length(value, unit):
+    assert likely_unit(value, 20.0, "m", LENGTH_UNITS) == unit
+    text = length_in_words(value, 20.0, SI)
+    assert (text == "") if unit is None else text.endswith(f"topics.length_unit: {unit}")
+
+
+def test_the_unit_of_an_angle():
+    assert angle_in_words(math.radians(30.0), SI) == ""
+    assert "4.8 turns" in angle_in_words(30.0, SI)
+    assert angle_in_words(30.0, SI).endswith("set topics.angle_unit: deg")
+    assert likely_unit(108000.0, 2 * math.pi, "rad", ANGLE_UNITS) == "arcsec"
+
+
+def test_a_length_stated_in_micrometres_that_comes_in_nanometres():
+    settings = TopicSettings(length_unit="um")
+    assert length_in_words(500.0, 20.0, settings).endswith("length_unit: nm")
+
+
+@pytest.mark.parametrize(
+    ("role", "value", "unit"),
+    [
+        (names.TEMPERATURE, 293.0, "K"),
+        (names.TEMPERATURE, 68.0, "degF"),
+        (names.AIR_PRESSURE, 1013.0, "hPa"),
+        (names.AIR_PRESSURE, 101.3, "kPa"),
+        (names.RELATIVE_HUMIDITY, 45.0, "percent"),
+    ],
+)
+def test_the_unit_of_the_air(role, value, unit):
+    ((found, text),) = air_in_words({role: value})
+    assert found == role
+    assert f"{unit}?" in text
+
+
+def test_plausible_air_needs_no_words():
+    air = {names.TEMPERATURE: 20.0, names.AIR_PRESSURE: 1e5, names.RELATIVE_HUMIDITY: 0.4}
+    assert list(air_in_words(air)) == []
+
+
+def test_the_rate_of_bursts_is_their_mean():
+    rates = Rates()
+    for burst in range(4):
+        for k in range(10):
+            rates.note("lengths", burst * 1_000_000_000 + k * 1_000_000)
+    assert rates.hertz()["lengths"] == pytest.approx(39 / 3.009)
