@@ -20,6 +20,7 @@ from rotcal_ros.node_names import (
     NODES,
     PREFLIGHT_NODES,
     VIEWERS,
+    further_nodes,
 )
 from rotcal_ros.sessions import commands
 
@@ -71,8 +72,14 @@ def test_the_package_installs_a_command_for_every_node(monkeypatch):
 
 def test_sessions_and_preflight_use_the_same_lists():
     assert commands.NODES is NODES
-    assert commands.FURTHER_NODES is FURTHER_NODES
+    assert commands.further_nodes is further_nodes
     assert commands.VIEWERS is VIEWERS
+
+
+def test_a_simulated_machine_behind_dme_is_no_node():
+    assert further_nodes({"simulation", "bridge"}) == ["bridge", "simulated_cell"]
+    assert further_nodes({"simulation", "dme", "cell"}) == ["dme_adapter"]
+    assert further_nodes({"dme", "table_adapter"}) == ["table_adapter", "dme_adapter"]
 
 
 def test_the_names_are_known_without_numpy():
