@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CalibrationPlan
@@ -74,6 +75,15 @@ class PlannerParameters:
                 f"{configuration.method.name!r}"
             )
         return configuration
+
+    def why_not(self, changes: Mapping[str, Any]) -> str:
+        """Return why no goal can be measured with changes, name -> value; empty: one can."""
+        try:
+            for group in {name.partition(".")[0] for name in changes} & self._groups.keys():
+                read_settings(self._node, group, self._groups[group], changes)
+        except ConfigurationError as error:
+            return str(error)
+        return ""
 
 
 def run_name(message: CalibrationPlan) -> str:

@@ -58,9 +58,7 @@ class SceneNode(CellNode):
 
     def configure(self) -> None:
         """Wait for a plan."""
-        self._exaggeration = self.parameter(
-            "exaggeration", 20000.0, "how many times larger than they are errors are drawn"
-        )
+        self._exaggeration = self._wanted_exaggeration()
         self._layout: Layout | None = None
         self._progress: Progress | None = None
         self._errors: Errors | None = None
@@ -122,7 +120,14 @@ class SceneNode(CellNode):
         sample = messages.table_sample(self._feedback, self._joint)
         return 0.0 if sample is None else sample.angle
 
+    def _wanted_exaggeration(self) -> float:
+        """Return what may be changed at any time."""
+        words = "how many times larger than they are errors are drawn"
+        return float(self.parameter("exaggeration", 20000.0, words, read_only=False))
+
     def _show_still(self) -> None:
+        before, self._exaggeration = self._exaggeration, self._wanted_exaggeration()
+        self._changed |= before != self._exaggeration
         if self._layout is None or self._progress is None or not self._changed:
             return
         self._changed = False

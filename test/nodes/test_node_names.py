@@ -30,7 +30,7 @@ MODULES = {
     for path in (ROOT / "rotcal_ros" / "nodes").glob("*.py")
     if 'if __name__ == "__main__"' in path.read_text()
 }
-NO_NODES = {"client", "linuxcnc_agent", "selftest"}
+NO_NODES = {"client", "linuxcnc_agent", "readiness", "selftest"}
 """Programs beside the nodes that others start."""
 
 
@@ -115,7 +115,8 @@ def test_the_nodes_get_lists_of_one_type_whatever_the_file_has(monkeypatch, tmp_
     text = (ROOT / "config" / "tracer_paper.yaml").read_text()
     file.write_text(text.replace("box_size_m: [0.45, 0.6, 0.45]", "box_size_m: [1, 0.6, 0.45]"))
     first, *_ = launched(monkeypatch, file, simulated=False)
-    (given_file,) = first["parameters"]
+    given_file, own = first["parameters"]
+    assert own == {"autostart": True}
     given = yaml.safe_load(Path(given_file).read_text())["/**"]["ros__parameters"]
     sizes = given["plan"]["box_size_m"]
     assert sizes == [1.0, 0.6, 0.45]
@@ -125,9 +126,13 @@ def test_the_nodes_get_lists_of_one_type_whatever_the_file_has(monkeypatch, tmp_
 def launched(monkeypatch, file, *, simulated, **more):
     """Return the nodes that the launch file starts, each with its options."""
     values = {"configuration": str(file), "simulated": str(simulated).lower()} | more
-    started, later = [], []
+    started, later, watched = [], [], []
     stub = MagicMock()
-    stub.Node.side_effect = lambda **options: started.append(options)
+    stub.DeclareLaunchArgument.side_effect = lambda name, default_value, **_: values.setdefault(
+        name, default_value
+    )
+    stub.LifecycleNode.side_effect = lambda **options: started.append(options)
+    stub.ExecuteProcess.side_effect = lambda **options: watched.append(options["cmd"])
     stub.OpaqueFunction.side_effect = lambda function: later.append(function)
     stub.LaunchConfiguration.side_effect = lambda name: MagicMock(
         perform=lambda _context: values.get(name)
@@ -138,6 +143,9 @@ def launched(monkeypatch, file, *, simulated, **more):
     runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
     for function in later:
         function(None)
+    ((_, _, module, place, *names),) = watched
+    assert (module, place) == ("rotcal_ros.nodes.readiness", "/cell")
+    assert names == [node["executable"] for node in started]
     return started
 
 
