@@ -3,7 +3,6 @@
 import pytest
 from live_cell import SUITE, wait_until
 
-from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.recordings.summary import describe
 
 pytest.importorskip("rclpy")
@@ -49,15 +48,15 @@ def test_a_cell_goes_through_all_states_and_a_dumped_planner_measures_the_same(c
         done = states.change(node, "deactivate", "cleanup", "configure", "activate")
         assert done == [True] * 4, (node, live.log(node))
 
-    plan_id = read_configuration(live.file).plan_id
-    live.session.rename(live.folder / "first")
+    before = live.session.rename(live.folder / "first")
     states.dump("planner", live.file)
     assert states.change("planner", "shutdown") == [True]
     wait_until(lambda: live.processes.ended().get("planner") == 0, "the planner ends")
     live.start("planner", name="planner")
     second = live.client("second", configuration=None).result()
     assert second["error_code"] == 0, second["error_msg"]
-    assert describe(live.bag).to_dict()["plan_id"] == plan_id
+    plans = [describe(session / "bag").configuration for session in (before, live.session)]
+    assert plans[0].plan_id == plans[1].plan_id
     for node in NODES:
         assert "Traceback" not in live.log(node)
 
