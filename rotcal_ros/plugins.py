@@ -1,6 +1,6 @@
-"""What installed packages bring: methods and controllers, found by their entry points.
+"""What installed packages bring: methods, controllers, instruments, found by their entry points.
 
-The built-in ones are found the same way, see ``setup.py``.
+The built-in ones are found the same way, see ``setup.py``; there is no built-in instrument.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from rotcal_ros.errors import ConfigurationError
 
 METHODS: Final = "rotcal_ros.methods"
 CONTROLLERS: Final = "rotcal_ros.controllers"
+INSTRUMENTS: Final = "rotcal_ros.instruments"
 _LONGEST: Final = 80
 """Characters of a name that is compared with those that are known."""
 

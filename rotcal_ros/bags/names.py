@@ -57,6 +57,7 @@ PROBE_TARGET: Final = "probe_target"
 OBSERVATION: Final = "observation"
 STEP_CHOICE: Final = "step_choice"
 TABLE_IN_FORCE: Final = "table_in_force"
+PAUSE: Final = "pause"
 
 ROLES: Final = frozenset({
     PLAN, TRACER_LENGTH, PROBE_POINT, JOINT_STATES, TEMPERATURE, AIR_PRESSURE,

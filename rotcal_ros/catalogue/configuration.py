@@ -25,10 +25,12 @@ from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.dme.settings import DmeSettings
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.identity import Identity
+from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
+from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.plugins import nearest
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.settings import declarations, load, to_mapping
@@ -39,9 +41,11 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "capture": CaptureSettings,
     "air": AirSettings,
     "planner": PlannerSettings,
+    "safety": SafetySettings,
     "recorder": RecorderSettings,
     "bridge": BridgeSettings,
     "dme": DmeSettings,
+    "instrument": InstrumentSettings,
     "topics": TopicSettings,
     "identity": Identity,
     "page": PageSettings,
@@ -49,8 +53,8 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
 }
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
-    "identity", "cell", "plan", "capture", "air", "solver", "planner", "recorder", "bridge",
-    "dme", "table_adapter", "topics", "page", "simulation",
+    "identity", "cell", "plan", "capture", "air", "solver", "planner", "safety", "recorder",
+    "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
 USE_SIM_TIME: Final = "use_sim_time"
@@ -94,9 +98,11 @@ class Configuration:
     air: AirSettings
     solver: Any
     planner: PlannerSettings
+    safety: SafetySettings
     recorder: RecorderSettings
     bridge: BridgeSettings
     dme: DmeSettings
+    instrument: InstrumentSettings
     topics: TopicSettings
     identity: Identity
     page: PageSettings

@@ -17,6 +17,10 @@ FOREIGN_PLAN: Final = "foreign_plan"
 """A plan that is not of the planner."""
 SIM_CLOCK: Final = "sim_clock"
 """That ``/clock`` stands still, or does not come, for a node that follows it."""
+EMERGENCY: Final = "emergency_stop"
+"""Who stops the cell, and what this node does meanwhile."""
+BLOCKED: Final = "blocked"
+"""Why a machine does nothing before a person has cleared it."""
 FOR_PEOPLE: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN, SIM_CLOCK)
 """Values in a beat that the person who runs a calibration is told."""
 

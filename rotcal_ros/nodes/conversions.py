@@ -33,11 +33,12 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+from rotcal_ros.planning.plan import MACHINE_FRAME
 from rotcal_ros.planning.policy.choices import Choice
 from rotcal_ros.results import Result
 
 TABLE: Final = "table_base"
-MACHINE: Final = "machine"
+MACHINE: Final = MACHINE_FRAME
 TRACER: Final = "tracer"
 """The frames that messages of the cell are stamped with."""
 _WRAPS: Final = 0xFFFFFFFF

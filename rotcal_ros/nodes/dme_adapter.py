@@ -20,6 +20,8 @@ from rotcal_ros.dme.faults import DmeError
 from rotcal_ros.dme.settings import DmeSettings
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.concerns import BLOCKED, show
+from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.health import BEAT_PERIOD_S
 from rotcal_ros.nodes.identity import TAKE_OVER_S
 from rotcal_ros.nodes.planners_plans import PlannersPlans
@@ -30,6 +32,7 @@ from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Command, ProbeSample, TableSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.planning.safety_settings import SafetySettings
 
 WATCH_PERIOD_S: Final = 0.1
 LOOKS_FIRST: Final = round((BEAT_PERIOD_S + TAKE_OVER_S) / WATCH_PERIOD_S)
@@ -56,6 +59,9 @@ class DmeAdapter(CellNode):
         self._limit_s = 20.0 * settings.reply_timeout_s + settings.motion_timeout_s
         self._driver = Driver(
             settings, self._tell_table, self._tell_point, self._complain, self.now_ns
+        )
+        self._stop = EmergencyStop(
+            self, self.settings("safety", SafetySettings), "the machine is stopped", self._halt
         )
         PlannersPlans(self, self._take_plan)
         self.every(WATCH_PERIOD_S, self._watch)
@@ -93,6 +99,9 @@ class DmeAdapter(CellNode):
             self._obey(early[1])
 
     def _obey(self, command: Command) -> None:
+        if self._stop.why:
+            self._complain(f"step {command.step}: refused in an emergency stop")
+            return
         run = self._planners_run()
         if self._plan is None or run not in ("", self._run):
             self._early = run, command  # of a plan that is on its way
@@ -103,6 +112,9 @@ class DmeAdapter(CellNode):
         self, _request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
         """Go on after an error: whoever calls this has seen why the machine stopped."""
+        if self._stop.why:
+            response.message = f"the emergency stop is on: {self._stop.why}"
+            return response
         try:
             response.message = await self.answer_of(self._driver.clear(), self._limit_s)
             response.success = True
@@ -112,14 +124,12 @@ class DmeAdapter(CellNode):
 
     def _watch(self) -> None:
         """Begin when nobody else holds the machine; then look who is served, and what is wrong."""
-        if self._looks < LOOKS_FIRST and not self.health.refused:
+        if self._looks < LOOKS_FIRST and not (self.health.refused or self._stop.why):
             self._looks += 1
             if self._looks == LOOKS_FIRST:
                 self._begin()
         self._follow_planner()
-        self.health.concerns.pop("dme", None)
-        if self._driver.client.blocked:
-            self.health.concerns["dme"] = self._driver.client.blocked
+        show(self.health, BLOCKED, self._driver.client.blocked)
 
     def _planners_run(self) -> str:
         """Return for which run of a plan the planner works; empty: for none, or nobody knows."""
@@ -139,6 +149,10 @@ class DmeAdapter(CellNode):
         """Stop the machine when nobody is left who knows what it is moving for."""
         if name == PLANNER:
             self._drop("the planner fell silent in the middle of a step")
+
+    def _halt(self, why: str) -> None:
+        """Stop the machine in an emergency stop; a person clears its errors afterwards."""
+        self._drop(f"emergency stop: {why}")
 
     def _drop(self, why: str) -> None:
         """Forget all orders, and stop the machine when it carries one out."""

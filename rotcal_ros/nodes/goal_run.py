@@ -30,10 +30,7 @@ BAG_TIMEOUT_S: Final = 10.0
 
 
 class GoalRun:
-    """One goal; ``measuring`` pauses where a person has to work.
-
-    ``verdict_line`` is what people read of the result, empty before there is one.
-    """
+    """One goal: ``verdict_line`` is what people read of the result, empty before there is one."""
 
     def __init__(
         self, calibration: Calibration, continuation: Continuation, watch: GoalWatch
@@ -101,6 +98,7 @@ class GoalRun:
             return links.missing_topics(topics, silent) + air + wrong
 
         links.forget()
+        watch.stop.forget()
         watch.tell("preflight: nodes")
         await watch.have(links.missing_nodes, Codes.NODE_LOST)
         watch.nodes = (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS}
@@ -113,6 +111,8 @@ class GoalRun:
         links.warn(PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration))
         watch.nodes |= links.health.present()
         watch.nodes -= set(VIEWERS.values())
+        watch.refuse_stop()
+        watch.preflight = False
 
     async def _open_bag(self) -> SessionFolder:
         """Have the recorder open a new session folder with a bag."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -13,7 +13,9 @@ from rotcal_ros.bags import names
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.clock_news import jumps_told
+from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.health import RECORDING_FAILED
+from rotcal_ros.nodes.pauses import Pauses
 from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
@@ -25,6 +27,10 @@ ASTRAY_TIMEOUT_S: Final = 5.0
 """So long capture and solver may be without the plan of the goal."""
 Codes = Calibrate.Result
 """The message that holds the error codes of the action."""
+
+
+class HaltedError(Exception):
+    """An emergency stop has broken off the step under way; the goal waits."""
 
 
 class GoalError(Exception):
@@ -39,6 +45,8 @@ class GoalError(Exception):
 class GoalWatch:
     """One goal's view of the cell.
 
+    ``stop`` and ``pauses`` are those of the planner; ``preflight`` is true until the goal may move
+    something: a stop ends it, later it waits.
     ``show`` is called with every progress, ``canceled`` tells of a cancel request. ``stopping``
     says why the planner gives the goal up. ``nodes`` must beat; ``recording`` says that a bag is
     open, from then on the recorder and the streams are watched too; ``run`` is what capture and
@@ -47,11 +55,14 @@ class GoalWatch:
 
     settings: PlannerSettings
     links: CellLinks
+    stop: EmergencyStop
+    pauses: Pauses
     progress: Progress
     show: Callable[[Progress], None]
     canceled: Callable[[], bool]
     stopping: str = ""
     nodes: set[str] = field(default_factory=set)
+    preflight: bool = True
     recording: bool = False
     run: str = ""
     _astray_s: float | None = None
@@ -77,6 +88,17 @@ class GoalWatch:
         """Wait until ``condition``; False after the time-out, GoalError when all is in vain."""
         return await until(condition, timeout_s, self._check)
 
+    async def wait_for_machine(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait as :meth:`wait` does, for what was ordered; HaltedError in an emergency stop."""
+        arrived = await until(condition, timeout_s, self._check_machine)
+        self.heed_stop()
+        return arrived
+
+    def heed_stop(self) -> None:
+        """Raise HaltedError while an emergency stop lasts, or nobody has resumed after it."""
+        if why := self.stop.heed():
+            raise HaltedError(f"emergency stop: {why}")
+
     def clock_jumps(self) -> int:
         """Return how often a clock of the cell has jumped, as far as this node knows by now."""
         health = self.links.health
@@ -97,9 +119,22 @@ class GoalWatch:
             )
         return future.result()
 
+    def refuse_stop(self) -> None:
+        """Raise GoalError in an emergency stop, before the goal may move anything."""
+        if self.preflight and (why := self.stop.heed()):
+            raise GoalError(
+                Codes.EMERGENCY_STOP,
+                f"emergency stop: {why}: nothing is ordered; release it, then start again",
+            )
+
+    def _check_machine(self) -> None:
+        self._check()
+        self.heed_stop()
+
     def _check(self) -> None:
         """Raise when the goal must end: cancel, shutdown, a node or an instrument lost."""
         place = f"at step {self.progress.step} of {self.progress.total}"
+        self.refuse_stop()
         if self.stopping:
             raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
         if self.canceled():
@@ -143,14 +178,17 @@ class GoalWatch:
     def _check_streams(self, place: str) -> None:
         """Raise when the capture tells of an instrument that fell silent after it had spoken."""
         beat = self.links.health.others.get("capture")
-        if beat is self._stream_beat or not self.links.health.sim.is_settled():
+        settled = self.links.health.sim.is_settled()
+        if beat is self._stream_beat or self.stop.latched or not settled:
             return
         self._stream_beat = beat
+        for text in self.silent_streams():
+            raise GoalError(Codes.NODE_LOST, f"{text} {place}")
+
+    def silent_streams(self) -> Iterator[str]:
+        """Yield which instruments have fallen silent, as the capture says."""
         for key, value in self.links.health.values("capture").items():
             if key.startswith(SILENCE) and float(value) > self.settings.stream_timeout_s:
                 topic = self.links.instrument(key.removeprefix(SILENCE))
                 publishers = ", ".join(self.links.publishers(topic)) or "gone"
-                raise GoalError(
-                    Codes.NODE_LOST,
-                    f"{topic} (node {publishers}) has been silent for {value} s {place}",
-                )
+                yield f"{topic} (node {publishers}) has been silent for {value} s"

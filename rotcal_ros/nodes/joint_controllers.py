@@ -35,6 +35,9 @@ class JointController(Protocol):
     def forget(self) -> None:
         """Send nothing more of the way under way."""
 
+    def hold(self, way: Way) -> None:
+        """Let the joint come to rest by ``way``, and stay there."""
+
 
 def joint_controller(
     node: CellNode, settings: TableAdapterSettings, joint: str
@@ -71,6 +74,10 @@ class TrajectoryController:
     def forget(self) -> None:
         """Do nothing: the controller has the whole trajectory, and ends it by itself."""
 
+    def hold(self, way: Way) -> None:
+        """Publish a trajectory that takes the place of the one under way."""
+        self.send(way)
+
 
 class PositionController:
     """A controller that passes positions on at once: it gets the way in small steps."""
@@ -96,6 +103,11 @@ class PositionController:
     def forget(self) -> None:
         """Leave the joint where it was sent last."""
         self._way = None
+
+    def hold(self, way: Way) -> None:
+        """Send the place of rest at once: the joint is to lag behind nothing further."""
+        self._way = None
+        self._publisher.publish(Float64MultiArray(data=[way.goal]))
 
     def _step(self) -> None:
         """Publish where the joint shall be now; the last position once."""

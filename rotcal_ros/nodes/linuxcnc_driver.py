@@ -22,10 +22,12 @@ from rotcal_ros.bags import names
 from rotcal_ros.compensation.linuxcnc_machine import agent_command
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Approach, TableSample
 from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.units import DEGREE, NANOSECOND
 
 END_TIMEOUT_S: Final = 15.0
@@ -62,6 +64,9 @@ class LinuxCncDriver(CellNode):
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
         Thread(target=self._read, name="agent", daemon=True).start()
+        self._stop = EmergencyStop(
+            self, self.settings("safety", SafetySettings), "LinuxCNC gets no more orders"
+        )
         self.listen(TableAngle, names.TABLE_ANGLE, self._obey, EVENT)
 
     def begin_stop(self) -> None:
@@ -78,6 +83,9 @@ class LinuxCncDriver(CellNode):
         return self._agent.poll() is not None
 
     def _obey(self, message: TableAngle) -> None:
+        if self._stop.why:
+            self.get_logger().warning(f"step {message.step}: refused in an emergency stop")
+            return
         order = {
             "angle_deg": message.angle / DEGREE,
             "side": SIDES.get(Approach(message.approach), 0),

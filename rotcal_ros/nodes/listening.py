@@ -22,6 +22,7 @@ from rotcal_ros.nodes.channels import described_channel, message_type
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
 from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.nodes.recording import Channel
+from rotcal_ros.planning.safety_settings import SafetySettings
 
 ALWAYS: Final = ("/diagnostics", "/rosout")
 """Topics outside the namespace of the cell that are recorded too."""
@@ -75,6 +76,8 @@ class Listener:
         self.topics: dict[str, HeardTopic] = {}
         self.refused: dict[str, str] = {}
         self._incompatible: Counter[str] = Counter()
+        stop = node.settings("safety", SafetySettings).emergency_stop
+        self._stop = [node.resolve_topic_name(stop)] if stop else []
         node.every(GRAPH_PERIOD_S, self._look)
 
     @property
@@ -105,7 +108,7 @@ class Listener:
 
     def _look(self) -> None:
         """Subscribe to topics that are new in the graph and have publishers."""
-        for name, type_name in _wanted_topics(self._node, self._further()).items():
+        for name, type_name in _wanted_topics(self._node, [*self._further(), *self._stop]).items():
             if name in self.topics or name in self.refused:
                 continue
             infos = self._node.get_publishers_info_by_topic(name)

@@ -11,15 +11,13 @@ from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
 from rotcal_ros.errors import DataError
 from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.asking import Asking
 from rotcal_ros.nodes.cell_links import Attempt
-from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
+from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch, HaltedError
 from rotcal_ros.nodes.latest import WAITING_FOR
-from rotcal_ros.planning.plan import PAUSED, Pause
+from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
 from rotcal_ros.planning.policy.names import AS_LISTED
-
-REPEAT_PERIOD_S: Final = 2.0
-"""An instruction is repeated after this time, for clients that come late."""
 
 SETTLING_S: Final = 1.2
 """So long after a clock was set the capture takes nothing (1 s), once it has noticed."""
@@ -28,9 +26,7 @@ SETTLING_S: Final = 1.2
 class Measuring:
     """Measures the steps of one goal; no attempt at a step has a number twice.
 
-    ``reasons`` says why attempts were rejected, or came to nothing. ``waiting`` is True while a
-    person does what the plan pauses for; whoever knows that it is
-    done sets it to False.
+    ``reasons`` says why attempts were rejected, or came to nothing.
     """
 
     def __init__(
@@ -39,12 +35,13 @@ class Measuring:
         self._calibration = calibration
         self._continuation = continuation
         self._watch = watch
+        plan_id = calibration.configuration.plan_id
+        self._asking = Asking(watch, plan_id, continuation.run)
         self._policy = calibration.policy(continuation)
         self._chosen = 0
         self._next_attempt: dict[int, int] = {}
         self._failed = FailedSteps(watch.settings.max_failed_steps)
         self.reasons: list[str] = []
-        self.waiting = False
 
     async def measure_all(self) -> None:
         """Measure what the policy chooses, until it stops."""
@@ -91,7 +88,8 @@ class Measuring:
         text, begin = pause.instruction, pause.first
         for asked in count(1):
             if pause.again_from is None or asked > 1:
-                await self._ask(pause, text)
+                self._place(pause.first)
+                await self._asking.have_done(text, pause.move)
             for index in range(begin, pause.last + 1):
                 await self._measure(
                     index, Choice(index, f"shows {pause.instruction}", Standing(1))
@@ -102,20 +100,6 @@ class Measuring:
                 return
             text = f"not as it should be: {found}; put it right ({pause.instruction})"
 
-    async def _ask(self, pause: Pause, text: str) -> None:
-        """Show the instruction and wait for the end of the work, as long as it takes."""
-        progress = self._watch.progress
-        progress.pause()
-        progress.step = pause.first
-        self.waiting = True
-        try:
-            while self.waiting:
-                self._watch.tell(PAUSED + text)
-                await self._watch.wait(lambda: not self.waiting, REPEAT_PERIOD_S)
-        finally:
-            self.waiting = False
-            progress.go_on()
-
     def _complaints(self) -> tuple[str, bool]:
         """Return what the observations so far say against the work; hopeless or not."""
         earlier, now = self._continuation.observations, self._watch.links.observations
@@ -125,10 +109,20 @@ class Measuring:
             return str(error), True
 
     async def _measure(self, index: int, choice: Choice) -> list[str]:
-        """Attempt a step until it is captured without a loss, or attempts are used up.
+        """Attempt a step; when an emergency stop breaks it off, again after somebody resumed.
 
         Return why it failed, once for every attempt; nothing when it was captured.
         """
+        try:
+            return await self._attempt(index, choice)
+        except HaltedError as halted:
+            self.reasons.append(str(halted))
+        self._watch.progress.rejected += 1
+        await self._asking.have_done()
+        return await self._measure(index, choice)
+
+    async def _attempt(self, index: int, choice: Choice) -> list[str]:
+        """Attempt a step until it is captured without a loss, or attempts are used up."""
         progress, limit = self._watch.progress, self._watch.settings.max_attempts
         self._place(index)
         first = self._next_attempt.get(index, self._continuation.run * ATTEMPTS_PER_RUN)
@@ -178,9 +172,10 @@ class Measuring:
         again = f" (attempt {number + 1})" if number else ""
         links = self._watch.links
         self._watch.tell(f"table position {step.table_position}, target {step.target}{again}")
+        self._watch.heed_stop()
         links.order(step.command(attempt))
         limit_s = self._watch.settings.step_timeout_s
-        arrived = await self._watch.wait(lambda: key in links.observations, limit_s)
+        arrived = await self._watch.wait_for_machine(lambda: key in links.observations, limit_s)
         return arrived and links.observations[key].accepted
 
     async def _lost(self, key: Attempt) -> int:

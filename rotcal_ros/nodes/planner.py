@@ -14,21 +14,24 @@ from typing import Any, Final
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rotcal_msgs.action import Calibrate
-from std_srvs.srv import Trigger
 
 from rotcal_ros.catalogue import prepare_to_measure
 from rotcal_ros.errors import RotcalError
+from rotcal_ros.nodes.asking import obstacle
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import CellNode, until
+from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.goal_run import GoalRun
 from rotcal_ros.nodes.goal_watch import Codes, GoalWatch
 from rotcal_ros.nodes.health import CALIBRATING
+from rotcal_ros.nodes.pauses import Pauses
 from rotcal_ros.nodes.plans import PlannerParameters, read_continuation
 from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.nodes.running import run
 
 RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1
+NO_ORDERS: Final = "the planner orders nothing; a recording goes on"
 
 
 class Planner(CellNode):
@@ -44,7 +47,8 @@ class Planner(CellNode):
         self._configured = PlannerParameters(self)
         self._continuation = read_continuation(self)
         self._links = CellLinks(self)
-        self.offer(Trigger, "resume", self._resume)
+        self._stop = EmergencyStop(self, self._configured.safety, NO_ORDERS)
+        self._pauses = Pauses(self, self._obstacle, lambda: self._told()[0])
         self._server = ActionServer(
             self,
             Calibrate,
@@ -88,14 +92,9 @@ class Planner(CellNode):
         self.get_logger().warning(f"goal refused: the planner is {self._told()[0]}")
         return GoalResponse.REJECT
 
-    def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Go on after a person's work is done."""
-        if self._run is not None and self._run.measuring.waiting:
-            self._run.measuring.waiting = False
-            response.success = True
-        else:
-            response.message = f"nothing waits for resume: the planner is {self._report()[0]}"
-        return response
+    def _obstacle(self) -> str:
+        """Return why the running goal cannot be resumed yet."""
+        return obstacle(self._run.watch) if self._run is not None else ""
 
     async def _execute(self, handle: ServerGoalHandle) -> Codes:
         try:
@@ -138,6 +137,8 @@ class Planner(CellNode):
         watch = GoalWatch(
             calibration.configuration.planner,
             self._links,
+            self._stop,
+            self._pauses,
             Progress(
                 total=len(calibration.plan.steps),
                 step=continuation.start_index,
@@ -162,9 +163,8 @@ class Planner(CellNode):
     def _show(self, handle: ServerGoalHandle, progress: Progress) -> None:
         """Publish feedback, not more often than a person can follow."""
         now = time.monotonic()
-        waiting = self._run is not None and self._run.measuring.waiting
         measuring = 0 < progress.step < progress.total
-        if now - self._shown_s < FEEDBACK_PERIOD_S and measuring and not waiting:
+        if now - self._shown_s < FEEDBACK_PERIOD_S and measuring and not self._pauses.waiting:
             return
         self._shown_s = now
         handle.publish_feedback(

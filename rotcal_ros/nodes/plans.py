@@ -24,11 +24,14 @@ from rotcal_ros.errors import ConfigurationError, DataError, PlanError
 from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.parameters import read_settings
+from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.plugins import nearest
 from rotcal_ros.settings import to_mapping
 from rotcal_ros.untrusted import read_text, why
 
-ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner")
+SAFETY: Final = "safety"
+"""The group that all nodes listen by from their start: no goal has another one."""
+ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner", SAFETY)
 """Groups that are parameters of the planner even if it was not given them."""
 
 REFUSED: Final = "plan refused"
@@ -38,7 +41,7 @@ RUN: Final = "run"
 
 
 class PlannerParameters:
-    """The parameters of a planner: the groups of its configured method.
+    """The parameters of a planner: the groups of its configured method, and its ``safety``.
 
     Raises ConfigurationError, with the nearest name, for whatever the node was given that is
     misspelt or impossible.
@@ -59,7 +62,8 @@ class PlannerParameters:
             if group in ALWAYS or group in node.given
         }
         for group, cls in self._groups.items():
-            node.settings(group, cls, read_only=False)
+            node.settings(group, cls, read_only=group == SAFETY)
+        self.safety: SafetySettings = read_settings(node, SAFETY, SafetySettings)
 
     def configuration(self, goal: Calibrate.Goal) -> Configuration:
         """Return the configuration of a goal, or that of the parameters if it has none."""
@@ -72,6 +76,11 @@ class PlannerParameters:
             }
             text, source = dump_configuration(method, groups), "parameters of the planner"
         configuration = parse_configuration(text, source)
+        if SAFETY in configuration.given and configuration.safety != self.safety:
+            raise ConfigurationError(
+                f"{source}: its group safety is not the one that the planner was started with and "
+                "listens to: start the nodes with this configuration"
+            )
         if goal.method and goal.method != configuration.method.name:
             raise ConfigurationError(
                 f"the goal asks for method {goal.method!r}, its configuration describes "

@@ -16,10 +16,12 @@ from rotcal_ros.catalogue.method import DEFAULT, find_method
 from rotcal_ros.in_force import NONE, UNKNOWN
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.qos import EVENT, LATCHED, STREAM
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Command, HumiditySample, PressureSample
 from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell
 from rotcal_ros.units import NANOSECOND
 
@@ -54,6 +56,9 @@ class SimulatedCellNode(CellNode):
         self._cell = SimulatedCell(settings, self.now_ns())
         self._turned_ns, self._set_ahead_ns = self._steady_ns(), 0
         self._order_text = "no order yet"
+        self._stop = EmergencyStop(
+            self, self.settings("safety", SafetySettings), "the machine stands still", self._halt
+        )
         if self._cell.instrument.streams_lengths:
             self._tracer = self._instrument(TracerLength, names.TRACER_LENGTH, STREAM)
         self._probe_frame = self._cell.instrument.frame
@@ -83,10 +88,16 @@ class SimulatedCellNode(CellNode):
         return self.create_publisher(kind, self._called.get(role, role), qos)
 
     def _obey(self, command: Command) -> None:
-        """Begin both motions of an order together."""
+        """Begin both motions of an order together, unless safety has stopped the machine."""
+        if self._stop.why:
+            self.get_logger().warning(f"step {command.step}: refused in an emergency stop")
+            return
         self._cell.order_table(command)
         self._cell.order_probe(command)
         self._order_text = f"step {command.step}, attempt {command.attempt}"
+
+    def _halt(self, _why: str) -> None:
+        self._cell.stop()
 
     def _follow(self, message: JointState) -> None:
         """Take the actual angle of a table that another program moves; its clock is ours."""

@@ -20,15 +20,17 @@ from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import COMPLAINT, show
 from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
+from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.joint_controllers import joint_controller
 from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Approach
 from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.ros2_control.obeyed import JointWatch
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.ros2_control.travel import way_to
+from rotcal_ros.ros2_control.travel import way_to, way_to_rest
 from rotcal_ros.units import DEGREE
 
 LOOK_PERIOD_S: Final = 0.2
@@ -53,9 +55,13 @@ class TableAdapter(CellNode):
             )
         self._watch = JointWatch(self._settings)
         self._controller = joint_controller(self, self._settings, self._joint)
+        self._stop = EmergencyStop(
+            self, self.settings("safety", SafetySettings), "the table is held", self._halt
+        )
         self._waiting: TableAngle | None = None
         self._waiting_s = 0.0
         self._refused = self._kind = ""
+        self._held = False
         self._others: tuple[str, ...] = ()
         self._state = "waiting for feedback"
         self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
@@ -75,8 +81,25 @@ class TableAdapter(CellNode):
 
     def _obey(self, message: TableAngle) -> None:
         """Take an order; it takes the place of one that is under way."""
+        if self._stop.why:
+            self.get_logger().warning(f"step {message.step}: refused in an emergency stop")
+            return
         self._waiting, self._waiting_s, self._refused = message, time.monotonic(), ""
+        self._held = False
         self._send()
+
+    def _halt(self, _why: str) -> None:
+        """Forget the order that waits, and bring a joint that has had one to rest."""
+        self._waiting, self._held, self._state = None, True, "held: emergency stop"
+        if self._watch.order is None:
+            return
+        here = self._watch.here(time.monotonic())
+        if here is None:
+            self.get_logger().error("the table cannot be held: where it is nobody tells")
+            return
+        way = way_to_rest(here, self._watch.velocity, self._settings)
+        self._controller.hold(way)
+        self._watch.begin(way, time.monotonic())
 
     def _send(self) -> None:
         """Send what waits, as soon as it is known where the joint stands and who listens."""
@@ -129,11 +152,13 @@ class TableAdapter(CellNode):
             self._kind = kind_of(text)
         elif self._watch.arrived():
             self._kind = ""
-        if text or self._watch.arrived():
+        if text or self._held or self._watch.arrived():
             show(self.health, COMPLAINT, text)
 
     def _wrong(self) -> str:
-        """Say what is wrong with the table; empty: nothing is."""
+        """Say what is wrong with the table; empty: nothing is, or it was stopped."""
+        if self._held:
+            return ""
         if self._refused:
             return self._refused
         if self._watch.latest is None and self._others:

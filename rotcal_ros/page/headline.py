@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.page.state import Now, Offer
+from rotcal_ros.planning.plan import RELEASED, STOPPED
 
 _WORDS: Final = {
     "preflight": "Checking the cell",
@@ -58,6 +59,10 @@ def _calibrating(heard: Heard) -> Now:
         return Now("stopping", "Stopping", "The bag is being closed.")
     if heard.instruction:
         what, _, more = heard.instruction.partition("; ")
+        if what.startswith(STOPPED):
+            released = what.startswith(RELEASED)
+            return Now("emergency", _sentence(what), _sentence(more), resume=released, stop=True,
+                       instruction=heard.instruction)  # fmt: skip
         detail = f"{_sentence(more)} Press Continue when it is done."
         return Now("person", _sentence(what), detail.strip(), resume=True, stop=True,
                    instruction=heard.instruction)  # fmt: skip

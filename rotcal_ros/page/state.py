@@ -13,9 +13,10 @@ from typing import Any, Final, Literal
 
 Points = tuple[tuple[float, float], ...]
 Kind = Literal[
-    "waiting", "ready", "measuring", "person", "confirm", "stopping", "done", "stopped", "failed"
-]
-"""What the cell does, or what a person has to do (``person``, ``confirm``)."""
+    "waiting", "ready", "measuring", "person", "confirm", "emergency", "stopping", "done",
+    "stopped", "failed",
+]  # fmt: skip
+"""What the cell does, or what a person has to do (``person``, ``confirm``, ``emergency``)."""
 
 
 @dataclass(frozen=True, slots=True)

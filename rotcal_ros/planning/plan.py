@@ -12,6 +12,14 @@ Point = tuple[float, float, float]
 
 PAUSED: Final = "paused: "
 """What a planner says it does begins with this while it waits for a person."""
+STOPPED: Final = "emergency stop: "
+"""What it then waits for begins with this while safety has stopped the cell."""
+RELEASED: Final = f"{STOPPED}released"
+"""And with this when only a person's word is missing."""
+MACHINE_FRAME: Final = "machine"
+"""Stands still, at the foot of the table axis, +z along it."""
+TABLE_FRAME: Final = "table"
+"""Turns with the table; at angle 0 it is the machine frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +83,21 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
+class Move:
+    """What a pause is for: ``what`` is brought to ``station``, at ``position`` (m) in ``frame``.
+
+    Without a position the plan knows no place: the instruction says what is to be turned how.
+    """
+
+    what: str
+    station: int
+    position: Point | None = None
+    frame: str = MACHINE_FRAME
+
+
+@dataclass(frozen=True, slots=True)
 class Pause:
-    """A person's work before step ``first``, described in ``instruction``.
+    """A person's work before step ``first``, described in ``instruction``, ``move`` as data.
 
     The steps ``first`` to ``last`` show whether it was done well: they are measured and judged by
     the method before the rest follows. ``last`` = ``first`` - 1: nothing shows it. With
@@ -88,6 +109,7 @@ class Pause:
     last: int
     instruction: str
     again_from: int | None = None
+    move: Move | None = None
 
 
 @dataclass(frozen=True)

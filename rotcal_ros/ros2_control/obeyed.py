@@ -29,13 +29,16 @@ class ObeyedOrder:
 
 
 class JointWatch:
-    """Follows the joint through its feedback; says what to tell the cell, and what is wrong."""
+    """Follows the joint through its feedback; says what to tell the cell, and what is wrong.
+
+    ``velocity`` (rad/s) is the latest, NaN where it is not known.
+    """
 
     def __init__(self, settings: TableAdapterSettings) -> None:
         self._settings = settings
         self._tolerance = settings.tolerance_arcsec * ARCSEC
         self._heard_s = self._moved_s = 0.0
-        self._moved_to = nan
+        self._moved_to = self.velocity = nan
         self._speed = TableSpeed(_SPEED_S)
         self.latest: TableSample | None = None
         self.order: ObeyedOrder | None = None
@@ -77,6 +80,7 @@ class JointWatch:
             self._moved_to, self._moved_s = sample.angle, now_s
         by_angles = self._speed.feed(sample.stamp_ns, sample.angle)
         feedback = by_angles if isnan(sample.velocity) else sample
+        self.velocity = nan if feedback is None else feedback.velocity
         return feedback if self._begun(sample.angle) else replace(sample, velocity=nan)
 
     def _begun(self, angle: float) -> bool:

@@ -10,7 +10,7 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from math import ceil, floor, inf, pi, sqrt
+from math import ceil, floor, inf, isfinite, pi, sqrt
 
 from rotcal_ros.errors import DataError
 from rotcal_ros.observations import Approach
@@ -71,6 +71,17 @@ def way_to(angle: float, approach: Approach, start: float, settings: TableAdapte
     stops = (start, *angles)
     times = accumulate(_duration_s(abs(b - a), settings) for a, b in pairwise(stops))
     return Way(start, angles, tuple(times))
+
+
+def way_to_rest(angle: float, velocity: float, settings: TableAdapterSettings) -> Way:
+    """Return the way on which a joint that moves (rad/s) comes to rest from ``angle`` (rad).
+
+    A cubic from this velocity to rest over half the time and distance brakes evenly; where the
+    velocity is not finite the joint is to rest where it is.
+    """
+    velocity = velocity if isfinite(velocity) else 0.0
+    time_s = max(abs(velocity) / (settings.acceleration_deg_s2 * DEGREE), SHORTEST_S)
+    return Way(angle, (angle + velocity * time_s / 2,), (time_s,))
 
 
 def _turns(angle: float, start: float, settings: TableAdapterSettings) -> Iterator[float]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from rotcal_ros.circumstances import SIMULATED
-from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.planning.plan import PAUSED, STOPPED
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.units import ARCSEC
 
@@ -46,7 +46,9 @@ class Display:
 def describe(feedback: Event) -> str:
     """Return a feedback in words: activity, standard deviation, time left."""
     activity = str(feedback["activity"])
-    words = ["waiting for a person" if activity.startswith(PAUSED) else activity]
+    stopped = activity.startswith(PAUSED + STOPPED)
+    waiting = "stopped by an emergency stop" if stopped else "waiting for a person"
+    words = [waiting if activity.startswith(PAUSED) else activity]
     if feedback.get("goal_rad") is not None:
         words.append(_standing(feedback["uncertainty_rad"], feedback["goal_rad"]))
     elif feedback["current_std_rad"] is not None:

@@ -27,9 +27,9 @@ CANCEL_TIMEOUT_S: Final = 25.0
 _POLL_S: Final = 0.2
 _LOST: Final = 603
 """Error code of the action: a node is lost."""
-_USAGE_ERRORS: Final = (601, 602)
+_USAGE_ERRORS: Final = (601, 602, 608)
 """Error codes of the action that the user cures before the next start: bad configuration,
-topic missing."""
+topic missing, emergency stop."""
 
 
 def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rotcal_ros.catalogue import Configuration
-from rotcal_ros.planning.plan import PAUSED
+from rotcal_ros.planning.plan import PAUSED, RELEASED, STOPPED
 
 
 class Person:
@@ -16,7 +16,8 @@ class Person:
 
     In a simulated cell, or with ``at_once``, the work is done as soon as it is asked for; not by
     one who is only ``watching`` from another terminal. In a terminal Enter says so. Without one
-    only others do: one who is attached, or the service ``resume`` of the cell.
+    only others do: one who is attached, or the service ``resume`` of the cell. After an emergency
+    stop nobody goes on at once, and while it lasts nobody is asked to.
     ``instruction`` is what was asked for last.
     """
 
@@ -27,20 +28,23 @@ class Person:
         self._simulated = configuration.simulated
         self._as_done = at_once or configuration.simulated
         self._at_once = self._as_done and not watching
-        self._asked = self._confirmed = False
+        self._asked = self._confirmed = self._paused = False
         self.instruction = ""
 
     def hear(self, event: Mapping[str, Any]) -> str:
         """Take an event of the client and return what the person has to read, often nothing."""
         if event["event"] == "paused":
             self._asked, self._confirmed = True, False
+            self._paused = True
             _enter_pressed()  # what was typed before is no answer
             self.instruction = event["instruction"]
             return f"{self.instruction}{self._what_then()}"
         if event["event"] == "resumed" and not event["success"]:
+            self._asked = self._paused  # refused: it is still to be answered
             return str(event["reason"])
         if event["event"] == "feedback":  # the service may have been called by anybody
-            self._asked = self._asked and event["activity"].startswith(PAUSED)
+            self._paused = event["activity"].startswith(PAUSED)
+            self._asked = self._asked and self._paused
         return ""
 
     def confirm(self, instruction: str) -> None:
@@ -49,14 +53,18 @@ class Person:
 
     def is_done(self) -> bool:
         """Return True once for every work that is done."""
-        done = self._asked and (self._at_once or self._confirmed or _enter_pressed())
+        at_once = self._at_once and not self.instruction.startswith(STOPPED)
+        done = self._asked and (at_once or self._confirmed or _enter_pressed())
         self._asked = self._asked and not done
         return done
 
     def _what_then(self) -> str:
-        if self._simulated:
+        stopped = self.instruction.startswith(STOPPED)
+        if stopped and not self.instruction.startswith(RELEASED):
+            return ""
+        if self._simulated and not stopped:
             return ": done by the simulated person"
-        if self._as_done:
+        if self._as_done and not stopped:
             return ": taken as done (--yes)"
         if sys.stdin.isatty():
             return "; then press Enter"

@@ -94,6 +94,11 @@ class SimulatedCell:
         """Let the machine go to ``command.position`` and report its point or points."""
         self.instrument.order(self.now_ns, command)
 
+    def stop(self) -> None:
+        """Stop the table and forget the order of the probe, as a machine does in a stop."""
+        self.table.stop(self.now_ns)
+        self.instrument.pending = None
+
     def advance(self, duration_s: float) -> CellOutput:
         """Let ``duration_s`` of machine time pass and return the samples of it."""
         before, self.now_ns = self.now_ns, self.now_ns + round(duration_s / NANOSECOND)

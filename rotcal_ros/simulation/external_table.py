@@ -38,6 +38,9 @@ class ExternalTable:
     def order(self, now_ns: int, angle: float, approach: Approach) -> None:
         """Do nothing: the other program has heard the order too."""
 
+    def stop(self, now_ns: int) -> None:
+        """Do nothing: the other program has heard of the stop too."""
+
     def angles(self, stamps: Stamps) -> Floats:
         """Return the actual angles at ``stamps`` (n,), rad; the last one known goes on."""
         begin = self._stamps[0]

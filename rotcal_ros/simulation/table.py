@@ -139,6 +139,13 @@ class SimulatedTable:
         self._arrivals += 1
         self.rest_ns = self._motion.end_ns
 
+    def stop(self, now_ns: int) -> None:
+        """Stand still at once, wherever it is."""
+        here = float(self._motion.state(np.array([now_ns]))[0][0])
+        self._motion = Motion(now_ns, [here], self._limits)
+        self._approach = Approach.UNKNOWN  # it came from neither side
+        self.rest_ns = now_ns
+
     def angles(self, stamps: Stamps) -> Floats:
         """Return the angle that the table believes to stand at, (n,) rad."""
         return self._motion.state(stamps)[0]

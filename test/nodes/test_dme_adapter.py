@@ -1,5 +1,6 @@
 """When the adapter stops its machine, which orders wait, and which are dropped; no graph."""
 
+import asyncio
 from collections import Counter
 from types import SimpleNamespace
 
@@ -55,9 +56,15 @@ class Adapter(DmeAdapter):
     def __init__(self):
         self.planner = {}
         self.health = SimpleNamespace(
-            concerns={}, lost={}, refused="", values=lambda _name: self.planner, beat=lambda: None
+            concerns={},
+            alarms={},
+            lost={},
+            refused="",
+            values=lambda _name: self.planner,
+            beat=lambda: None,
         )
         self._driver, self._orders = Driver(), Orders()
+        self._stop = SimpleNamespace(why="")
         self._plan = self._early = None
         self._run = self._served = ""
         self._looks = 0
@@ -146,10 +153,29 @@ def test_an_adapter_that_is_deactivated_stops_the_machine_and_keeps_its_session(
 def test_why_nothing_moves_stands_in_the_diagnostics_until_it_is_cleared(made):
     made._driver.client.blocked = "PtMeas: error 1006"
     made._watch()
-    assert made.health.concerns == {"dme": "PtMeas: error 1006"}
+    assert made.health.concerns == {"blocked": "PtMeas: error 1006"}
     made._driver.client.blocked = ""
     made._watch()
     assert made.health.concerns == {}
+
+
+def test_in_an_emergency_stop_the_machine_is_aborted_and_nothing_is_ordered_or_cleared(made):
+    made.work_for(FIRST)
+    made._driver.busy, made._run = True, made._planners_run()
+    made._plan = SimpleNamespace(step=lambda number: number)
+    made._stop.why = "/safety/estop is true"
+    made._halt(made._stop.why)
+    assert made._driver.aborted == ["emergency stop: /safety/estop is true"]
+    ordered = list(made._driver.told)
+    made._obey(ORDER)
+    assert made._driver.told == ordered
+    answer = asyncio.run(made._clear(None, SimpleNamespace(success=False, message="")))
+    assert (answer.success, answer.message) == (
+        False, "the emergency stop is on: /safety/estop is true"
+    )  # fmt: skip
+    made._stop.why = ""
+    made._obey(ORDER)
+    assert len(made._driver.told) == len(ordered) + 1
 
 
 def test_an_order_waits_for_its_plan(made):
@@ -242,6 +268,7 @@ def test_plans_are_taken_from_the_planner_alone_and_nothing_begins_at_once(made,
     sources = []
     monkeypatch.setattr(dme_adapter, "PlannersPlans", lambda *source: sources.append(source))
     monkeypatch.setattr(dme_adapter, "Driver", lambda *_: Driver())
+    monkeypatch.setattr(dme_adapter, "EmergencyStop", lambda *_: SimpleNamespace(why=""))
     made.settings = lambda _group, kind: kind()
     made.create_publisher = made.every = lambda *_: None
     made.configure()

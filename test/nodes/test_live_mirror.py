@@ -19,6 +19,7 @@ pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
 
 DEMO = Path(__file__).parents[2] / "config" / "plane_mirror_demo.yaml"
+ROBOT = Path(__file__).parent / "carrying_robot.py"
 SHORT = (
     "plan.table_positions=5",
     "plan.positions_per_station=3",
@@ -155,3 +156,21 @@ def test_a_pause_can_be_canceled_and_nothing_else_can_be_resumed(cell):
     assert outcome["error_code"] == CANCELED
     assert "continue with start_index 18" in outcome["error_msg"]  # where it paused
     assert [v.state for v in read_recording(live.bag).verdicts] == ["complete"]
+
+
+def test_a_robot_carries_the_tracker_by_what_the_pause_says(cell):
+    live, client = cell()
+    live.processes.start("robot", [sys.executable, str(ROBOT)], piped=True)
+    outcome = client.result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert outcome["verdict"] == "ok"
+    lines = live.processes.children["robot"].stdout
+    first, second = (json.loads(next(lines)) for _ in range(2))
+    # Facing the positions 0 to 45 and 45 to 90 deg from 2.0 m, as the settings say.
+    for heard, station, azimuth_deg in ((first, 0, 22.5), (second, 1, 67.5)):
+        azimuth = np.deg2rad(azimuth_deg)
+        place = [2.0 * np.cos(azimuth), 2.0 * np.sin(azimuth), 0.35]
+        assert (heard["what"], heard["station"], heard["frame"]) == ("tracker", station, "machine")
+        assert np.allclose(heard["position"], place, atol=1e-9)
+    assert (first["step"], second["step"]) == (0, 18)
+    assert "/cell/pause" in read_recording(live.bag).verdicts[0].topics

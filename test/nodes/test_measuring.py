@@ -58,8 +58,13 @@ class Watch(SimpleNamespace):
     def clock_jumps(self):
         return 0
 
+    def heed_stop(self):
+        pass
+
     async def wait(self, condition, _):
         return condition()
+
+    wait_for_machine = wait
 
 
 def measured(failing, steps=range(STEPS), earlier=()):

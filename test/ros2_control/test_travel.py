@@ -1,6 +1,6 @@
 """Ways of a joint: the right angle, side, turns and limits, whatever is ordered."""
 
-from math import pi
+from math import nan, pi
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from rotcal_ros.errors import DataError
 from rotcal_ros.observations import Approach
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.ros2_control.travel import way_to
+from rotcal_ros.ros2_control.travel import way_to, way_to_rest
 
 DEG = pi / 180
 ENDLESS = TableAdapterSettings(speed_deg_s=12.0, acceleration_deg_s2=30.0, overshoot_deg=2.0)
@@ -78,3 +78,15 @@ def test_the_ends_of_the_travel():
         way_to(120 * DEG, Approach.UNKNOWN, 0.0, narrow)
     with pytest.raises(DataError, match="with this side of approach"):
         way_to(90 * DEG, Approach.NEGATIVE, 90 * DEG, narrow)
+
+
+@given(angle=angles, velocity=st.floats(-0.5, 0.5))
+def test_a_joint_that_is_stopped_brakes_evenly_on_half_the_way_it_would_have_gone(angle, velocity):
+    way = way_to_rest(angle, velocity, ENDLESS)
+    (time_s,) = way.times_s
+    assert time_s == pytest.approx(max(abs(velocity) / (30.0 * DEG), 0.1))
+    assert way.goal - angle == pytest.approx(velocity * time_s / 2)
+
+
+def test_a_joint_of_which_no_velocity_is_known_is_stopped_where_it_is():
+    assert way_to_rest(1.5, nan, ENDLESS).goal == 1.5

@@ -119,3 +119,33 @@ def test_a_refused_resume_is_told_with_its_reason():
     event = {"event": "resumed", "success": False, "reason": "nothing waits for resume"}
     assert make().hear(event) == "nothing waits for resume"
     assert make().hear({"event": "alive", "planner": "ready"}) == ""
+
+
+STOPPED = {"event": "paused", "instruction": "emergency stop: door is true; release it"}
+RELEASED = {"event": "paused", "instruction": "emergency stop: released, it was: door is true"}
+
+
+@pytest.mark.parametrize("kind", [{"simulated": True}, {"yes": True}, {}])
+def test_after_an_emergency_stop_nobody_goes_on_at_once(kind, enter):
+    enter(pressed=False)
+    person = make(**kind)
+    assert person.hear(STOPPED) == STOPPED["instruction"]
+    assert not person.is_done()
+    assert person.hear(RELEASED) == f"{RELEASED['instruction']}; then press Enter"
+    assert not person.is_done()
+    enter(pressed=True)
+    assert person.is_done()
+
+
+def test_who_was_refused_may_say_it_again(enter):
+    enter(pressed=False)
+    person = make()
+    person.hear(STOPPED)
+    person.hear(WAITING)
+    enter(pressed=True)
+    assert person.is_done()
+    refusal = {"event": "resumed", "success": False, "reason": "the emergency stop is on"}
+    assert person.hear(refusal) == "the emergency stop is on"
+    enter(pressed=True)
+    assert person.is_done()
+    assert not person.is_done()

@@ -129,3 +129,15 @@ def test_repeatability_changes_with_each_arrival():
         errors.append(np.arctan2(rotation[0, 1, 0], rotation[0, 0, 0]) - 0.01 * (number % 2))
     assert np.std(errors) == pytest.approx(5 * ARCSEC, rel=0.15)
     assert np.mean(errors) == pytest.approx(0.0, abs=1 * ARCSEC)
+
+
+def test_a_stopped_table_stands_where_it_was_and_goes_on_only_when_ordered():
+    table = SimulatedTable(TableSettings(speed_deg_s=10.0, acceleration_deg_s2=1e6), 1, 0)
+    table.order(0, np.pi / 2, Approach.POSITIVE)
+    at_ns = 3_000_000_000
+    table.stop(at_ns)
+    later = np.array([at_ns, at_ns + 60_000_000_000])
+    assert np.rad2deg(table.angles(later)) == pytest.approx([30.0, 30.0], abs=0.01)
+    assert table.rest_ns == at_ns
+    table.order(at_ns, np.pi / 2, Approach.POSITIVE)
+    assert table.rest_ns == pytest.approx(9_000_000_000, abs=1_000_000)

@@ -7,7 +7,7 @@ from rotcal_polygon.settings import PolygonPlanSettings
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.errors import ConfigurationError, PlanError
 from rotcal_ros.observations import Approach, PointKind
-from rotcal_ros.planning.plan import Pause, Plan, Step
+from rotcal_ros.planning.plan import Move, Pause, Plan, Step
 from rotcal_ros.units import DEGREE
 
 NAME = "polygon"
@@ -47,6 +47,7 @@ def plan(configuration: Configuration) -> Plan:
             mounting * stops,
             f"mounting {mounting} of {len(settings.first_faces)}: turn the polygon on the table "
             f"so that the autocollimator sees face {face} with the table at {start:g} deg",
+            move=Move("polygon", mounting),
         )
         for mounting, face in enumerate(settings.first_faces)
     )

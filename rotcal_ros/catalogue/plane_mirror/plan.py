@@ -21,7 +21,7 @@ from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.plane_mirror.settings import DIRECT, INCIDENCE_LIMIT_DEG, STITCHING
 from rotcal_ros.methods.plane_mirror.solve import METHOD
 from rotcal_ros.observations import Approach, PointKind
-from rotcal_ros.planning.plan import Pause, Plan, Point, Step
+from rotcal_ros.planning.plan import Move, Pause, Plan, Point, Step
 from rotcal_ros.planning.points import triples
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.settings import setting
@@ -206,7 +206,8 @@ def mirror_plan(settings: MirrorPlanSettings, *, nests_once: bool = False) -> Pl
     pauses: list[Pause] = []
     for start, end, stand in zip(starts[:-1], starts[1:], stands, strict=True):
         instruction = _instruction(stand, stands, angles, len(nests))
-        pauses.append(Pause(start, start + len(nests) - 1, instruction))
+        move = Move("tracker", stand.number, stand.place)
+        pauses.append(Pause(start, start + len(nests) - 1, instruction, move=move))
         if nests and again:
             pauses.append(Pause(end - len(nests), end - 1, _CLOSING, again_from=start))
     return Plan(METHOD, every, nests, steps, tuple(pauses))

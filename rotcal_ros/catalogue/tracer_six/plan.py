@@ -17,7 +17,7 @@ from rotcal_ros.catalogue.tracer_six.places import around, described, require_si
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer_six import METHOD
 from rotcal_ros.observations import PointKind
-from rotcal_ros.planning.plan import Pause, Plan, Point, Step
+from rotcal_ros.planning.plan import TABLE_FRAME, Move, Pause, Plan, Point, Step
 from rotcal_ros.planning.points import block, triples
 from rotcal_ros.planning.table_angles import TableAngleSettings, table_angles
 from rotcal_ros.planning.visits import visits
@@ -163,6 +163,7 @@ def plan_of(settings: SixPlanSettings, targets: tuple[Point, ...]) -> Plan:
             first := number * length,
             _located(steps[first : first + length], settings.order),
             _instruction(number, places, len(targets), len(distinct)),
+            move=Move("tracer", number, places[number], TABLE_FRAME),
         )
         for number in range(len(places))
     )

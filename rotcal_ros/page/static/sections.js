@@ -16,7 +16,7 @@ export function show(sections, state, whole) {
 }
 
 function title({ now, steps, cell }) {
-  const mark = now.kind === "person" || now.kind === "confirm" ? "▶ " : "";
+  const mark = ["person", "confirm", "emergency"].includes(now.kind) ? "▶ " : "";
   const place = steps ? `${steps.step}/${steps.total} ` : "";
   return `${mark}${place}${now.headline}${cell.simulated ? " (simulated)" : ""} – rotcal`;
 }

@@ -1,0 +1,1 @@
+"""Instruments of installed packages: what they have to do, and the thread that drives one."""

@@ -1,0 +1,86 @@
+"""What a tracer or tracker of a package of somebody else does, whatever its own language is.
+
+An entry point of the group ``rotcal_ros.instruments`` names a function that makes one.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from rotcal_ros.errors import RotcalError
+from rotcal_ros.planning.plan import Point
+
+
+class InstrumentError(RotcalError):
+    """An instrument cannot be reached, is lost, or cannot measure; the text is for people."""
+
+
+@dataclass(frozen=True, slots=True)
+class Length:
+    """One reading of a tracer, m, longer the farther the reflector is; any constant zero.
+
+    ``std`` is its standard deviation, 0: not told. ``valid`` is false while the beam is broken,
+    and for the first reading behind a loss of the zero. ``stamp_ns`` is when it was true, in ns
+    since 1970; None: when it was read.
+    """
+
+    length: float
+    std: float = 0.0
+    valid: bool = True
+    stamp_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One measured place x y z, m, with standard deviations (0: not told); stamp as of a Length.
+
+    It stands in the frame of the instrument, right-handed.
+    """
+
+    position: Point
+    std: Point = (0.0, 0.0, 0.0)
+    stamp_ns: int | None = None
+
+
+class Instrument(ABC):
+    """One instrument; all of it is called by one thread.
+
+    A connection that is lost raises InstrumentError or OSError from whatever is called; then
+    :meth:`close` and, after a while, :meth:`connect` follow.
+    """
+
+    streams_lengths = False
+    """Whether :meth:`read` brings lengths."""
+    measures_places = False
+    """Whether :meth:`measure` finds a reflector."""
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Connect and make ready to measure; InstrumentError says what a person has to do."""
+
+    def read(self, timeout_s: float) -> Sequence[Length]:
+        """Return the lengths that came since the last call, oldest first, or wait for one.
+
+        None within ``timeout_s`` is an empty sequence. A slow or single-shot instrument takes
+        one reading here.
+        """
+        raise NotImplementedError
+
+    def measure(self, near: Point, timeout_s: float) -> Place:
+        """Measure the reflector ``near`` a nominal place (m, machine frame), once.
+
+        Raises InstrumentError where there is none.
+        """
+        raise NotImplementedError
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the connection, if there is one; called after every error too."""
+
+
+Make = Callable[[str, Mapping[str, str]], Instrument]
+"""What an entry point names: from the address and the options of the settings, an instrument.
+
+It connects to nothing yet; ConfigurationError for what it cannot use."""

@@ -1,0 +1,37 @@
+"""The settings of an instrument by plug-in: group ``instrument`` of a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class InstrumentSettings:
+    """Which plug-in drives the instrument, where it is, and how patient its driver is."""
+
+    plugin: str = setting("", doc="name of an installed plug-in of rotcal_ros.instruments")
+    address: str = setting(
+        "", doc="where the instrument is, as its plug-in takes it, such as 192.168.0.1:700"
+    )
+    options: tuple[str, ...] = setting((), doc="options of the plug-in, each name=value")
+    silence_s: float = setting(
+        2.0, doc="s without a length after which the connection counts as lost", minimum=0.05,
+        maximum=3600.0,
+    )  # fmt: skip
+    measure_timeout_s: float = setting(
+        30.0, doc="s, longest measurement of one place", minimum=0.1, maximum=3600.0
+    )
+    reconnect_s: float = setting(
+        2.0, doc="s from a lost connection to the next attempt", minimum=0.05, maximum=3600.0
+    )
+
+    def by_name(self) -> dict[str, str]:
+        """Return the options by name; ConfigurationError for one without a value."""
+        pairs = [option.partition("=") for option in self.options]
+        for name, equals, _ in pairs:
+            if not (name and equals):
+                raise ConfigurationError(f"instrument.options: {name!r:.80} is not name=value")
+        return {name: value for name, _, value in pairs}

@@ -1,0 +1,39 @@
+"""Whether the table stands at an ordered angle, so that a place may be measured."""
+
+from __future__ import annotations
+
+from math import pi, remainder
+
+from rotcal_ros.observations import Command, TableSample
+from rotcal_ros.units import ARCSEC, DEGREE
+
+
+class TableRest:
+    """Hears the feedback; at rest are ``settle_s`` of it in position and slow enough.
+
+    ``tolerance_arcsec`` and ``speed_deg_s`` are those of the capture, which judges again.
+    """
+
+    def __init__(self, tolerance_arcsec: float, speed_deg_s: float, settle_s: float) -> None:
+        self._tolerance = tolerance_arcsec * ARCSEC
+        self._speed = speed_deg_s * DEGREE
+        self._settle_ns = round(settle_s * 1e9)
+        self._since: TableSample | None = None
+        self._latest: TableSample | None = None
+
+    def hear(self, sample: TableSample) -> None:
+        """Take a feedback."""
+        rests = abs(sample.velocity) <= self._speed
+        if not rests or self._since is None or self._off(sample, self._since.angle):
+            self._since = sample if rests else None
+        self._latest = sample
+
+    def at(self, order: Command) -> bool:
+        """Return whether the table rests where ``order`` has it."""
+        since, latest = self._since, self._latest
+        if since is None or latest is None or self._off(latest, order.table_angle):
+            return False
+        return latest.stamp_ns - since.stamp_ns >= self._settle_ns
+
+    def _off(self, sample: TableSample, angle: float) -> bool:
+        return not abs(remainder(sample.angle - angle, 2 * pi)) <= self._tolerance

@@ -1,0 +1,112 @@
+"""An instrument of an installed plug-in: publishes its lengths, or the places it was sent to.
+
+What it speaks is the plug-in's matter, see :mod:`rotcal_ros.instrument_plugins.instrument`; its
+thread is :mod:`rotcal_ros.instrument_plugins.driver`. This node only passes on.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rotcal_msgs.msg import ProbePoint, TracerLength
+from sensor_msgs.msg import JointState
+
+from rotcal_ros import messages
+from rotcal_ros.bags import names
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
+from rotcal_ros.instrument_plugins.instrument import InstrumentError
+from rotcal_ros.instrument_plugins.settings import InstrumentSettings
+from rotcal_ros.instrument_plugins.table_rest import TableRest
+from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.concerns import COMPLAINT, show
+from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
+from rotcal_ros.nodes.qos import EVENT, STREAM
+from rotcal_ros.nodes.running import run
+from rotcal_ros.observations import ProbeSample, TracerSample
+from rotcal_ros.planning.cell_settings import CellSettings
+
+LOOK_PERIOD_S = 0.2
+
+
+class InstrumentDriverNode(CellNode):
+    """Gives the driver of one instrument its orders and feedback, and publishes what it tells."""
+
+    def __init__(self) -> None:
+        super().__init__("instrument_driver")
+
+    def configure(self) -> None:
+        """Find the plug-in; the instrument is spoken to while the node is active."""
+        self._settings = self.settings("instrument", InstrumentSettings)
+        rest = self.settings("capture", CaptureSettings)
+        self._joint = self.settings("cell", CellSettings).joint
+        self._rest = TableRest(
+            rest.position_tolerance_arcsec, rest.velocity_tolerance_deg_s, rest.settle_time_s
+        )
+        self._instrument = instrument_of(self._settings)
+        if self._instrument.streams_lengths:
+            self._lengths = self.create_publisher(TracerLength, names.TRACER_LENGTH, STREAM)
+        if self._instrument.measures_places:
+            self._places = self.create_publisher(ProbePoint, names.PROBE_POINT, EVENT)
+        self._driver = self._new_driver()
+        if self._instrument.measures_places:
+            self.take_orders(lambda command: self._driver.order(command))
+            hear = self.health.guarded(self._hear)
+            InstrumentSubscription(self, JointState, names.JOINT_STATES, hear)
+        self.every(LOOK_PERIOD_S, self._look)
+
+    def activated(self) -> None:
+        """Connect, and measure from now on."""
+        if self._driver.alive:
+            raise InstrumentError("the instrument is still being closed; try again")
+        self._driver = self._new_driver()
+        self._driver.begin()
+
+    def deactivated(self) -> None:
+        """Let go of the instrument."""
+        self._driver.stop()
+
+    def stopped(self) -> bool:
+        """Return whether the connection is closed."""
+        return not self._driver.alive
+
+    def _new_driver(self) -> InstrumentDriver:
+        listeners = Listeners(self._tell_length, self._tell_place, self._complain)
+        return InstrumentDriver(
+            self._instrument, self._settings, listeners, self._rest.at, self.now_ns
+        )
+
+    def _node_lost(self, name: str) -> None:
+        """Measure nothing for a planner that is lost."""
+        if name == "planner":
+            self._driver.forget()
+
+    def _hear(self, batch: Batch) -> None:
+        for message, _ in batch:
+            if (sample := messages.table_sample(message, self._joint)) is not None:
+                self._rest.hear(sample)
+
+    def _look(self) -> None:
+        show(self.health, COMPLAINT, self._driver.trouble, alarm=True)
+
+    def _tell_length(self, sample: TracerSample) -> None:
+        self._lengths.publish(conversions.tracer_message(sample))
+
+    def _tell_place(self, sample: ProbeSample) -> None:
+        self._places.publish(conversions.probe_message(sample, conversions.TRACER))
+
+    def _complain(self, text: str) -> None:
+        self.get_logger().error(text)
+
+    def _report(self) -> tuple[str, dict[str, Any]]:
+        return self._driver.state, {"connections": self._driver.connections}
+
+
+def main() -> None:
+    """Run the driver."""
+    run(InstrumentDriverNode)
+
+
+if __name__ == "__main__":
+    main()
