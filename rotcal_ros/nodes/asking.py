@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 from rotcal_ros.nodes.concerns import BLOCKED
@@ -32,14 +33,16 @@ class Asking:
                 text = stop_text(*seen, work)
                 pauses.show(text, move)
                 watch.tell(PAUSED + text)
-                await watch.wait(
-                    lambda seen=seen: not pauses.waiting or (stop.why, stop.latched) != seen,
-                    REPEAT_PERIOD_S,
-                )
+                await watch.wait(partial(self._has_changed, seen), REPEAT_PERIOD_S)
             stop.forget()
         finally:
             pauses.end()
             watch.progress.go_on()
+
+    def _has_changed(self, seen: tuple[str, str]) -> bool:
+        """Return whether there is an answer, or something else to say than was ``seen``."""
+        stop = self._watch.stop
+        return not self._watch.pauses.waiting or (stop.why, stop.latched) != seen
 
 
 def obstacle(watch: GoalWatch) -> str:
