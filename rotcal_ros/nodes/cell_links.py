@@ -25,7 +25,7 @@ from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import show
-from rotcal_ros.nodes.managed_node import INACTIVE, UNCONFIGURED
+from rotcal_ros.nodes.managed_node import not_active
 from rotcal_ros.nodes.matching import deaf_listeners
 from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
@@ -133,9 +133,7 @@ class CellLinks:
 
     def idle_nodes(self) -> list[str]:
         """Return which nodes of the calibration are there and not active, in words."""
-        states = {name: self.health.state(name) for name in self.health.present() - SPARE}
-        idle = (INACTIVE, UNCONFIGURED)
-        return [f"node {n} is {s}" for n, s in sorted(states.items()) if s.startswith(idle)]
+        return not_active(self.health.state, sorted(self.health.present() - SPARE))
 
     def missing_topics(self, topics: Sequence[str], silent: Collection[str] = ()) -> list[str]:
         """Return what is missing around the instrument topics and the orders, in words.

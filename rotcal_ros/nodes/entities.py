@@ -27,8 +27,8 @@ def destroy(node: Node, kept: Collection[Any]) -> None:
         (node.clients, node.destroy_client),
         (node.publishers, node.destroy_publisher),
     )
-    for made, end in ways:
-        for entity in [e for e in made if e not in kept]:
-            end(entity)
+    for present, destroy_one in ways:
+        for entity in [e for e in present if e not in kept]:
+            destroy_one(entity)
     for action in [e for e in node.waitables if e not in kept]:
         action.destroy()

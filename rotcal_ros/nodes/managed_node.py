@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -21,6 +21,12 @@ WIND_UP_S: Final = 1.0
 _POLL_S: Final = 0.02
 SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 FAILURE: Final = TransitionCallbackReturn.FAILURE
+
+
+def not_active(state: Callable[[str], str], names: Iterable[str]) -> list[str]:
+    """Return which nodes are not active by their ``state`` in a beat, and how that ends."""
+    idle = (INACTIVE, UNCONFIGURED)
+    return [f"node {name} is {state(name)}" for name in names if state(name).startswith(idle)]
 
 
 class ManagedNode(LifecycleNode):

@@ -89,7 +89,7 @@ class Planner(CellNode):
         free = self._run is None and not self._preparing
         if self.active and not self._giving_up and free:
             return GoalResponse.ACCEPT
-        self.get_logger().warning(f"goal refused: the planner is {self._told()[0]}")
+        self.get_logger().warning(f"goal refused: the planner is {self._in_the_beat()[0]}")
         return GoalResponse.REJECT
 
     def _obstacle(self) -> str:

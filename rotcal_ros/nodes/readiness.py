@@ -12,13 +12,12 @@ from collections.abc import Collection
 from typing import Final
 
 from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.managed_node import INACTIVE, UNCONFIGURED
+from rotcal_ros.nodes.managed_node import not_active
 from rotcal_ros.nodes.peer import Peer
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
 REMIND_S: Final = 15.0
 _TURN_S: Final = 0.2
-ABSENT: Final = "not there (yet)"
 NEXT: Final = """\
 all nodes of {place} are active: {names}
 {shell}calibrate:            ros2 action send_goal --feedback {place}/calibrate \
@@ -32,11 +31,9 @@ take a node out:      ros2 lifecycle set {place}/capture deactivate
 
 def waiting_for(health: Health, names: Collection[str]) -> list[str]:
     """Return which nodes are not active, in words that say what to do."""
-    states = {name: health.state(name) for name in names}
-    for name in health.missing(names):
-        states[name] = ABSENT
-    idle = (INACTIVE, UNCONFIGURED, ABSENT)
-    return [f"node {name} is {state}" for name, state in states.items() if state.startswith(idle)]
+    absent = health.missing(names)
+    idle = not_active(health.state, [name for name in names if name not in absent])
+    return idle + [f"node {name} is not there (yet)" for name in absent]
 
 
 def what_next(place: str, names: Collection[str], domain: str) -> str:
@@ -49,16 +46,16 @@ def _wait(place: str, names: Collection[str]) -> None:
     end, peer = EndRequest(), Peer("readiness", place)
     health = Health(peer.node, None)
     remind_s = time.monotonic() + REMIND_S
-    told: list[str] = []
+    reminded: list[str] = []
     while not end:
         peer.work_until(lambda: bool(end), _TURN_S)
         waiting = waiting_for(health, names)
         if not waiting:
             _say(what_next(place, names, os.environ.get("ROS_DOMAIN_ID", "")))
             break
-        if time.monotonic() > remind_s and waiting != told:
+        if time.monotonic() > remind_s and waiting != reminded:
             _say("still waiting: " + "; ".join(waiting))
-            remind_s, told = time.monotonic() + REMIND_S, waiting
+            remind_s, reminded = time.monotonic() + REMIND_S, waiting
     peer.close()
 
 

@@ -124,8 +124,7 @@ class RecorderNode(CellNode):
         self, request: StartRecording.Request, response: StartRecording.Response
     ) -> StartRecording.Response:
         try:
-            folder = self._open(request)
-            response.folder, response.success = str(folder), True
+            response.folder, response.success = str(self._open(request)), True
         except (BagError, OSError) as error:
             response.message = str(error)
         return response
