@@ -46,14 +46,12 @@ class SolverNode(CellNode):
         )
         self._continuation = read_continuation(self)
         self._calibration: Calibration | None = None
-        self._run = ""
-        self._state = "waiting for a plan"
+        self._run, self._state = "", "waiting for a plan"
         self._observations: dict[RunStep, Observation] = {}
         self._in_force: list[str] = []
-        self._run_number = 0
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
         self._solving: Future[Result] | None = None
-        self._solved_count = 0
+        self._run_number = self._solved_count = 0
         self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
         self._earlier = EarlierObservations(self)
@@ -77,9 +75,8 @@ class SolverNode(CellNode):
         except RotcalError as error:
             self._state = f"{REFUSED}: {error}"
             raise
-        kept: dict[RunStep, Observation] = {}
-        if old is not None and old.configuration.plan_id == message.plan_id:
-            kept = own if message.run > self._run_number else {}
+        same = old is not None and old.configuration.plan_id == message.plan_id
+        kept = own if same and message.run > self._run_number else {}
         known, self._continuation = self._continuation, None
         if known is not None and (known.plan_id, known.run) == (message.plan_id, message.run):
             kept = {(o.run, o.step): o for o in known.observations}
@@ -103,8 +100,7 @@ class SolverNode(CellNode):
 
     def _take(self, message: ObservationMsg) -> None:
         if self._calibration is not None and message.accepted:
-            observation = messages.observation(message)
-            self._observations[observation.run, observation.step] = observation
+            self._observations[message.run, message.step] = messages.observation(message)
 
     def _preliminary(self) -> None:
         """Begin a solution of what is there, unless one is running or nothing is new."""
