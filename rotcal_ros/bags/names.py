@@ -29,7 +29,9 @@ DROPOUTS: Final = "dropouts"
 """Last name of the recorder's topic that says what is missing, and from when to when."""
 RUN: Final = "rotcal_run"
 """Metadata record: ``number`` of the run of an interrupted plan that the file belongs to, and
-``session``, which all files of all its runs have in common."""
+``session``, which all files of all its runs have in common; ``earlier`` is RECORDED where the run
+went on from the observations that were recorded, not from what the streams of before tell."""
+RECORDED: Final = "recorded"
 CONTINUED: Final = "rotcal_continued"
 """Metadata record: ``in`` which file the session went on; after an interruption also where the
 file had ended, how many bytes of a torn record stood there, and when it was closed."""

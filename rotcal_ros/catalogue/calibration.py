@@ -12,7 +12,7 @@ from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.air import Refraction
 from rotcal_ros.catalogue.air_settings import AirSettings
 from rotcal_ros.catalogue.configuration import Configuration, read_policy
-from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation
+from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation, continued
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
 from rotcal_ros.catalogue.method import Adaptive, Method, Trials
 from rotcal_ros.catalogue.stations import Stations
@@ -162,6 +162,22 @@ class Calibration:
         """Return the first run of the plan, from step ``start_index`` on."""
         steps = tuple(range(start_index, len(self.plan.steps)))
         return Continuation(self.configuration.plan_id, 0, start_index, (), steps, ())
+
+    def continued(
+        self, run: int, observations: Sequence[Observation], from_step: int = 0
+    ) -> Continuation:
+        """Return how run number ``run`` goes on after what the earlier ones observed."""
+        settings = self.configuration.planner
+        return continued(
+            self.plan,
+            self.configuration.plan_id,
+            run,
+            observations,
+            max_attempts=settings.max_attempts,
+            max_failed_steps=settings.max_failed_steps,
+            join_steps=settings.join_steps if self.method.joins_runs else 0,
+            from_step=from_step,
+        )
 
     def check(self, observations: Iterable[Observation]) -> tuple[str, ...]:
         """Return in words what a person has to put right, as far as the method can tell."""

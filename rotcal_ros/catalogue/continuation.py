@@ -52,6 +52,27 @@ class Continuation:
             raise DataError(f"not a continuation of an interrupted plan: {error}") from error
 
 
+@dataclass(frozen=True)
+class Recorded:
+    """What the recorder has of a session: all observations, in their order, and the run now."""
+
+    plan_id: str
+    run: int
+    observations: tuple[Observation, ...]
+
+    def to_json(self) -> str:
+        """Return a text of it; every float round-trips to the last bit."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Recorded:
+        """Read the text of :meth:`to_json`; raises DataError when it is something else."""
+        try:
+            return record(cls, load_json(text, finite=False))
+        except ValueError as error:
+            raise DataError(f"not what a recorder tells of its session: {error}") from error
+
+
 def continued(
     plan: Plan,
     plan_id: str,
@@ -61,6 +82,7 @@ def continued(
     max_attempts: int,
     join_steps: int,
     max_failed_steps: int = 0,
+    from_step: int = 0,
 ) -> Continuation:
     """Return how run number ``run`` goes on after what the earlier runs observed.
 
@@ -68,7 +90,7 @@ def continued(
     one run. Where ``max_failed_steps`` or more failed running at the end, the planner gave up, not
     those steps. Up to ``join_steps`` done steps are measured again, evenly spread over those at
     table angles that have missing steps; with none there, over all. An instrument that has left a
-    station does not go back for that.
+    station does not go back for that. What is missing before ``from_step`` stays so.
     """
     accepted = {o.step for o in observations if o.accepted}
     rejected = Counter((o.step, o.run) for o in observations if not o.accepted)
@@ -76,6 +98,7 @@ def continued(
     if 0 < max_failed_steps <= len(failed := _failed_last(observations)):
         given_up -= failed
     missing = [s.index for s in plan.steps if s.index not in accepted | given_up]
+    missing = [index for index in missing if index >= from_step]
     again = _spread(_joining(plan, accepted, missing), join_steps) if missing else ()
     return Continuation(
         plan_id=plan_id,

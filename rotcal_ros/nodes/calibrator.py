@@ -26,7 +26,7 @@ from std_srvs.srv import Trigger
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.health import Health
-from rotcal_ros.nodes.outcome import Feedback, Outcome, text_of
+from rotcal_ros.nodes.outcome import Feedback, Outcome, planner_lost, text_of
 from rotcal_ros.nodes.peer import Peer
 from rotcal_ros.nodes.running import use_middleware
 
@@ -180,7 +180,7 @@ class Calibrator:
             return Outcome.of(self._answer.result())
         lost = Calibrate.Result.NODE_LOST
         if silent:
-            return Outcome(error_code=lost, error_msg="node planner fell silent")
+            return Outcome(error_code=lost, error_msg=planner_lost(self._feedback))
         if time.monotonic() > self._deadline_s:
             return Outcome(error_code=lost, error_msg=self._no_answer())
         return None

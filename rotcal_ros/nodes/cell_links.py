@@ -16,7 +16,6 @@ from rotcal_msgs.msg import (
     TableAngle,
 )
 from rotcal_msgs.msg import Observation as ObservationMsg
-from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
@@ -24,6 +23,7 @@ from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.cell_services import CellServices
 from rotcal_ros.nodes.concerns import show
 from rotcal_ros.nodes.managed_node import not_active
 from rotcal_ros.nodes.matching import deaf_listeners
@@ -58,9 +58,7 @@ class CellLinks:
         node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT)
         node.listen(RecordedObservation, "observation_recorded", self._recorded, EVENT)
         node.listen(DeviationArray, "deviations", self._solved, LATCHED)
-        self.start_recording = node.create_client(StartRecording, "start_recording")
-        self.stop_recording = node.create_client(StopRecording, "stop_recording")
-        self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")
+        self.services = CellServices(node)
 
     def forget(self) -> None:
         """Forget what came in for an earlier goal."""
@@ -122,18 +120,11 @@ class CellLinks:
         """Return what keeps the nodes of the suite from working together, in words."""
         lost = [f"node {name} does not beat" for name in self.health.missing(PREFLIGHT_NODES)]
         lost += self.idle_nodes()
-        for node, client in (
-            ("recorder", self.start_recording),
-            ("recorder", self.stop_recording),
-            ("solver", self.finish_calibration),
-        ):
-            if not lost and not client.service_is_ready():
-                lost.append(f"node {node} does not offer {client.srv_name}")
-        return lost
+        return lost or self.services.missing()[:1]
 
-    def idle_nodes(self) -> list[str]:
+    def idle_nodes(self, but: Collection[str] = ()) -> list[str]:
         """Return which nodes of the calibration are there and not active, in words."""
-        return not_active(self.health.state, sorted(self.health.present() - SPARE))
+        return not_active(self.health.state, sorted(self.health.present() - SPARE - {*but}))
 
     def missing_topics(self, topics: Sequence[str], silent: Collection[str] = ()) -> list[str]:
         """Return what is missing around the instrument topics and the orders, in words.
@@ -180,11 +171,11 @@ class CellLinks:
         called = {role: self.instrument(role) for role in expected}
         return {role: name for role, name in called.items() if not self.publishers(name)}
 
-    def missing_plan(self, run: str) -> list[str]:
+    def missing_plan(self, run: str, nodes: Sequence[str] = ("capture", "solver")) -> list[str]:
         """Return which nodes have not taken the plan of this run, with their reason."""
         return [
             f"node {name} has not taken the plan ({self.health.state(name) or 'silent'})"
-            for name in ("capture", "solver")
+            for name in nodes
             if self.health.values(name).get(RUN) != run
         ]
 

@@ -7,6 +7,7 @@ import math
 from typing import Any, Final
 
 from builtin_interfaces.msg import Time
+from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import (
     DeviationArray,
@@ -23,6 +24,7 @@ from std_msgs.msg import Header
 
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import DataError
+from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.observations import (
     Command,
     HumiditySample,
@@ -180,3 +182,19 @@ def _filled(kind: Any, record: object, stamp_ns: int, frame: str = TABLE, **othe
     names = kind.get_fields_and_field_types()
     same = {name: getattr(record, name) for name in names if hasattr(record, name)}
     return kind(**{**same, **others, "header": header(stamp_ns, frame)})
+
+
+def feedback_message(progress: Progress, current_std: float) -> Calibrate.Feedback:
+    """Return how far a goal has come; ``current_std`` in rad."""
+    return Calibrate.Feedback(
+        step=progress.step,
+        total=progress.total,
+        activity=progress.activity,
+        time_left=progress.time_left(),
+        current_std=current_std,
+        n_accepted=len(progress.accepted),
+        n_rejected=progress.rejected,
+        left=progress.left,
+        uncertainty=progress.uncertainty,
+        goal=progress.goal,
+    )

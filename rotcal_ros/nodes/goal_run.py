@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rotcal_msgs.msg import CalibrationPlan
-from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
+from rotcal_msgs.srv import FinishCalibration
 
 from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.files import write_atomically
+from rotcal_ros.errors import RotcalError
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.concerns import PREFLIGHT
-from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
+from rotcal_ros.nodes.crew import SOLVER, Codes, GoalError
+from rotcal_ros.nodes.goal_bag import GoalBag
+from rotcal_ros.nodes.goal_watch import GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
 from rotcal_ros.nodes.plans import RUN, run_name
 from rotcal_ros.nodes.preflight import doubts, expected_air, faults, without_air
 from rotcal_ros.nodes.sim_clock import unlike_clocks
 from rotcal_ros.nodes.topic_names import TOPICS, names_at_odds, topics_value
-from rotcal_ros.session_folder import SessionFolder
 
-BAG_TIMEOUT_S: Final = 10.0
+MOST_IN_VAIN: Final = 2
+"""So many runs without an accepted step follow each other at most, when nodes are lost."""
 
 
 class GoalRun:
@@ -37,8 +37,9 @@ class GoalRun:
     ) -> None:
         self._calibration = calibration
         self._continuation = continuation
-        self._folder: SessionFolder | None = None
-        self._bag_is_open = False
+        self.bag = GoalBag(calibration.configuration, watch)
+        self._goes_on = continuation.run == 0 and continuation.start_index > 0
+        self._lost: GoalError | None = None
         self.verdict_line = ""
         self._run = ""
         self.watch = watch
@@ -48,23 +49,18 @@ class GoalRun:
         """Carry the goal out; every way to end leaves a closed bag and an explained outcome."""
         outcome = Codes()
         try:
-            await self._preflight()
-            folder = self._folder = await self._open_bag()
-            await self._announce()
-            await self.measuring.measure_all()
-            answer = await self._solve()
+            answer = await self._solved()
             outcome.verdict = answer.verdict
             self.verdict_line = json.loads(answer.result_json)["verdict_line"]
-            await self._close_bag()
-            outcome.result_file = _keep(answer.result_json, folder.result)
+            outcome.result_file = self.bag.keep_result(answer.result_json)
         except GoalError as error:
-            begun = self._folder is not None or error.code == Codes.CANCELED
+            begun = self.bag.folder is not None or error.code == Codes.CANCELED
             onward = self.watch.how_to_go_on(error.code) if begun else ""
             remark = self.watch.links.health.sim.remark() if error.code != Codes.CANCELED else ""
             outcome.error_code, outcome.error_msg = error.code, f"{error}{remark}{onward}"
-            await self._close_bag_after_failure()
-        if self._folder is not None:
-            outcome.bag_folder = str(self._folder.bag)
+            await self.bag.close_after_failure()
+        if self.bag.folder is not None:
+            outcome.bag_folder = str(self.bag.folder.bag)
         progress = self.watch.progress
         earlier = {o.step for o in self._continuation.observations}
         outcome.n_used = len(earlier.union(progress.accepted))
@@ -72,14 +68,48 @@ class GoalRun:
         outcome.skipped_steps = progress.skipped
         return outcome
 
+    async def _solved(self) -> FinishCalibration.Response:
+        """Return the solver's answer, in as many runs as the loss of nodes makes it take."""
+        in_vain = 0
+        while True:
+            before = len(self.watch.progress.accepted)
+            try:
+                return await self._solved_in_one_run()
+            except GoalError as error:
+                in_vain = in_vain + 1 if len(self.watch.progress.accepted) == before else 0
+                waits = error.in_another_run and self.watch.crew.restart_wait_s > 0.0
+                if not waits or in_vain > MOST_IN_VAIN:
+                    raise
+                self._begin_anew(error)
+
+    async def _solved_in_one_run(self) -> FinishCalibration.Response:
+        try:
+            await self._preflight()
+        except GoalError as error:
+            if self._lost is None or error.code == Codes.CANCELED:
+                raise
+            text = f"{self._lost}; did not come back in time: {error}"
+            raise GoalError(self._lost.code, text) from error
+        await self.bag.open(goes_on=self._goes_on)
+        if self._goes_on:
+            await self._go_on()
+        await self._announce()
+        await self.measuring.measure_all()
+        answer = await self._solve()
+        await self.bag.close()
+        return answer
+
+    def _begin_anew(self, lost: GoalError) -> None:
+        """Go on in another run of the same session, as soon as all nodes are back."""
+        self._lost, self._goes_on = lost, True
+        self.watch.progress.pause()
+        self.watch.end_run(self.watch.crew.restart_wait_s)
+        self.watch.links.node.get_logger().warning(f"{lost}: the goal waits for it and goes on")
+
     def values(self) -> dict[str, object]:
         """Return what the planner tells of the goal in its beat."""
-        progress = self.watch.progress
-        own: dict[str, object] = {
-            "accepted": len(progress.accepted),
-            "rejected": progress.rejected,
-            TOPICS: topics_value(self._calibration.configuration),
-        }
+        own: dict[str, object] = {**self.watch.progress.counts()}
+        own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
 
     async def _preflight(self) -> None:
@@ -98,10 +128,11 @@ class GoalRun:
             return links.missing_topics(topics, silent) + air + wrong
 
         links.forget()
-        watch.stop.forget()
+        if watch.preflight:  # a later one, after a lost node, hears of a stop in between
+            watch.stop.forget()
         watch.tell("preflight: nodes")
         await watch.have(links.missing_nodes, Codes.NODE_LOST)
-        watch.nodes = (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS}
+        nodes = watch.crew.nodes = links.health.present() | set(PREFLIGHT_NODES)
         watch.tell("preflight: clocks")
         await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
         watch.tell("preflight: topics")
@@ -109,42 +140,22 @@ class GoalRun:
         unheard = [without_air(role, name, configuration)
                    for role, name in links.missing_air(wished).items()]  # fmt: skip
         links.warn(PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration))
-        watch.nodes |= links.health.present()
-        watch.nodes -= set(VIEWERS.values())
+        watch.crew.nodes = (nodes | links.health.present()) - {*VIEWERS.values()}
         watch.refuse_stop()
         watch.preflight = False
 
-    async def _open_bag(self) -> SessionFolder:
-        """Have the recorder open a new session folder with a bag."""
-        self.watch.tell("opening the bag")
-        configuration = self._calibration.configuration
-        request = StartRecording.Request(
-            plan_id=configuration.plan_id, configuration=configuration.text
-        )
-        answer = await self._recorder_did(self.watch.links.start_recording, request)
-        self._bag_is_open = self.watch.recording = True
-        return SessionFolder(Path(answer.folder))
-
-    async def _close_bag(self) -> None:
-        self.watch.tell("closing the bag")
-        self._bag_is_open = self.watch.recording = False
-        await self._recorder_did(self.watch.links.stop_recording, StopRecording.Request())
-
-    async def _recorder_did(self, client: Any, request: Any) -> Any:
-        """Return the answer of the recorder; GoalError when it could not do it."""
-        answer = await self.watch.call(client, request, BAG_TIMEOUT_S)
-        if not answer.success:
-            raise GoalError(Codes.RECORDER_FAILED, answer.message)
-        return answer
-
-    async def _close_bag_after_failure(self) -> None:
-        """Close the bag if the recorder still lives; a dead one left whole chunks behind."""
-        links = self.watch.links
-        if self._bag_is_open and not links.health.missing(["recorder"]):
-            future = links.stop_recording.call_async(StopRecording.Request())
-            await until(
-                lambda: future.done() or bool(links.health.missing(["recorder"])), BAG_TIMEOUT_S
-            )
+    async def _go_on(self) -> None:
+        """Measure what is left, joined with what the recorder has of the runs before."""
+        asked = self._continuation.start_index if self._lost is None else 0
+        known = await self.bag.recorded()
+        try:
+            left = self._calibration.continued(known.run, known.observations, asked)
+            self.measuring = Measuring(self._calibration, left, self.watch)
+        except RotcalError as error:
+            raise GoalError(Codes.BAD_CONFIGURATION, str(error)) from error
+        self._continuation, self.watch.progress.left = left, len(left.steps)
+        text = f"run {known.run}: {len(left.steps)} steps, {len(left.again)} of them once more"
+        self.watch.links.node.get_logger().info(text)
 
     async def _announce(self) -> None:
         """Publish the plan and wait until everybody has taken it."""
@@ -162,31 +173,28 @@ class GoalRun:
         links.health.beat()  # it vouches for the plan
         links.announce(message)
         await self.watch.have(lambda: links.missing_plan(run), Codes.NODE_LOST)
-        self.watch.run = run
+        self.watch.begin_run(run)
 
     async def _solve(self) -> FinishCalibration.Response:
-        """Return the solver's answer, which holds a result."""
-        self.watch.tell("solving")
-        accepted = self.watch.progress.accepted
+        """Return the solver's answer, which holds a result; one that comes back is asked again."""
+        watch = self.watch
+        watch.tell("solving")
         request = FinishCalibration.Request(
-            plan_id=self._calibration.configuration.plan_id, steps=accepted
+            plan_id=self._calibration.configuration.plan_id, steps=self.measuring.accepted()
         )
-        answer = await self.watch.call(
-            self.watch.links.finish_calibration, request, self.watch.settings.solve_timeout_s
-        )
+        answer = None
+        while answer is None:
+            await watch.have(lambda: watch.links.missing_plan(watch.run), Codes.NODE_LOST)
+            answer = await watch.call(
+                watch.links.services.finish_calibration,
+                request,
+                watch.settings.solve_timeout_s,
+                in_vain=watch.crew.is_another(SOLVER),
+            )
         if not answer.success:
-            few = not accepted and not self._continuation.observations
+            few = not watch.progress.accepted and not self._continuation.observations
             code = Codes.TOO_FEW_OBSERVATIONS if few else Codes.SOLVER_FAILED
             why = Commonest.of(self.measuring.reasons)
             more = f"; rejected: {why.in_words()}" if why else ""
             raise GoalError(code, f"no result: {answer.message}{more}")
         return answer
-
-
-def _keep(result_json: str, path: Path) -> str:
-    """Write the result into the session folder and return its path."""
-    try:
-        write_atomically(path, result_json)
-    except OSError as error:
-        raise GoalError(Codes.RECORDER_FAILED, f"cannot write {path}: {error}") from error
-    return str(path)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
-
-from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.bags import names
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.clock_news import jumps_told
+from rotcal_ros.nodes.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.pauses import Pauses
@@ -25,20 +24,10 @@ SILENCE: Final = "silent_s."
 
 ASTRAY_TIMEOUT_S: Final = 5.0
 """So long capture and solver may be without the plan of the goal."""
-Codes = Calibrate.Result
-"""The message that holds the error codes of the action."""
 
 
 class HaltedError(Exception):
     """An emergency stop has broken off the step under way; the goal waits."""
-
-
-class GoalError(Exception):
-    """The goal cannot go on; ``code`` is an error code of the action."""
-
-    def __init__(self, code: int, text: str) -> None:
-        super().__init__(text)
-        self.code = code
 
 
 @dataclass
@@ -46,11 +35,10 @@ class GoalWatch:
     """One goal's view of the cell.
 
     ``stop`` and ``pauses`` are those of the planner; ``preflight`` is true until the goal may move
-    something: a stop ends it, later it waits.
-    ``show`` is called with every progress, ``canceled`` tells of a cancel request. ``stopping``
-    says why the planner gives the goal up. ``nodes`` must beat; ``recording`` says that a bag is
-    open, from then on the recorder and the streams are watched too; ``run`` is what capture and
-    solver have to work for, empty before they do.
+    something: a stop ends it, later it waits. ``show`` is called with every progress, ``canceled``
+    tells of a cancel request. ``crew`` are the nodes needed, ``patience_s`` a preflight's time.
+    ``stopping`` says why the planner gives up; ``recording`` that a bag is open: from then on the
+    recorder and streams are watched too; ``run`` what capture and solver have to work for.
     """
 
     settings: PlannerSettings
@@ -60,8 +48,9 @@ class GoalWatch:
     progress: Progress
     show: Callable[[Progress], None]
     canceled: Callable[[], bool]
+    crew: Crew
+    patience_s: float
     stopping: str = ""
-    nodes: set[str] = field(default_factory=set)
     preflight: bool = True
     recording: bool = False
     run: str = ""
@@ -76,13 +65,24 @@ class GoalWatch:
 
     def how_to_go_on(self, code: int) -> str:
         """Return how to go on after an error of the goal, for those that end it half-way."""
-        if code not in (Codes.NODE_LOST, Codes.CANCELED):
+        if code not in (Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED):
             return ""
         if self.settings.policy != AS_LISTED:
             return "; continue with rotcal run --resume"
-        new_zero = "rotcal run --resume where an instrument was started anew, else with "
-        how = new_zero if code == Codes.NODE_LOST else ""
-        return f"; continue with {how}start_index {self.progress.step}"
+        again = "start again what is lost, then " if code == Codes.NODE_LOST else ""
+        step = max(0, min(self.progress.step, self.progress.total - 1))
+        return f"; {again}continue with start_index {step}"
+
+    def begin_run(self, run: str) -> None:
+        """Watch over a run: capture and solver have its plan, the bag is open."""
+        self.run = run
+        self.crew.begin_run()
+
+    def end_run(self, patience_s: float) -> None:
+        """Watch over no run any more, but let a preflight look for the nodes of the next."""
+        self.run, self.recording, self._bag_open, self._astray_s = "", False, False, None
+        self.patience_s = patience_s
+        self.crew.end_run()
 
     async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until ``condition``; False after the time-out, GoalError when all is in vain."""
@@ -107,17 +107,23 @@ class GoalWatch:
 
     async def have(self, missing: Callable[[], list[str]], code: int) -> None:
         """Wait until nothing is missing; after the preflight time raise what still is."""
-        if not await self.wait(lambda: not missing(), self.settings.preflight_timeout_s):
+        if not await self.wait(lambda: not missing(), self.patience_s):
             raise GoalError(code, "; ".join(missing()) or "preflight timed out")
 
-    async def call(self, client: Any, request: Any, timeout_s: float) -> Any:
-        """Return the answer of a service."""
+    async def call(
+        self,
+        client: Any,
+        request: Any,
+        timeout_s: float,
+        in_vain: Callable[[], bool] = lambda: False,
+    ) -> Any:
+        """Return the answer of a service; None once it is ``in_vain`` to wait for it."""
         future = client.call_async(request)
-        if not await self.wait(future.done, timeout_s):
+        if not await self.wait(lambda: future.done() or in_vain(), timeout_s):
             raise GoalError(
                 Codes.NODE_LOST, f"{client.srv_name} gave no answer in {timeout_s:g} s"
             )
-        return future.result()
+        return future.result() if future.done() else None
 
     def refuse_stop(self) -> None:
         """Raise GoalError in an emergency stop, before the goal may move anything."""
@@ -139,12 +145,9 @@ class GoalWatch:
             raise GoalError(Codes.CANCELED, f"{self.stopping} {place}")
         if self.canceled():
             raise GoalError(Codes.CANCELED, f"canceled {place}")
-        if missing := self.links.health.missing(self.nodes):
-            lost = [name for name in missing if name in self.links.health.lost]
-            how = "fell silent" if lost else "was ended"
-            words = f" ({self.links.health.last_words(lost[0])})" if lost else ""
-            raise GoalError(Codes.NODE_LOST, f"node {', '.join(missing)} {how} {place}{words}")
-        if idle := self.links.idle_nodes():
+        self.crew.check(place)
+        idle = self.links.idle_nodes(but=self.crew.newcomers()) if self.recording else ()
+        if idle:
             raise GoalError(Codes.NODE_LOST, f"{idle[0]} ({place})")
         if self.recording:
             state = self.links.health.state("recorder")
@@ -166,13 +169,16 @@ class GoalWatch:
             self._astray_s = None
             return
         self._astray_s = self._astray_s or time.monotonic()
-        if time.monotonic() - self._astray_s > ASTRAY_TIMEOUT_S:
+        of_capture = self.links.missing_plan(self.run, ("capture",))
+        allowed_s = ASTRAY_TIMEOUT_S if of_capture else ASTRAY_TIMEOUT_S + self.crew.restart_wait_s
+        if time.monotonic() - self._astray_s > allowed_s:
             topic = self.links.resolve(names.PLAN)
             publishers = ", ".join(self.links.publishers(topic)) or "nobody"
             raise GoalError(
                 Codes.NODE_LOST,
                 f"{'; '.join(astray)} any more {place}: does somebody else publish on {topic} "
                 f"(its publishers: {publishers}), or was it started anew?",
+                in_another_run=True,
             )
 
     def _check_streams(self, place: str) -> None:

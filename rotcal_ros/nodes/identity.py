@@ -64,6 +64,12 @@ class Identity:
         return self.process < other.process if abs(earlier_s) < _AT_ONCE_S else earlier_s > 0.0
 
 
+def process_of(health: Any, name: str) -> str:
+    """Return which process node ``name`` is, or was last; empty where that is not known."""
+    identity = Identity.read(health.values(name).get(IDENTITY, ""), 0.0)
+    return "" if identity is None else identity.process
+
+
 @dataclass
 class NameHolders:
     """Who holds the name of each node: the oldest that beats under it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from itertools import count
 from typing import Final
 
@@ -13,7 +12,8 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.asking import Asking
 from rotcal_ros.nodes.cell_links import Attempt
-from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch, HaltedError
+from rotcal_ros.nodes.crew import Codes, GoalError
+from rotcal_ros.nodes.goal_watch import GoalWatch, HaltedError
 from rotcal_ros.nodes.latest import WAITING_FOR
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
@@ -46,7 +46,7 @@ class Measuring:
     async def measure_all(self) -> None:
         """Measure what the policy chooses, until it stops."""
         progress = self._watch.progress
-        progress.started_s = time.monotonic()
+        progress.begin()
         choice = self._policy.choose()
         while choice.step is not None:
             progress.left = choice.standing.left
@@ -61,6 +61,10 @@ class Measuring:
         self._tell(choice, 0)
         progress.uncertainty, progress.left = choice.standing.uncertainty, 0
         progress.step = progress.total
+
+    def accepted(self) -> list[int]:
+        """Return the steps that were accepted in this run."""
+        return [step for step in self._watch.progress.accepted if step in self._next_attempt]
 
     def _give_up(self, *, at_the_end: bool) -> None:
         """Raise GoalError where too many steps failed; at the end what there is is solved."""

@@ -60,6 +60,14 @@ class Feedback:
         return self.activity.removeprefix(PAUSED) if self.activity.startswith(PAUSED) else ""
 
 
+def planner_lost(last: Feedback | None) -> str:
+    """Say that the planner fell silent, and how to go on after its ``last`` feedback."""
+    text = "node planner fell silent"
+    if last is None or not last.accepted:
+        return text
+    return f"{text}; start it again, then continue with start_index {last.step}"
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """How a calibration ended: ``error_code`` 0 means with a result, see docs/interfaces.md.

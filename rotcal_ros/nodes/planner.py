@@ -20,9 +20,11 @@ from rotcal_ros.errors import RotcalError
 from rotcal_ros.nodes.asking import obstacle
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import CellNode, until
+from rotcal_ros.nodes.conversions import feedback_message
+from rotcal_ros.nodes.crew import Codes, Crew
 from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.goal_run import GoalRun
-from rotcal_ros.nodes.goal_watch import Codes, GoalWatch
+from rotcal_ros.nodes.goal_watch import GoalWatch
 from rotcal_ros.nodes.health import CALIBRATING
 from rotcal_ros.nodes.pauses import Pauses
 from rotcal_ros.nodes.plans import PlannerParameters, read_continuation
@@ -32,6 +34,8 @@ from rotcal_ros.nodes.running import run
 RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1
 NO_ORDERS: Final = "the planner orders nothing; a recording goes on"
+RESTART_WAIT_S: Final = 20.0
+"""So long a goal waits for a node of the suite that was lost to be started again."""
 
 
 class Planner(CellNode):
@@ -46,6 +50,11 @@ class Planner(CellNode):
         self._preparing, self._giving_up, self._shown_s = False, "", -math.inf
         self._configured = PlannerParameters(self)
         self._continuation = read_continuation(self)
+        self._restart_wait_s = self.parameter(
+            "restart_wait_s",
+            RESTART_WAIT_S,
+            "s, how long a goal waits for lost nodes of the suite",
+        )
         self._links = CellLinks(self)
         self._stop = EmergencyStop(self, self._configured.safety, NO_ORDERS)
         self._pauses = Pauses(self, self._obstacle, lambda: self._told()[0])
@@ -146,6 +155,8 @@ class Planner(CellNode):
             ),
             show=lambda progress: self._show(handle, progress),
             canceled=lambda: handle.is_cancel_requested,
+            crew=Crew(self.health, self._restart_wait_s),
+            patience_s=calibration.configuration.planner.preflight_timeout_s,
         )
         return GoalRun(calibration, continuation, watch)
 
@@ -167,20 +178,7 @@ class Planner(CellNode):
         if now - self._shown_s < FEEDBACK_PERIOD_S and measuring and not self._pauses.waiting:
             return
         self._shown_s = now
-        handle.publish_feedback(
-            Calibrate.Feedback(
-                step=progress.step,
-                total=progress.total,
-                activity=progress.activity,
-                time_left=progress.time_left(),
-                current_std=self._links.current_std,
-                n_accepted=len(progress.accepted),
-                n_rejected=progress.rejected,
-                left=progress.left,
-                uncertainty=progress.uncertainty,
-                goal=progress.goal,
-            )
-        )
+        handle.publish_feedback(feedback_message(progress, self._links.current_std))
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         if self._run is None:

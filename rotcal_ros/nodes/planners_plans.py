@@ -22,7 +22,8 @@ PATIENCE_S: Final = 2.0
 class PlannersPlans:
     """Hands over the plans of the planner: while a goal runs it tells in its beat which one.
 
-    Without a planner, or while it has no goal, every plan is handed over.
+    While it has no goal every plan is handed over, and without a planner too, after a moment: a
+    node that has just been started does not know it yet.
     """
 
     def __init__(self, node: CellNode, take: Callable[[CalibrationPlan], None]) -> None:
@@ -38,9 +39,11 @@ class PlannersPlans:
     def _look(self) -> None:
         """Hand over what is held as soon as it is the planner's; refuse it when it is not."""
         goals_run = self._node.health.values("planner").get(RUN, "")
-        free = not goals_run or "planner" in self._node.health.lost
+        known = bool(self._node.health.state("planner"))
+        free = (known and not goals_run) or "planner" in self._node.health.lost
         for name, (message, since_s) in tuple(self._held.items()):
-            if free or goals_run == name:
+            alone = not known and time.monotonic() - since_s > PATIENCE_S
+            if free or alone or goals_run == name:
                 del self._held[name]
                 show(self._node.health, FOREIGN_PLAN, "")
                 self._take(message)

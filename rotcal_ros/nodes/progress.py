@@ -37,6 +37,16 @@ class Progress:
         now_s = time.monotonic() if self.paused_s is None else self.paused_s
         return (now_s - self.started_s) / self.done * self.left
 
+    def counts(self) -> dict[str, int]:
+        """Return how many steps were accepted and how many attempts rejected."""
+        return {"accepted": len(self.accepted), "rejected": self.rejected}
+
+    def begin(self) -> None:
+        """Begin to measure, or go on in another run."""
+        if not self.done:
+            self.started_s = time.monotonic()
+        self.go_on()
+
     def pause(self) -> None:
         """Begin a pause."""
         self.paused_s = time.monotonic()

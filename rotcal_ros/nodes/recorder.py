@@ -2,35 +2,39 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any, Final
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final, TypeAlias
 
 from rclpy.serialization import deserialize_message
-from rotcal_msgs.msg import Observation, RecordedObservation
+from rotcal_msgs.msg import Observation
 from rotcal_msgs.srv import StartRecording, StopRecording
+from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.clock_jumps import noted
-from rotcal_ros.errors import BagError
-from rotcal_ros.messages import stamp_ns
-from rotcal_ros.nodes.bookkeeping import NEEDED, NEVER_PAUSE, PendingReceipts, Silences
+from rotcal_ros.errors import BagError, RotcalError
+from rotcal_ros.nodes.bookkeeping import NEVER_PAUSE, Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.health import RECORDING_FAILED
 from rotcal_ros.nodes.listening import HeardTopic, Listener
-from rotcal_ros.nodes.qos import EVENT
-from rotcal_ros.nodes.recording import Messages, Receipt, Recording
+from rotcal_ros.nodes.receipts import Receipts
+from rotcal_ros.nodes.recorded_session import RecordedSession
+from rotcal_ros.nodes.recording import Messages, Recording
+from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
-from rotcal_ros.nodes.session_bags import SessionBags
-from rotcal_ros.nodes.surroundings import keep_surroundings, parameters_json
+from rotcal_ros.nodes.session_bags import OpenBag, SessionBags
+from rotcal_ros.nodes.surroundings import attach_parameters, keep_surroundings
 from rotcal_ros.nodes.topic_names import CalledOtherwise
 
 CLOSE_TIMEOUT_S: Final = 15.0
+Request: TypeAlias = StartRecording.Request
+Response: TypeAlias = StartRecording.Response
 
 
 class RecorderNode(CellNode):
@@ -42,17 +46,19 @@ class RecorderNode(CellNode):
     def configure(self) -> None:
         """Get ready to write."""
         self._settings = self.settings("recorder", RecorderSettings)
-        self._bags = SessionBags(self._settings)
+        self._bags, self._session = SessionBags(self._settings), RecordedSession()
         self._recording: Recording | None = None
         self._silences = Silences(self._settings.silence_s, time.monotonic())
-        self._pending = PendingReceipts()
-        self._receipts = self.create_publisher(RecordedObservation, "observation_recorded", EVENT)
+        self._jumps_before, self._reading = 0, False
         self.offer(StartRecording, "start_recording", self._start)
+        self.offer(StartRecording, "continue_recording", self._go_on)
         self.offer(StopRecording, "stop_recording", self._stop, always=True)
+        self.offer(Trigger, "recorded_observations", self._session.tell)
         self._called = CalledOtherwise(self.get_namespace())
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         further = self._called.topics.values
         self._listener = Listener(self, self._take, self._dropouts.note, further)
+        self._receipts = Receipts(self, self._called, self._listener.reached_ns)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def deactivated(self) -> None:
@@ -91,64 +97,58 @@ class RecorderNode(CellNode):
         if topic.channel.topic == self._called.topic(names.OBSERVATION):
             for data, _ in batch:
                 message = deserialize_message(data, Observation)
-                self._pending.expect(message.step, message.attempt, stamp_ns(message.window_end))
-        self._settle_receipts()
-
-    def _settle_receipts(self) -> None:
-        """Queue a receipt once the readings and the feedback of its window have arrived here."""
-        if self._recording is None:
-            return
-        needed = ([self._called.topic(role) for role in either] for either in NEEDED)
-        came = map(self._listener.reached_ns, needed)
-        reached_ns = min((stamp for stamp in came if stamp is not None), default=None)
-        if not self._pending:
-            self._pending.reach(reached_ns or 0)
-            return
-        lost = self._called.lost(self._all_losses())
-        for receipt in self._pending.due(reached_ns, lost):
-            self._dropouts.write()
-            self._recording.confirm(receipt)
+                self._session.take(message)
+                self._receipts.expect(message)
+        if self._recording is not None:
+            for receipt in self._receipts.due(self._all_losses):
+                self._dropouts.write()
+                self._recording.confirm(receipt)
 
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""
         queued = self._recording.losses if self._recording is not None else Counter[str]()
         return self._listener.losses + queued
 
-    def _confirm(self, receipt: Receipt, file: str) -> None:
-        """Publish a receipt; called from the writer's thread."""
-        message = RecordedObservation(**asdict(receipt), file=file)
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._receipts.publish(message)
-
-    def _start(
-        self, request: StartRecording.Request, response: StartRecording.Response
-    ) -> StartRecording.Response:
+    def _start(self, request: Request, response: Response) -> Response:
         try:
-            response.folder, response.success = str(self._open(request)), True
+            if (open_one := self._writing()) is not None:
+                raise BagError(f"the recorder is writing {open_one.file}; stop it first")
+            self._begin(request, self._bags.open(request.plan_id), response)
         except (BagError, OSError) as error:
             response.message = str(error)
         return response
 
-    def _open(self, request: StartRecording.Request) -> Path:
-        if (open_one := self._writing()) is not None:
-            raise BagError(f"the recorder is writing {open_one.file}; stop it first")
-        folder, writer = self._bags.open(request.plan_id)
-        self._pending = PendingReceipts()
+    async def _go_on(self, request: Request, response: Response) -> Response:
+        """Record the next run of the last session of a plan; what is still open is closed."""
+        self._close()
+        await until(self.stopped, CLOSE_TIMEOUT_S)
+        self._reading, topic = True, self._called.topic(names.OBSERVATION)
+        with ThreadPoolExecutor(max_workers=1) as aside:
+            found = aside.submit(self._bags.go_on, request.plan_id, topic)
+            await until(found.done, math.inf)
+        self._reading = False
+        try:
+            self._begin(request, found.result(), response)
+        except (RotcalError, OSError) as error:
+            response.message = str(error)
+        return response
+
+    def _begin(self, request: Request, bag: OpenBag, response: Response) -> None:
+        """Record into ``bag`` from now on."""
+        self._receipts.begin()
         self._jumps_before = self.health.clock.watch.count
         self._listener.forget_losses()
         self._silences = Silences(self._settings.silence_s, time.monotonic())
-        recording = Recording(writer, self._settings.queue_bytes, self._confirm)
+        self._session.begin(request.plan_id, bag.run, bag.earlier)
+        recording = Recording(bag.writer, self._settings.queue_bytes, self._receipts.confirm)
         self._dropouts.begin(recording)
         self._called.keep_in(recording)  # before the configuration, where readers stop to look
         keep_surroundings(recording, request.configuration)
+        bag.keep(request.configuration)
         self._recording = recording
-        self.begin(self._attach_parameters, recording)
-        return folder.path
-
-    async def _attach_parameters(self, recording: Recording) -> None:
-        """Ask all nodes for their parameters, while the calibration begins."""
-        text = await parameters_json(self, self.health.present())
-        recording.attach(names.PARAMETERS, "application/json", text.encode())
+        self.begin(attach_parameters, recording, self)
+        response.folder, response.success = str(bag.folder.path), True
+        self.health.beat()
 
     async def _stop(
         self, _request: StopRecording.Request, response: StopRecording.Response
@@ -187,7 +187,7 @@ class RecorderNode(CellNode):
         if recording is not None and recording.error:
             return f"{RECORDING_FAILED}: {recording.error}", values
         if recording is None or recording.finished:
-            return "idle", values
+            return LOADING if self._reading else "idle", values
         return "recording", values | {"file": recording.file, "messages": recording.messages}
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 from rotcal_msgs.msg import CalibrationPlan, DeviationArray, TableInForce
@@ -18,6 +20,7 @@ from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
+from rotcal_ros.nodes.earlier_observations import EarlierObservations
 from rotcal_ros.nodes.planners_plans import PlannersPlans
 from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, read_continuation, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
@@ -43,16 +46,15 @@ class SolverNode(CellNode):
         )
         self._continuation = read_continuation(self)
         self._calibration: Calibration | None = None
-        self._run = ""
-        self._state = "waiting for a plan"
+        self._run, self._state = "", "waiting for a plan"
         self._observations: dict[RunStep, Observation] = {}
         self._in_force: list[str] = []
-        self._run_number = 0
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
         self._solving: Future[Result] | None = None
-        self._solved_count = 0
+        self._run_number = self._solved_count = 0
         self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
+        self._earlier = EarlierObservations(self)
         PlannersPlans(self, self._take_plan)
         self.listen(TableInForce, names.TABLE_IN_FORCE, self._note_in_force, LATCHED)
         self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
@@ -64,30 +66,33 @@ class SolverNode(CellNode):
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     def _take_plan(self, message: CalibrationPlan) -> None:
-        """Start afresh; a run that continues the same plan keeps the steps before its start."""
-        old = self._calibration
-        self._calibration, self._run = None, ""
-        self._state = LOADING
+        """Start afresh, with what the recorder has of the runs so far, or this node itself."""
+        old, own = self._calibration, self._observations
+        self._calibration, self._run, self._observations, self._state = None, "", {}, LOADING
         self.health.beat()
         try:
             self._calibration = calibration_of(message)
         except RotcalError as error:
             self._state = f"{REFUSED}: {error}"
             raise
-        kept: dict[RunStep, Observation] = {}
+        same = old is not None and old.configuration.plan_id == message.plan_id
+        kept = own if same and message.run > self._run_number else {}
         known, self._continuation = self._continuation, None
-        if old is not None and old.configuration.plan_id == message.plan_id:
-            further = message.run > self._run_number
-            before = (k for k in self._observations if further or k[1] < message.start_index)
-            kept = {k: self._observations[k] for k in before}
-        elif known is not None and known.plan_id == message.plan_id:
+        if known is not None and (known.plan_id, known.run) == (message.plan_id, message.run):
             kept = {(o.run, o.step): o for o in known.observations}
-        self._observations, self._run_number = kept, message.run
-        if not kept:
+        self._run_number, self._solved_count = message.run, 0
+        if message.run == 0:
             self._in_force = self._in_force[-1:]  # what was in force before is of no concern
-        self._solved_count = 0
-        self._run = run_name(message)
-        self._state = f"collecting for {message.method}"
+        self._earlier.ask(message, kept, partial(self._begin_run, message))
+
+    def _begin_run(self, message: CalibrationPlan, known: Mapping[RunStep, Observation]) -> None:
+        """Take part from now on; ``known`` is what came before this node, or this run."""
+        self._know(known)
+        self._run, self._state = run_name(message), f"collecting for {message.method}"
+        self.health.beat()
+
+    def _know(self, known: Mapping[RunStep, Observation]) -> None:
+        self._observations = {**known, **self._observations}
 
     def _note_in_force(self, message: TableInForce) -> None:
         if self._in_force[-1:] != [message.in_force]:
@@ -95,8 +100,7 @@ class SolverNode(CellNode):
 
     def _take(self, message: ObservationMsg) -> None:
         if self._calibration is not None and message.accepted:
-            observation = messages.observation(message)
-            self._observations[observation.run, observation.step] = observation
+            self._observations[message.run, message.step] = messages.observation(message)
 
     def _preliminary(self) -> None:
         """Begin a solution of what is there, unless one is running or nothing is new."""
@@ -152,6 +156,8 @@ class SolverNode(CellNode):
         if calibration is None or calibration.configuration.plan_id != request.plan_id:
             raise DataError(f"the solver has no plan {request.plan_id}: announce the plan first")
         steps = {(self._run_number, step) for step in request.steps}
+        if not steps <= self._observations.keys():  # a newcomer may not hear the first ones
+            self._earlier.ask_again(self._know)
         await until(lambda: steps <= self._observations.keys(), ARRIVAL_TIMEOUT_S)
         missing = sorted(steps - self._observations.keys())
         if missing:

@@ -20,7 +20,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.catalogue.configuration import read_subject
 from rotcal_ros.distribution import distribution, rclpy_version
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.nodes.cell_node import until
+from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.recording import Recording
 
 TIMEOUT_S: Final = 3.0
@@ -64,6 +64,12 @@ def _version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return ""
+
+
+async def attach_parameters(recording: Recording, node: CellNode) -> None:
+    """Ask all nodes for their parameters, while the calibration begins."""
+    text = await parameters_json(node, node.health.present())
+    recording.attach(names.PARAMETERS, "application/json", text.encode())
 
 
 async def parameters_json(node: Node, beating: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from rotcal_ros import catalogue
-from rotcal_ros.catalogue.continuation import Continuation, continued
+from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
 from rotcal_ros.planning.policy.names import AS_LISTED
@@ -63,16 +63,7 @@ def _begun(
     """Return what a run was begun with."""
     if run == 0:
         return calibration.from_the_start()
-    settings = calibration.configuration.planner
-    return continued(
-        calibration.plan,
-        calibration.configuration.plan_id,
-        run,
-        earlier,
-        max_attempts=settings.max_attempts,
-        max_failed_steps=settings.max_failed_steps,
-        join_steps=settings.join_steps if calibration.method.joins_runs else 0,
-    )
+    return calibration.continued(run, earlier)
 
 
 def _first_difference(

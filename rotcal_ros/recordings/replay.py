@@ -47,6 +47,7 @@ from rotcal_ros.recordings.recorded_setup import (
 )
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
 from rotcal_ros.recordings.topics import Topics
+from rotcal_ros.recordings.went_on import known_then
 from rotcal_ros.results import Result
 
 Source = Literal["streams", "observations"]
@@ -230,6 +231,7 @@ def read_recording(
     require_its_method(configuration, set_ups, path)
     verdicts_live = found.recorded if same_limit(configuration, set_ups[:1]) else ()
     captured = judged_as_live(feeder.observations, feeder.offsets, verdicts_live)
+    captured = known_then(captured, found.recorded, found.scans)
     subjects = tuple(recorded_subjects(texts, found.scans))
     return Recording(
         calibration=replace(calibration, configuration=as_recorded(configuration, subjects)),

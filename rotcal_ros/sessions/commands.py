@@ -30,6 +30,8 @@ def node_command(session: Session, name: str) -> list[str]:
         command += ["-p", f"recorder.session:={json.dumps(session.folder.path.name)}"]
         if session.run:
             command += ["-p", f"recorder.run:={session.run}"]
+    if name == "planner":
+        command += ["-p", "restart_wait_s:=0.0"]  # nobody starts these nodes again
     if name in ("planner", "solver") and session.run:
         file = json.dumps(str(session.folder.continuation(session.run)))
         command += ["-p", f"continuation_file:={file}"]

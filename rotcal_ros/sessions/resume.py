@@ -11,7 +11,7 @@ from typing import Final
 from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.catalogue import Calibration
-from rotcal_ros.catalogue.continuation import Continuation, continued
+from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.files import FolderLock, write_atomically
 from rotcal_ros.observations import Observation
@@ -47,16 +47,9 @@ def resume_session(source: Path, path: Path, changes: Sequence[str]) -> Session:
     files: tuple[Path, ...] = ()
     with suppress(BagError):
         files = bag_files(folder.bag)
-    settings = calibration.configuration.planner
-    continuation = continued(
-        calibration.plan,
-        calibration.configuration.plan_id,
-        max(1, len(files)),  # no earlier run can have this number: each wrote a file at least
-        _observed(folder.bag, calibration) if files else (),
-        max_attempts=settings.max_attempts,
-        max_failed_steps=settings.max_failed_steps,
-        join_steps=settings.join_steps if calibration.method.joins_runs else 0,
-    )
+    run = max(1, len(files))  # no earlier run can have this number: each wrote a file at least
+    observed = _observed(folder.bag, calibration) if files else ()
+    continuation = calibration.continued(run, observed)
     require_space(calibration, folder.path, len(continuation.steps))
     session = Session(calibration, folder, continuation)
     session.log_folder.mkdir(exist_ok=True)

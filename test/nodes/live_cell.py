@@ -28,7 +28,12 @@ DEADLINE_S = 60.0
 
 
 class LiveCell:
-    """Nodes of one cell and the clients that send it goals; ``recordings`` takes the session."""
+    """Nodes of one cell and the clients that send it goals; ``recordings`` takes the session.
+
+    ``restart_wait_s`` is how long a goal waits for lost nodes to be started again.
+    """
+
+    restart_wait_s = 0.0
 
     def __init__(self, folder, configuration):
         self.folder = folder
@@ -52,6 +57,8 @@ class LiveCell:
             if node == "recorder":
                 own += ["-p", f"recorder.folder:={json.dumps(str(self.recordings))}"]
                 own += ["-p", "recorder.session:=session"]
+            if node == "planner":
+                own += ["-p", f"restart_wait_s:={self.restart_wait_s}"]
             if name:
                 own += ["-r", f"__node:={name}"]
             self.processes.start(name or node, [*self._python(node), *own])

@@ -96,9 +96,8 @@ def test_cancel_leaves_a_valid_bag_and_the_plan_can_be_continued(cell):
     recording = read_recording(live.bag)
     assert sum(o.accepted for o in recording.recorded) >= outcome["n_used"] >= 3
 
-    # The same nodes go on with the rest and solve all steps together.
+    # The same nodes go on with the rest in the same session and solve all steps together.
     start = int(outcome["error_msg"].rsplit("start_index ", 1)[1])
-    live.session.rename(live.folder / "first")
     rest = live.client("rest", start_index=start).result()
     assert rest["error_code"] == 0, rest["error_msg"]
     result = json.loads((live.session / "result.json").read_text())

@@ -20,9 +20,10 @@ class Node(SimpleNamespace):
 
     def __init__(self):
         health = SimpleNamespace(
-            lost={}, concerns={}, alarms={}, values=lambda _: {RUN: self.goal} if self.goal else {}
-        )
-        super().__init__(goal="another run", health=health, warnings=[])
+            lost={}, concerns={}, alarms={}, state=lambda _: self.planner,
+            values=lambda _: {RUN: self.goal} if self.goal else {},
+        )  # fmt: skip
+        super().__init__(goal="another run", planner="ready", health=health, warnings=[])
 
     def listen(self, _kind, _topic, handle, _qos):
         self.offer = handle
@@ -82,6 +83,28 @@ def test_without_a_goal_every_plan_is_taken_at_once(clock):
     for message in (STRAY, OURS):
         node.offer(message)
     assert taken == [STRAY, OURS]
+
+
+def test_a_node_that_has_just_been_started_waits_until_it_knows_the_planner(clock):
+    node, taken = Node(), []
+    PlannersPlans(node, taken.append)
+    node.goal, node.planner = "", ""
+    for message in (OURS, STRAY):
+        node.offer(message)
+    assert taken == []
+    node.goal, node.planner = run_name(OURS), "calibrating"
+    node.look()
+    assert taken == [OURS]
+
+
+def test_without_a_planner_a_plan_is_taken_after_a_moment(clock):
+    node, taken = Node(), []
+    PlannersPlans(node, taken.append)
+    node.goal, node.planner = "", ""
+    node.offer(STRAY)
+    clock.now_s += PATIENCE_S + 0.1
+    node.look()
+    assert taken == [STRAY]
 
 
 def test_a_plan_that_cannot_be_taken_is_offered_once_and_keeps_no_other_back(clock):

@@ -51,7 +51,8 @@ def test_the_nodes_of_the_first_run(session):
         "recorder.folder": str(session.folder.path.parent),
         "recorder.session": "2024",
     }
-    assert parameters(node_command(session, "planner")) == {}
+    # nobody starts a node of a session again
+    assert parameters(node_command(session, "planner")) == {"restart_wait_s": 0.0}
     path = str(session.folder.configuration)
     assert parameters(client_command(session)) == {"configuration_file": path}
 
@@ -60,7 +61,8 @@ def test_the_nodes_of_a_later_run_know_what_is_left(session):
     later = replace(session, continuation=Continuation("id", 2, 7, (1,), (1, 7, 8), ()))
     file = str(later.folder.continuation(2))
     assert parameters(node_command(later, "recorder"))["recorder.run"] == 2
-    assert parameters(node_command(later, "planner")) == {"continuation_file": file}
+    planner = parameters(node_command(later, "planner"))
+    assert planner == {"continuation_file": file, "restart_wait_s": 0.0}
     assert parameters(node_command(later, "solver")) == {"continuation_file": file}
     assert parameters(node_command(later, "capture")) == {}
     assert parameters(client_command(later))["start_index"] == 7

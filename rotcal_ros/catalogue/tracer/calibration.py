@@ -138,7 +138,8 @@ def _runs(configuration: Configuration, plan: Plan, observations: Sequence[Obser
                 shift=reported_positions(again) - place[row],
             )
         )
-    return Runs(posed, run, reported_positions(kept) - place, pairs)
+    position_std = configuration.solver.position_std_m
+    return Runs(posed, run, reported_positions(kept) - place, pairs, position_std)
 
 
 def _again(plan: Plan, observations: Sequence[Observation]) -> Ints | None:

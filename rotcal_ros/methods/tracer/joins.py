@@ -92,13 +92,15 @@ class Runs:
 
     ``run`` (k,): run of each row of ``problem``. ``shift`` (k, 3): where the machine says the
     target stood at this row less where ``problem.targets`` has it (m); a probe that came twice
-    does not stand at the same place. ``pairs``: one per later run, in order.
+    does not stand at the same place. ``pairs``: one per later run, in order. ``position_std``: by
+    how much a coordinate differs from arrival to arrival without a word of the machine (m).
     """
 
     problem: TracerProblem
     run: Ints
     shift: Floats
     pairs: Sequence[Pairs]
+    position_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,24 +188,28 @@ def _joined(runs: Runs) -> tuple[TracerProblem, list[Join]]:
                 "its zero of the lengths; resume once more, or measure from the start"
             )
     none = np.zeros((len(run), 3))  # where the stations are, and so the beams, is not known yet
-    joins = _joins(problem, run, none, pairs, none)
+    joins = _joins(replace(runs, shift=none), none, 1.0)
     first = adjust(_reduced(problem, run, joins, np.zeros(len(run))))
     beams = _beams(problem, first)
     along = np.einsum("ka,ka->k", beams, shift)
-    joins = _joins(problem, run, shift, pairs, beams)
+    joins = _joins(runs, beams, first.noise.factors[0] * first.scale)
     return _reduced(problem, run, joins, along), joins
 
 
-def _joins(
-    problem: TracerProblem, run: Ints, shift: Floats, pairs: Sequence[Pairs], beams: Floats
-) -> list[Join]:
-    """Return the joins, each against the lengths that the joins before have reduced."""
+def _joins(runs: Runs, beams: Floats, noise: float) -> list[Join]:
+    """Return the joins, each against the lengths that the joins before have reduced.
+
+    ``noise`` is how much larger the residuals say that the noise of the lengths is than stated:
+    the scatter of the pairs is held against the larger one.
+    """
+    problem, run = runs.problem, runs.run
     joins: list[Join] = []
-    for later in pairs:
-        reduced = _reduced(problem, run, joins, np.einsum("ka,ka->k", beams, shift))
+    for later in runs.pairs:
+        reduced = _reduced(problem, run, joins, np.einsum("ka,ka->k", beams, runs.shift))
         along = np.einsum("ka,ka->k", beams[later.row], later.shift)
         difference = later.length - along - reduced.length[later.row]
         std = np.hypot(later.length_std, problem.length_std[later.row])
+        std = np.maximum(noise * std, np.hypot(std, np.sqrt(2.0) * runs.position_std))
         joins.append(join_of(later.run, difference, std, run[later.row]))
     return joins
 

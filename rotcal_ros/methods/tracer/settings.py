@@ -109,6 +109,14 @@ class TracerSolverSettings(LengthNoiseSettings):
         minimum=0.0,
         maximum=1e-4,
     )
+    position_std_m: float = setting(
+        1e-7,
+        doc="m, standard deviation of a coordinate of the reflector from one arrival to the next, "
+        "beside the error target_std_m that stays: what a resumed plan measures again may differ "
+        "by it",
+        minimum=0.0,
+        maximum=1e-3,
+    )
     circle_std_m: float | None = setting(
         None,
         doc="m, standard deviation by which stations leave one circle about the table's axis, "

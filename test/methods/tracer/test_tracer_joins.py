@@ -7,7 +7,7 @@ import pytest
 from tracer_scene import arc, low_ring, simulate
 
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined, join_of
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, _joins, adjust_joined, join_of
 from rotcal_ros.methods.tracer.solve import solve
 
 STD = 2e-7
@@ -161,3 +161,31 @@ def test_without_anything_measured_again_there_is_no_result():
     none = Pairs(1, pairs.row[:0], pairs.length[:0], pairs.length_std[:0], pairs.shift[:0])
     with pytest.raises(DataError, match="was measured again in run 1"):
         adjust_joined(runs(changed, run, none)).result()
+
+
+def arrived_anew(seed, position_std, moved=0.0):
+    """Pairs of a quiet tracer: the machine puts the reflector elsewhere at every arrival."""
+    _, _, changed, run, pairs = interrupted(seed)
+    problem = replace(changed, length_std=0.1 * STD)
+    rng = np.random.default_rng(seed)
+    twice = rng.normal(scale=np.sqrt(2.0) * position_std, size=len(pairs.row))
+    length = problem.length[pairs.row] + OFFSET + twice
+    length[: len(length) // 2] += moved
+    later = replace(pairs, length=length, length_std=np.full(len(length), 0.1 * STD))
+    return Runs(problem, run, np.zeros((len(run), 3)), [later], position_std)
+
+
+def test_positions_that_scatter_as_stated_are_no_movement_and_five_times_as_much_is_one():
+    # One in a thousand is the stated rate of false alarms: 60 at rest show at most one.
+    std, alarms, found, wrong = 1e-7, 0, 0, 0
+    for seed in range(60):
+        at_rest = arrived_anew(seed, std)
+        moved = arrived_anew(seed, std, moved=5.0 * np.sqrt(2.0) * std)
+        beams = np.zeros_like(at_rest.shift)  # of no concern: nothing reports a shift
+        alarms += _joins(at_rest, beams, 1.0)[0].probability < 0.001
+        found += _joins(moved, beams, 1.0)[0].probability < 0.001
+        (unstated,) = _joins(replace(at_rest, position_std=0.0), beams, 1.0)
+        wrong += unstated.probability < 0.001
+    assert wrong >= 50  # so it was while nothing was known of the positions
+    assert alarms <= 1
+    assert found >= 59

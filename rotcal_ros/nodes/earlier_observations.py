@@ -1,0 +1,86 @@
+"""What the recorder has of a plan before a node takes part in it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from rotcal_msgs.msg import CalibrationPlan
+from std_srvs.srv import Trigger
+
+from rotcal_ros.catalogue import last_accepted
+from rotcal_ros.catalogue.calibration import RunStep
+from rotcal_ros.catalogue.continuation import Recorded
+from rotcal_ros.errors import DataError
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.health import BEAT_PERIOD_S
+from rotcal_ros.nodes.plans import RUN, run_name
+from rotcal_ros.observations import Observation
+
+PATIENCE_S: Final = 10.0
+"""So long a recorder may take to be found and to answer."""
+Known = Mapping[RunStep, Observation]
+
+
+class EarlierObservations:
+    """Asks the recorder for the observations of a plan so far, all runs of its session.
+
+    Only where the planner works for this plan: what somebody else announces has none.
+    """
+
+    def __init__(self, node: CellNode) -> None:
+        self._node = node
+        self._client = node.create_client(Trigger, "recorded_observations")
+        self._plan: CalibrationPlan | None = None
+        self._kept: Known = {}
+        self._wanted: tuple[CalibrationPlan, Callable[[Known], None], float] | None = None
+        self._asked: Any = None
+        node.every(BEAT_PERIOD_S, self._look)
+
+    def ask(self, message: CalibrationPlan, kept: Known, take: Callable[[Known], None]) -> None:
+        """Call ``take`` with the accepted ones, later.
+
+        ``kept`` is what the node itself has; it counts where the recorder knows no earlier run.
+        """
+        self._plan, self._kept = message, kept
+        self.ask_again(take)
+
+    def ask_again(self, take: Callable[[Known], None]) -> None:
+        """Ask once more for the same plan."""
+        if self._plan is not None:
+            self._wanted = self._plan, take, time.monotonic() + PATIENCE_S
+            self._asked = None
+            self._look()
+
+    def _look(self) -> None:
+        if self._wanted is None:
+            return
+        message, take, deadline_s = self._wanted
+        if self._node.health.values("planner").get(RUN) != run_name(message):
+            self._answer(take, ())
+        elif self._asked is None and self._client.service_is_ready():
+            self._asked = self._client.call_async(Trigger.Request())
+            self._asked.add_done_callback(self._node.health.guarded(lambda _: self._look()))
+        elif self._asked is not None and self._asked.done():
+            self._answer(take, self._told(message))
+        elif time.monotonic() > deadline_s:
+            self._node.get_logger().warning("the recorder does not tell what was measured before")
+            self._answer(take, ())
+
+    def _told(self, message: CalibrationPlan) -> tuple[Observation, ...]:
+        """Return what the recorder told, if it is of this plan."""
+        try:
+            known = Recorded.from_json(self._asked.result().message)
+        except DataError as error:
+            self._node.get_logger().warning(str(error))
+            return ()
+        same = (known.plan_id, known.run) == (message.plan_id, message.run)
+        return known.observations if same else ()
+
+    def _answer(self, take: Callable[[Known], None], told: tuple[Observation, ...]) -> None:
+        assert self._plan is not None
+        self._wanted = self._asked = None
+        known: Known = last_accepted(told)
+        now = self._plan.run
+        take(known if any(run < now for run, _ in known) else {**self._kept, **known})
