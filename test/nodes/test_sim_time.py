@@ -80,7 +80,9 @@ def test_the_configuration_gives_the_parameter_to_all_nodes():
 
 @pytest.mark.ros
 def test_a_calibration_follows_a_clock_that_is_slow_fast_and_paused(cell):
-    live = cell("use_sim_time=true", "planner.preflight_timeout_s=30.0")
+    live = cell(
+        "use_sim_time=true", "planner.preflight_timeout_s=30.0", "simulation.time_scale=8.0"
+    )
     live.start(*SUITE, "simulated_cell")
     hurried = live.folder / "hurried.yaml"
     change = ["planner.preflight_timeout_s=5.0"]
@@ -95,7 +97,7 @@ def test_a_calibration_follows_a_clock_that_is_slow_fast_and_paused(cell):
     client.wait_for_step(5)
     live.processes.tell("clock", "0")
     client.wait_for("warning", where=lambda event: "/clock stands still" in event["text"])
-    live.processes.tell("clock", "1.5")
+    live.processes.tell("clock", "2")
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     recording = read_recording(live.bag)
