@@ -85,7 +85,7 @@ class Planner(CellNode):
         free = self._run is None and not self._preparing
         if self.active and not self._giving_up and free:
             return GoalResponse.ACCEPT
-        self.get_logger().warning(f"goal refused: the planner is {self._told()[0]}")
+        self.get_logger().warning(f"goal refused: the planner is {self._beat_values()[0]}")
         return GoalResponse.REJECT
 
     def _resume(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
