@@ -94,7 +94,8 @@ def test_a_calibration_follows_a_clock_that_is_slow_fast_and_paused(cell):
     source = [sys.executable, str(Path(__file__).with_name("clock_source.py")), "0.5"]
     live.processes.start("clock", source, piped=True)
     client = live.client()
-    client.wait_for_step(5)
+    begun = client.wait_for("feedback", "result", where=lambda e: e.get("accepted", 5) >= 5)
+    assert begun["event"] == "feedback", begun
     live.processes.tell("clock", "0")
     client.wait_for("warning", where=lambda event: "/clock stands still" in event["text"])
     live.processes.tell("clock", "2")
