@@ -65,7 +65,7 @@ class CellNode(ManagedNode, ABC):
         self._left_alone: set[str] = set()
         self._answering = 0
         self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
-        self.health = Health(self, self._in_the_beat, self._missed)
+        self.health = Health(self, self._beat_values, self._missed)
 
     def settings(self, group: str, cls: type[T], *, read_only: bool = True) -> T:
         """Declare a group of settings as parameters and return their values."""
@@ -174,7 +174,7 @@ class CellNode(ManagedNode, ABC):
     def _node_lost(self, name: str) -> None:
         """Hear that another node fell silent."""
 
-    def _in_the_beat(self) -> tuple[str, Values]:
+    def _beat_values(self) -> tuple[str, Values]:
         """Return what the beat tells in every state: the report, and other names of topics."""
         words, values = self._report() if self.configured else ("", {})
         return self.standing() or words, {**self._names, **values}

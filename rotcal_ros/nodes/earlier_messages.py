@@ -42,10 +42,10 @@ def publishable(channel: ChannelDefinition) -> tuple[type, Converter]:
         message = decoder.message(data)
         if message is None:
             return None
-        made = _filled(kind, message)
-        if hasattr(made, "run") and not hasattr(message, "run"):
-            made.run = run
-        return bytes(serialize_message(made))
+        message_now = _filled(kind, message)
+        if hasattr(message_now, "run") and not hasattr(message, "run"):
+            message_now.run = run
+        return bytes(serialize_message(message_now))
 
     return kind, convert
 
@@ -63,10 +63,10 @@ def _constants(kind: Any) -> set[str]:
 
 def _filled(kind: Any, message: Any) -> Any:
     """Return a message of class ``kind`` with those fields that ``message`` has."""
-    made = kind()
+    message_now = kind()
     for name in kind.get_fields_and_field_types():
         if hasattr(message, name):
-            value, default = getattr(message, name), getattr(made, name)
+            value, default = getattr(message, name), getattr(message_now, name)
             nested = hasattr(default, "get_fields_and_field_types")
-            setattr(made, name, _filled(type(default), value) if nested else value)
-    return made
+            setattr(message_now, name, _filled(type(default), value) if nested else value)
+    return message_now

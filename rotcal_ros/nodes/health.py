@@ -190,11 +190,11 @@ class Health:
         concerns = self.clock.concerns | self.sim.concerns() | self.concerns
         rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
         own = {IDENTITY: self.identity.in_a_beat(time.monotonic())}
-        told = {**values, **self.clock.values(), **self.sim.values(), **concerns, **trouble, **own}
+        beat = {**values, **self.clock.values(), **self.sim.values(), **concerns, **trouble, **own}
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),
             hardware_id=self._node.get_namespace(),
             message=state,
-            values=[KeyValue(key=k, value=str(v)) for k, v in told.items()],
+            values=[KeyValue(key=k, value=str(v)) for k, v in beat.items()],
         )

@@ -75,9 +75,9 @@ class InstrumentTopics:
 
     def _follow(self) -> None:
         """Listen where the goal of the planner says."""
-        told = self._node.health.values("planner").get(TOPICS, "")
-        if told and told != self._goals:
-            self._take(json.loads(told))
+        goals = self._node.health.values("planner").get(TOPICS, "")
+        if goals and goals != self._goals:
+            self._take(json.loads(goals))
 
     def _take(self, given: dict[str, Any]) -> None:
         settings = load(TopicSettings, {**self._own, **given}, "the goal's configuration: topics")

@@ -57,7 +57,7 @@ class Planner(CellNode):
         )
         self._links = CellLinks(self)
         self._stop = EmergencyStop(self, self._configured.safety, NO_ORDERS)
-        self._pauses = Pauses(self, self._obstacle, lambda: self._told()[0])
+        self._pauses = Pauses(self, self._obstacle, lambda: self._beat_values()[0])
         self._server = ActionServer(
             self,
             Calibrate,
@@ -98,7 +98,7 @@ class Planner(CellNode):
         free = self._run is None and not self._preparing
         if self.active and not self._giving_up and free:
             return GoalResponse.ACCEPT
-        self.get_logger().warning(f"goal refused: the planner is {self._in_the_beat()[0]}")
+        self.get_logger().warning(f"goal refused: the planner is {self._beat_values()[0]}")
         return GoalResponse.REJECT
 
     def _obstacle(self) -> str:

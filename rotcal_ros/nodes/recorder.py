@@ -71,8 +71,7 @@ class RecorderNode(CellNode):
 
     def _writing(self) -> Recording | None:
         """Return the recording whose bag is open."""
-        recording = self._recording
-        return None if recording is None or recording.finished else recording
+        return self._recording if self._recording and not self._recording.finished else None
 
     def _note_losses(self) -> None:
         """Keep losses and their counters in the bag, so that they outlive this node."""

@@ -131,7 +131,7 @@ class ReplayedBag:
             if topic == CLOCK or "/_" in topic:
                 self.left_out[topic] = "it belongs to those who ran then"
             elif own and not everything:
-                self.left_out[topic] = OWN
+                self.left_out[topic] = "nodes made it of the streams (--all)"
             elif channel.message_encoding not in ("", "cdr"):
                 self.left_out[topic] = f"it is serialised as {channel.message_encoding!r}, not cdr"
         self.leave_out(self.left_out)
@@ -141,10 +141,6 @@ class ReplayedBag:
         self.left_out |= why
         for topic in why:
             self.channels.pop(topic, None)
-
-
-OWN: Final = "nodes made it of the streams (--all)"
-"""Why outputs of nodes are left out."""
 
 
 def run_number(metadata: Mapping[str, Mapping[str, str]]) -> int:

@@ -60,9 +60,9 @@ class CalledOtherwise:
     def look(self, values: Values) -> None:
         """Hear the nodes that are there; what one has told that is gone stays."""
         for role in names.ROLES:
-            if told := values(_TELLERS.get(role, "capture")):
+            if beat := values(_TELLERS.get(role, "capture")):
                 self.topics.pop(role, None)
-                if other := told.get(TOPIC + role):
+                if other := beat.get(TOPIC + role):
                     self.topics[role] = other
 
     def topic(self, role: str) -> str:

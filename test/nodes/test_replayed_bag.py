@@ -1,5 +1,6 @@
 """What of a bag is replayed, with which quality of service; names that the recorder noted."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -69,7 +70,8 @@ def test_the_recorded_quality_of_service_is_offered_again():
     assert offered_qos("").reliability == ReliabilityPolicy.RELIABLE
 
 
-def test_messages_of_earlier_versions_are_published_as_those_of_today():
+def test_messages_of_earlier_versions_are_published_as_those_of_today(monkeypatch):
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.environ.get("AMENT_PREFIX_PATH") or sys.prefix)
     from rclpy.serialization import deserialize_message
 
     from rotcal_ros.bags.reader import bag_files, read_blocks

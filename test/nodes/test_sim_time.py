@@ -80,7 +80,9 @@ def test_the_configuration_gives_the_parameter_to_all_nodes():
 
 @pytest.mark.ros
 def test_a_calibration_follows_a_clock_that_is_slow_fast_and_paused(cell):
-    live = cell("use_sim_time=true", "planner.preflight_timeout_s=30.0")
+    live = cell(
+        "use_sim_time=true", "planner.preflight_timeout_s=30.0", "simulation.time_scale=8.0"
+    )
     live.start(*SUITE, "simulated_cell")
     hurried = live.folder / "hurried.yaml"
     change = ["planner.preflight_timeout_s=5.0"]
@@ -92,10 +94,11 @@ def test_a_calibration_follows_a_clock_that_is_slow_fast_and_paused(cell):
     source = [sys.executable, str(Path(__file__).with_name("clock_source.py")), "0.5"]
     live.processes.start("clock", source, piped=True)
     client = live.client()
-    client.wait_for_step(5)
+    begun = client.wait_for("feedback", "result", where=lambda e: e.get("accepted", 5) >= 5)
+    assert begun["event"] == "feedback", begun
     live.processes.tell("clock", "0")
     client.wait_for("warning", where=lambda event: "/clock stands still" in event["text"])
-    live.processes.tell("clock", "1.5")
+    live.processes.tell("clock", "2")
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     recording = read_recording(live.bag)
