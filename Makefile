@@ -4,6 +4,9 @@ PYTHON ?= python3
 ROS_DISTRO := kilted
 VENV := .venv$(patsubst -kilted,,-$(ROS_DISTRO))
 BIN := $(VENV)/bin
+DEMO := out/demo$(VENV:.venv%=%)
+# Live, with known truth: other people's cell, a table of ros2_control, whether nodes start.
+JAZZY_TESTS := test/nodes/test_own_cell.py test/nodes/test_table_adapter.py test/cli/test_doctor.py
 SEED ?= 1
 SAMPLE ?= 400
 SECONDS ?= 60
@@ -12,16 +15,19 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test docs bench power mutants fuzz lint setup clean help
+.PHONY: demo resume test test-jazzy docs bench power mutants fuzz lint setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
-	@$(BIN)/rotcal verify config/tracer_demo.yaml --output out/demo --keep-previous
+	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
 
 resume: setup  ## continue a demo that was interrupted
-	@$(BIN)/rotcal verify --resume out/demo
+	@$(BIN)/rotcal verify --resume $(DEMO)
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 	@VENV=$(VENV) scripts/test.sh $(PYTEST_ARGS)
+
+test-jazzy:  ## live tests with known truth on ROS 2 Jazzy, in .venv-jazzy
+	@$(MAKE) --no-print-directory ROS_DISTRO=jazzy test PYTEST_ARGS="$(JAZZY_TESTS)"
 
 docs: setup  ## build the site of the pages strictly; open out/site/index.html
 	@$(BIN)/python -c 'import material, mkdocs_click' 2>/dev/null || $(BIN)/pip install -q \
@@ -57,4 +63,4 @@ clean:  ## remove everything that make has made
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## show this list
-	@sed -n 's/^\([a-z]*\):[^#]*## /  make \1\t/p' Makefile | expand -t 16
+	@sed -n 's/^\([a-z-]*\):[^#]*## /  make \1\t/p' Makefile | expand -t 20

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from typing import Final
 
 SUPPORTED: Final = ("jazzy", "kilted")
 _OF_RCLPY: Final = {3: "humble", 4: "iron", 7: "jazzy", 9: "kilted"}
 _PACKAGES: Final = ("rclpy", "ros-rclpy")
+"""As an installation names it, and as the wheels do."""
 
 
 def rclpy_version() -> str:
     """Return the version of rclpy, empty where none is installed."""
-    for package in _PACKAGES:
-        try:
-            return version(package)
-        except PackageNotFoundError:
-            continue
-    return ""
+    installed = (found for package in _PACKAGES for found in distributions(name=package))
+    return next((package.version for package in installed), "")
 
 
 def distribution(rclpy: str) -> str:

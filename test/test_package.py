@@ -1,6 +1,7 @@
 """The package as a whole: what several files say about it must be one story."""
 
 import ast
+import os
 import re
 import runpy
 import sys
@@ -13,6 +14,7 @@ import yaml
 from catkin_pkg.package import parse_package
 
 import rotcal_ros
+from rotcal_ros.distribution import SUPPORTED
 
 ROOT = Path(__file__).parents[1]
 MANIFESTS = [ROOT / "package.xml", ROOT / "msg_defs" / "package.xml"]
@@ -42,10 +44,13 @@ TEXT_FILES = sorted(
     for path in ROOT.glob(pattern)
     if path.is_file() and "__pycache__" not in path.parts
 )
+CONSTRAINTS = sorted(ROOT.glob("constraints*.txt"))
+PIN = re.compile(r"([\w.-]+)==[\w.]+( ; python_version [<>]=? \"3\.\d+\")?$")
 PINS = {
     match[1].lower()
-    for line in (ROOT / "constraints.txt").read_text().splitlines()
-    if (match := re.match(r"([\w.-]+)==[\w.]+( ; python_version [<>]=? \"3\.\d+\")?$", line))
+    for path in CONSTRAINTS
+    for line in path.read_text().splitlines()
+    if (match := PIN.match(line))
 }
 
 
@@ -84,10 +89,36 @@ def test_every_direct_dependency_is_pinned():
     assert required - PINS == set()
 
 
-def test_every_line_of_the_constraints_is_a_pin():
-    lines = (ROOT / "constraints.txt").read_text().splitlines()
-    names = {re.split(r"[=<> ]", line)[0].lower() for line in lines if line and line[0] != "#"}
-    assert names == PINS
+@pytest.mark.parametrize("path", CONSTRAINTS, ids=lambda path: path.stem)
+def test_every_line_of_the_constraints_is_a_pin(path):
+    lines = [line for line in path.read_text().splitlines() if line and line[0] != "#"]
+    assert [line for line in lines if not PIN.match(line)] == []
+    of_ros = {line.startswith("ros-") for line in lines}
+    assert of_ros == {path.stem != "constraints"}
+
+
+@pytest.mark.parametrize("distribution", SUPPORTED)
+def test_every_supported_distribution_pins_all_of_ros(distribution, setup_py):
+    extras = setup_py["extras_require"]
+    wanted = [*extras["ros"], *extras["build"], *extras[f"build-{distribution}"]]
+    wheels = {name.partition("[")[0] for name in wanted if name.startswith("ros-")}
+    lines = (ROOT / f"constraints-{distribution}.txt").read_text().splitlines()
+    pinned = {line.partition("==")[0] for line in lines if line.startswith("ros-")}
+    assert pinned == wheels | {"ros-rmw-fastrtps-cpp"}  # an extra of ros-rclpy
+
+
+def test_the_environment_is_found_by_ros_run_and_launch(setup_py):
+    """As ament_index_python looks: the marker, then share/PACKAGE and lib/PACKAGE."""
+    prefixes = [Path(sys.prefix), *map(Path, os.environ.get("AMENT_PREFIX_PATH", "").split(":"))]
+    marker = Path("share", "ament_index", "resource_index", "packages", "rotcal_ros")
+    prefix = next((place for place in prefixes if (place / marker).exists()), None)
+    if prefix is None:
+        pytest.skip("this environment was not made by scripts/setup.sh")
+    share, programs = prefix / "share" / "rotcal_ros", prefix / "lib" / "rotcal_ros"
+    assert (share / "package.xml").is_file()
+    assert (share / "launch" / "cell.launch.py").is_file()
+    assert (share / "config" / "tracer_demo.yaml").is_file()
+    assert [name for name in setup_py["NODES"] if not os.access(programs / name, os.X_OK)] == []
 
 
 def test_every_command_leads_to_a_function():

@@ -34,12 +34,12 @@ class TrialNode:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed with the process
+        self._output = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed with the process
         module = f"rotcal_ros.nodes.{name}"
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, "--ros-args", "-r", f"__ns:={_NAMESPACE}"],
             env=os.environ | {SUPERVISOR_VARIABLE: str(os.getpid())},
-            stdout=self._said,
+            stdout=self._output,
             stderr=subprocess.STDOUT,
         )
 
@@ -61,15 +61,15 @@ class TrialNode:
 
     def last_words(self) -> str:
         """Return how a process ended that has ended."""
-        self._said.seek(0)
-        lines = self._said.read().strip().splitlines() or ["it said nothing"]
+        self._output.seek(0)
+        lines = self._output.read().strip().splitlines() or ["it said nothing"]
         return f"{self.name} ended with {self._process.returncode}: {lines[-1]}"
 
     def close(self) -> None:
         """Leave nothing behind."""
         self._process.kill()
         self._process.wait()
-        self._said.close()
+        self._output.close()
 
 
 def trial() -> tuple[float, str]:
