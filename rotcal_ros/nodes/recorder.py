@@ -17,12 +17,13 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError
 from rotcal_ros.messages import stamp_ns
-from rotcal_ros.nodes.bookkeeping import NEEDED, NEVER_PAUSE, PendingReceipts, Silences
+from rotcal_ros.nodes.bookkeeping import NEEDED, PendingReceipts, Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.health import RECORDING_FAILED
-from rotcal_ros.nodes.listening import HeardTopic, Listener
+from rotcal_ros.nodes.heard_topic import HeardTopic
+from rotcal_ros.nodes.listening import Listener
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.recording import Messages, Receipt, Recording
 from rotcal_ros.nodes.running import run
@@ -74,7 +75,7 @@ class RecorderNode(CellNode):
         recording = self._writing()
         if recording is None:
             return
-        heard = self._listener.heard_s(lambda topic: self._called.role(topic) in NEVER_PAUSE)
+        heard = self._listener.heard_s(self._called.role)
         self._called.keep_in(recording)
         self._dropouts.silences(self._silences.look(heard, time.monotonic()))
         self._dropouts.write(TOGETHER_S)
@@ -98,8 +99,7 @@ class RecorderNode(CellNode):
         """Queue a receipt once the readings and the feedback of its window have arrived here."""
         if self._recording is None:
             return
-        needed = ([self._called.topic(role) for role in either] for either in NEEDED)
-        came = map(self._listener.reached_ns, needed)
+        came = (self._listener.reached_ns(either, self._called.topic) for either in NEEDED)
         reached_ns = min((stamp for stamp in came if stamp is not None), default=None)
         if not self._pending:
             self._pending.reach(reached_ns or 0)
@@ -136,7 +136,7 @@ class RecorderNode(CellNode):
         folder, writer = self._bags.open(request.plan_id)
         self._pending = PendingReceipts()
         self._jumps_before = self.health.clock.watch.count
-        self._listener.forget_losses()
+        self._listener.begin(request.configuration)
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         recording = Recording(writer, self._settings.queue_bytes, self._confirm)
         self._dropouts.begin(recording)
