@@ -1,6 +1,9 @@
 # `make demo` and `make test` first make .venv with all they need; see README.md.
+# `make ROS_DISTRO=jazzy demo` does it with ROS 2 Jazzy, in .venv-jazzy.
 PYTHON ?= python3
-BIN := .venv/bin
+ROS_DISTRO := kilted
+VENV := .venv$(patsubst -kilted,,-$(ROS_DISTRO))
+BIN := $(VENV)/bin
 SEED ?= 1
 SAMPLE ?= 400
 SECONDS ?= 60
@@ -18,7 +21,7 @@ resume: setup  ## continue a demo that was interrupted
 	@$(BIN)/rotcal verify --resume out/demo
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
-	@scripts/test.sh $(PYTEST_ARGS)
+	@VENV=$(VENV) scripts/test.sh $(PYTEST_ARGS)
 
 docs: setup  ## build the site of the pages strictly; open out/site/index.html
 	@$(BIN)/python -c 'import material, mkdocs_click' 2>/dev/null || $(BIN)/pip install -q \
@@ -47,10 +50,10 @@ lint: setup  ## style, types, and which room may import which
 	$(BIN)/lint-imports
 
 setup:  ## make or refresh .venv (PYTHON=python3.12 chooses another Python)
-	@PYTHON="$(PYTHON)" scripts/setup.sh
+	@PYTHON="$(PYTHON)" scripts/setup.sh $(ROS_DISTRO)
 
 clean:  ## remove everything that make has made
-	rm -rf .venv build install log out *.egg-info .coverage .hypothesis .*_cache
+	rm -rf .venv .venv-* build install log out *.egg-info .coverage .hypothesis .*_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## show this list

@@ -1,51 +1,69 @@
-"""The nodes of one cell; with simulated:=true the simulated machine and instruments as well."""
+"""The nodes of one cell, to be started by itself or included in the launch file of a machine.
 
+ros2 launch rotcal_ros cell.launch.py --show-args
+"""
+
+import sys
 from pathlib import Path
 from tempfile import mkdtemp
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, OpaqueFunction
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
-from launch_ros.actions import Node
+from launch_ros.actions import LifecycleNode
 from launch_ros.substitutions import FindPackageShare
 
 from rotcal_ros.catalogue import read_configuration
 from rotcal_ros.catalogue.configuration import SIMULATION, node_parameters
-from rotcal_ros.node_names import FURTHER_NODES, NODES, VIEWERS
+from rotcal_ros.machine_nodes import AS_CONFIGURED, OWN, PROBES, TABLES, machine_nodes
+from rotcal_ros.node_names import NODES, VIEWERS
 
 CLOSING_S = "25"
+YES_NO = ["true", "false"]
 
 
 def cell(context):
     """Return the nodes that the arguments and the configuration's groups ask for."""
-    file = Path(LaunchConfiguration("configuration").perform(context))
+
+    def value(argument):
+        return LaunchConfiguration(argument).perform(context)
+
+    file = Path(value("configuration"))
     configuration = read_configuration(file)
-    wanted = {
-        argument
-        for argument in ("simulated", *VIEWERS)
-        if LaunchConfiguration(argument).perform(context) == "true"
-    }
-    if "simulated" in wanted and not configuration.simulated:
+    simulated = value("simulated") == "true"
+    if simulated and not configuration.simulated:
         raise RuntimeError(
             f"simulated:=true, but {file} is for a real cell: it has no group '{SIMULATION}'"
         )
-    given = configuration.given if "simulated" in wanted else configuration.given - {SIMULATION}
-    further = (node for group, node in FURTHER_NODES.items() if group in given)
-    viewers = (node for argument, node in VIEWERS.items() if argument in wanted)
+    groups = {name for name in configuration.given if "." not in name}
+    groups -= set() if simulated else {SIMULATION}
+    machine = machine_nodes(groups, value("table"), value("probe"))
+    viewers = [node for argument, node in VIEWERS.items() if value(argument) == "true"]
     # ROS takes one type in a list, and no group that is empty; people write what they like.
     parameters = Path(mkdtemp(prefix="rotcal_")) / "parameters.yaml"
     parameters.write_text(node_parameters(configuration), encoding="utf-8")
-    return [node(name, parameters) for name in (*NODES, *further, *viewers)]
+    files = [str(parameters), *filter(None, [value("parameters")])]
+    own = {
+        "linuxcnc_driver": {
+            "ini_file": value("linuxcnc_ini"),
+            "linuxcnc_joint": int(value("linuxcnc_joint")),
+        }
+    }
+    autostart = value("autostart") == "true"
+    names = (*NODES, *machine, *viewers)
+    nodes = [node(name, [*files, {"autostart": autostart, **own.get(name, {})}]) for name in names]
+    words = [sys.executable, "-m", "rotcal_ros.nodes.readiness", value("namespace"), *names]
+    return [*nodes, ExecuteProcess(cmd=words, name="readiness", output="screen")]
 
 
 def node(name, parameters):
-    """Return the action that starts a node with a file of parameters."""
-    return Node(
+    """Return the action that starts a managed node, which configures and activates itself."""
+    return LifecycleNode(
         package="rotcal_ros",
         executable=name,
         name=name,
         namespace=LaunchConfiguration("namespace"),
-        parameters=[str(parameters)],
+        parameters=parameters,
         output="screen",
         respawn=False,
         # Closing a bag takes time: no SIGKILL before the recorder had it.
@@ -54,22 +72,72 @@ def node(name, parameters):
     )
 
 
+def argument(name, default, description, **more):
+    """Return an argument; with ``choices`` those are shown too."""
+    return DeclareLaunchArgument(name, default_value=default, description=description, **more)
+
+
 def generate_launch_description():
+    """Return the arguments and the nodes."""
     demo = PathJoinSubstitution([FindPackageShare("rotcal_ros"), "config", "tracer_demo.yaml"])
-
-    def argument(name, default, description, **more):
-        return DeclareLaunchArgument(name, default_value=default, description=description, **more)
-
-    def switch(name, description):
-        return argument(name, "false", description, choices=["true", "false"])
-
     return LaunchDescription(
         [
-            argument("configuration", demo, "Configuration of the calibration."),
-            argument("namespace", "/cell", "Namespace of the cell's topics."),
-            switch("simulated", "Simulate the machine and the instruments."),
-            switch("page", "Serve the operator's page; its address is logged."),
-            switch("scene", "Publish markers for RViz and Foxglove."),
+            argument(
+                "configuration",
+                demo,
+                "Configuration of the calibration: one YAML file; every group in it becomes "
+                "parameters of the nodes.",
+            ),
+            argument("namespace", "/cell", "Namespace of the cell's topics, services and nodes."),
+            argument(
+                "table",
+                AS_CONFIGURED,
+                "Which node turns the table. as_configured: table_adapter or dme_adapter where "
+                "the configuration has the group table_adapter or dme, else none; own: a node of "
+                "yours; table_adapter: a joint of ros2_control; dme_adapter: a measuring machine "
+                "behind I++ DME; linuxcnc_driver: a rotary axis of LinuxCNC.",
+                choices=[AS_CONFIGURED, OWN, *TABLES],
+            ),
+            argument(
+                "probe",
+                AS_CONFIGURED,
+                "Which node moves the probe or reflector. as_configured: dme_adapter where the "
+                "configuration has the group dme, else none; own: a node of yours; dme_adapter: "
+                "a measuring machine behind I++ DME.",
+                choices=[AS_CONFIGURED, OWN, *PROBES],
+            ),
+            argument("linuxcnc_ini", "", "linuxcnc_driver: ini file of LinuxCNC."),
+            argument(
+                "linuxcnc_joint",
+                "0",
+                "linuxcnc_driver: number of the table's joint where the ini file does not say it.",
+            ),
+            argument(
+                "simulated",
+                "false",
+                "Simulate machine and instruments, as the group simulation says.",
+                choices=YES_NO,
+            ),
+            argument(
+                "parameters",
+                "",
+                "A further parameter file, which wins over the configuration; such as what 'ros2 "
+                "param dump' wrote.",
+            ),
+            argument(
+                "autostart",
+                "true",
+                "Nodes configure and activate themselves; false: they wait for 'ros2 lifecycle "
+                "set' or for a manager of yours.",
+                choices=YES_NO,
+            ),
+            argument(
+                "page",
+                "false",
+                "Serve the operator's page; its address is logged.",
+                choices=YES_NO,
+            ),
+            argument("scene", "false", "Publish markers for RViz and Foxglove.", choices=YES_NO),
             OpaqueFunction(function=cell),
         ]
     )

@@ -9,10 +9,15 @@ from typing import Final
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST: Final = "LOCALHOST"
 ROS_DEFAULT_RANGE: Final = "SUBNET"
-_PROFILES: Final = "FASTDDS_DEFAULT_PROFILES_FILE"
-_LOOPBACK: Final = "fastdds_loopback.xml"
+_PROFILES: Final = {
+    "FASTDDS_DEFAULT_PROFILES_FILE": "fastdds",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps",
+}
+"""Variable -> how our files for it begin: of Fast DDS 3, and of Fast DDS 2 (Jazzy)."""
+_LOOPBACK: Final = "loopback.xml"
+_NETWORK: Final = "network.xml"
 _TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
-_OWN: Final = (_PROFILES, "ROS_STATIC_PEERS")
+_OWN: Final = (*_PROFILES, "ROS_STATIC_PEERS")
 _FAST_DDS: Final = ("", "rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp")
 
 
@@ -30,20 +35,20 @@ def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -
     fast_dds = environment.get("RMW_IMPLEMENTATION", "") in _FAST_DDS
     if not fast_dds or any(map(environment.get, _OWN)):
         return {RANGE: wanted}
-    folder = files("rotcal_ros") / "nodes"
     if wanted == LOCALHOST:
-        return {RANGE: "SYSTEM_DEFAULT", _PROFILES: str(folder / _LOOPBACK)}
+        return {RANGE: "SYSTEM_DEFAULT", **_profiles(_LOOPBACK)}
     transports = environment.get(_TRANSPORTS) or "UDPv4"
-    return {
-        RANGE: wanted,
-        _TRANSPORTS: transports,
-        _PROFILES: str(folder / "fastdds_network.xml"),
-    }
+    return {RANGE: wanted, _TRANSPORTS: transports, **_profiles(_NETWORK)}
+
+
+def _profiles(kind: str) -> dict[str, str]:
+    folder = files("rotcal_ros") / "nodes"
+    return {name: str(folder / f"{begin}_{kind}") for name, begin in _PROFILES.items()}
 
 
 def discovery_in_words(environment: Mapping[str, str]) -> str:
     """Return where a process looks for others, and what those on other machines need."""
-    confined = environment.get(_PROFILES, "").endswith(_LOOPBACK)
+    confined = any(environment.get(name, "").endswith(_LOOPBACK) for name in _PROFILES)
     reach = LOCALHOST if confined else environment.get(RANGE) or ROS_DEFAULT_RANGE
     domain = environment.get("ROS_DOMAIN_ID") or "0"
     return (

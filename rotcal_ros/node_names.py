@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Final
 
 NODES: Final = ("planner", "capture", "solver", "recorder")
@@ -10,14 +10,24 @@ NODES: Final = ("planner", "capture", "solver", "recorder")
 FURTHER_NODES: Final[Mapping[str, str]] = {
     "bridge": "bridge",
     "table_adapter": "table_adapter",
+    "dme": "dme_adapter",
     "simulation": "simulated_cell",
 }
 """Nodes that are started when the configuration has a group: group -> node."""
 VIEWERS: Final[Mapping[str, str]] = {"page": "operator_page", "scene": "scene"}
 """Nodes for people: how they are asked for -> node. No calibration needs one or ends with it."""
-DRIVERS: Final = ("dme_adapter", "linuxcnc_driver")
+DRIVERS: Final = ("linuxcnc_driver",)
 """Nodes that are started by hand, for the machine that the user has."""
 EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS)
 """All nodes, each a module of rotcal_ros.nodes and a command of the package."""
 PREFLIGHT_NODES: Final = tuple(name for name in NODES if name != "planner")
 """Nodes that must beat before anything moves; the planner is the one that looks."""
+
+
+def further_nodes(groups: Collection[str]) -> list[str]:
+    """Return the nodes that a configuration with these groups starts beside those of every cell.
+
+    A simulated machine behind I++ DME is played by ``rotcal dme serve``, and by no node.
+    """
+    elsewhere = {"simulation"} if "dme" in groups else set()
+    return [node for g, node in FURTHER_NODES.items() if g in groups and g not in elsewhere]

@@ -17,7 +17,7 @@ unset CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEEL
 rm -rf "$work"
 mkdir -p "$work"
 cd "$work"
-colcon build --base-paths "$root" "$root/msg_defs" || {
+colcon build --base-paths "$root" "$root/msg_defs" --allow-overriding rotcal_msgs rotcal_ros || {
     tail -n 30 log/latest_build/*/stderr.log >&2
     exit 1
 }
@@ -27,4 +27,10 @@ set -u
 for folder in config launch; do
     [[ ! -d $root/$folder ]] || diff -r "$root/$folder" "install/rotcal_ros/share/rotcal_ros/$folder"
 done
+program=$(type -P rotcal)
+[[ $program == "$PWD/install/"* ]] || {
+    echo "check_colcon: rotcal on the path is '$program', not that of the install folder" >&2
+    exit 1
+}
+rotcal --version
 python "$root/scripts/check_node.py" "$work/install" planner

@@ -30,13 +30,16 @@ def expect(good: bool, complaint: str) -> None:
 def is_on_graph(name: str, process: subprocess.Popen[bytes]) -> bool:
     """Wait until a node of that name can be seen."""
     deadline = time.monotonic() + APPEAR_S
-    with rclpy.init():
+    rclpy.init()
+    try:
         observer = rclpy.create_node("check_node")
         while time.monotonic() < deadline and process.poll() is None:
             rclpy.spin_once(observer, timeout_sec=0.1)
             if name in observer.get_node_names():
                 return True
-    return False
+        return False
+    finally:
+        rclpy.try_shutdown()
 
 
 def main(install: Path, name: str) -> None:

@@ -1,18 +1,25 @@
 #!/usr/bin/env bash
-# Makes .venv with all that rotcal_ros needs: Python packages, ROS 2 wheels, rotcal_msgs.
+# Makes .venv with all that rotcal_ros needs: Python packages, ROS 2 wheels, rotcal_msgs. That is
+# ROS 2 Kilted; the environment of any other distribution is named after it: .venv-jazzy.
 #
 # Three parts, each with a stamp that holds the hash of what it was made from; the second run
 # finds three good stamps and is done. A part removes its stamp before it starts, so that an
 # interrupted set-up is noticed and repeated.
 #
-# usage: scripts/setup.sh [check]     check: only see whether this machine can do it
+# usage: scripts/setup.sh [kilted|jazzy|check]    check: only see whether this machine can do it
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 PYTHON=${PYTHON:-python3}
-VENV=$PWD/.venv
-BUILD=$PWD/build/setup
+DISTRO=${1:-kilted}
+[[ $DISTRO != check ]] || DISTRO=kilted
+SUFFIX=-$DISTRO
+[[ $DISTRO != kilted ]] || SUFFIX=
+VENV=$PWD/.venv$SUFFIX
+BUILD=$PWD/build/setup$SUFFIX
 LOG=$BUILD/setup.log
+EXTRAS=${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,page,test},build,build-$DISTRO
+PINS=(constraints.txt "constraints-$DISTRO.txt")
 # Settings of a sourced ROS installation or of another environment would leak into this one.
 unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unset VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
@@ -36,6 +43,8 @@ quietly() {
 python_says() { "$PYTHON" -c "import sys, sysconfig; $1"; }
 
 check_machine() {
+    [[ -e constraints-$DISTRO.txt ]] ||
+        fail "ROS 2 '$DISTRO' is not supported; there are:" constraints-*.txt
     [[ $(uname -sm) == "Linux x86_64" ]] ||
         fail "ROS 2 wheels exist for x86-64 Linux only, this is $(uname -sm)"
     command -v "$PYTHON" >/dev/null ||
@@ -57,7 +66,7 @@ stamp() { echo "$2" >"$VENV/.$1"; }
 hash_of() { sha256sum | cut -c 1-64; }
 
 make_environment() {
-    say "1/3 new environment .venv with Python $(python_says 'print(sys.version.split()[0])')"
+    say "1/3 new environment ${VENV##*/} with ROS 2 ${DISTRO^}, Python $(python_says 'print(sys.version.split()[0])')"
     rm -rf "$VENV"
     quietly "$PYTHON" -m venv "$VENV"
     touch "$VENV/COLCON_IGNORE"
@@ -65,9 +74,34 @@ make_environment() {
 
 install_packages() {
     say "2/3 Python packages and ROS 2 wheels (800 MB on disk, a minute or two)"
-    local pip=("$VENV/bin/python" -m pip --disable-pip-version-check install -c constraints.txt)
+    local pip=("$VENV/bin/python" -m pip --disable-pip-version-check install "${PINS[@]/#/-c}")
     quietly "${pip[@]}" setuptools wheel
-    quietly "${pip[@]}" --no-build-isolation -e ".[${ROTCAL_EXTRAS:-ros,many,opcua,ads,dcc,page,build,test}]"
+    quietly "${pip[@]}" --no-build-isolation -e ".[$EXTRAS]"
+    enter_into_ament_index
+}
+
+# What `ros2 run` and `ros2 launch` look for, should there be any: pip leaves it out. Links of files,
+# because ROS does not look into linked folders.
+enter_into_ament_index() {
+    local share=$VENV/share/rotcal_ros nodes=$VENV/lib/rotcal_ros index
+    index=$VENV/share/ament_index/resource_index/packages
+    rm -rf "$share" "$nodes"
+    mkdir -p "$index" "$share" "$nodes"
+    cp resource/rotcal_ros "$index"
+    cp -rs "$PWD/package.xml" "$PWD/config" "$PWD/launch" "$share"
+    quietly "$VENV/bin/python" - "$VENV" <<'END'
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+for script in entry_points(group="console_scripts"):
+    if script.value.startswith("rotcal_ros."):
+        Path(sys.argv[1], "lib", "rotcal_ros", script.name).symlink_to(f"../../bin/{script.name}")
+END
+    # An activated environment is a prefix of ROS; what was sourced before stays behind it.
+    grep -q AMENT_PREFIX_PATH "$VENV/bin/activate" ||
+        echo 'export AMENT_PREFIX_PATH="$VIRTUAL_ENV${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}"' \
+            >>"$VENV/bin/activate"
 }
 
 # The real rosidl chain, into the environment; files of an older build are taken away first.
@@ -95,9 +129,12 @@ exec 9>"$BUILD/lock"
 flock 9 # two terminals, one set-up
 # An environment can neither be moved nor serve another Python.
 environment=$({ python_says 'print(sys.version, sys.base_prefix)' && pwd; } | hash_of)
-packages=$({ echo "$environment" && cat constraints.txt setup.* rotcal_ros/__init__.py; } | hash_of)
+packages=$({
+    echo "$environment" && cat "${PINS[@]}" setup.* rotcal_ros/{__init__,node_names}.py
+    find config launch -type f | sort
+} | hash_of)
 messages=$({
-    echo "$environment" && cat constraints.txt
+    echo "$environment" && cat "${PINS[@]}"
     find msg_defs -type f -print0 | sort -z | xargs -0 sha256sum
 } | hash_of)
 if is_made packages "$packages" && is_made messages "$messages"; then

@@ -11,7 +11,7 @@ NONE_SELECTED=5
 result=$NONE_SELECTED
 
 run() {
-    .venv/bin/python -m pytest "$@"
+    "${VENV:-.venv}/bin/python" -m pytest "$@"
     local code=$?
     # Of the two halves one may be empty; the first failure is what the whole says.
     if [[ $result == 0 || $result == "$NONE_SELECTED" ]] && [[ $code != "$NONE_SELECTED" ]]; then

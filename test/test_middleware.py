@@ -1,8 +1,14 @@
 """Which transports the nodes get, and that the user has the last word."""
 
+import re
+from pathlib import Path
+
 import pytest
 
+import rotcal_ros
 from rotcal_ros.middleware import ROS_DEFAULT_RANGE, discovery_in_words, middleware
+
+NODES = Path(rotcal_ros.__file__).parent / "nodes"
 
 
 def test_one_machine_is_the_loopback_interface_without_shared_memory():
@@ -10,6 +16,7 @@ def test_one_machine_is_the_loopback_interface_without_shared_memory():
         found = middleware(environment)
         assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
         assert found["FASTDDS_DEFAULT_PROFILES_FILE"].endswith("nodes/fastdds_loopback.xml")
+        assert found["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith("nodes/fastrtps_loopback.xml")
 
 
 @pytest.mark.parametrize("environment", [{"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, {}])
@@ -25,6 +32,7 @@ def test_several_machines_get_udp_everywhere(environment):
     [
         {"ROS_STATIC_PEERS": "10.0.0.7"},
         {"FASTDDS_DEFAULT_PROFILES_FILE": "own.xml"},
+        {"FASTRTPS_DEFAULT_PROFILES_FILE": "own.xml"},
         {"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"},
     ],
 )
@@ -32,6 +40,15 @@ def test_what_the_user_has_set_stays(own):
     assert middleware(own) == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     own["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
     assert middleware(own) == {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+
+
+@pytest.mark.parametrize("kind", ["loopback", "network"])
+def test_both_versions_of_fast_dds_get_the_same(kind):
+    first, second = (
+        re.sub("<!--.*?-->", "", (NODES / f"{name}_{kind}.xml").read_text(), flags=re.DOTALL)
+        for name in ("fastdds", "fastrtps")
+    )
+    assert first.replace("heartbeat_period", "heartbeatPeriod") == second
 
 
 def test_where_others_are_looked_for_is_told_as_the_user_would_set_it():

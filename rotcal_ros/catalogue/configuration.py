@@ -53,6 +53,8 @@ GROUPS: Final = (
     "dme", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
+USE_SIM_TIME: Final = "use_sim_time"
+"""Parameter of ROS's own beside the groups: all nodes follow ``/clock``."""
 SIMULATION: Final = "simulation"
 """A configuration with this group is that of a simulated cell."""
 OFFLINE_GROUPS: Final = ("identity", "cell", "plan", "capture", "air", "solver", "topics")
@@ -76,7 +78,8 @@ class Configuration:
     The classes of ``plan``, ``solver`` and ``simulation`` are those of the method. ``given`` holds
     the names of the groups that the text has, and of their settings as ``group.setting``; all
     others are at their defaults. ``simulated``: the cell is a simulated one, the text has a group
-    ``simulation``. ``text`` is the YAML as given, ``source`` names it in error texts.
+    ``simulation``. ``use_sim_time``: its nodes follow ``/clock``. ``text`` is the YAML as given,
+    ``source`` names it in error texts.
 
     >>> import rotcal_ros as rc
     >>> configuration = rc.read_configuration("examples/data/ball_plate.yaml")
@@ -103,6 +106,7 @@ class Configuration:
     given: frozenset[str]
     text: str
     source: str
+    use_sim_time: bool = False
 
     @property
     def plan_id(self) -> str:
@@ -140,6 +144,11 @@ def parse_configuration(
         method = find_method(name)
     except ConfigurationError as error:
         raise ConfigurationError(f"{source}: {error}") from error
+    use_sim_time = values.pop(USE_SIM_TIME, False)
+    if not isinstance(use_sim_time, bool):
+        raise ConfigurationError(
+            f"{source}: {USE_SIM_TIME} is true or false, found {use_sim_time!r:.80}"
+        )
     for group in values:
         if group not in GROUPS:
             hint = _without_its_group(method, str(group))
@@ -158,6 +167,7 @@ def parse_configuration(
         given=given.union(settings),
         text=text,
         source=source,
+        use_sim_time=use_sim_time,
     )
 
 
@@ -230,6 +240,8 @@ def node_parameters(configuration: Configuration) -> str:
     has its point, and what is not given, or None, is left out.
     """
     parameters: dict[str, Any] = {"method": configuration.method.name}
+    if configuration.use_sim_time:
+        parameters[USE_SIM_TIME] = True
     for group in GROUPS:
         values = to_mapping(getattr(configuration, group))
         given = {n: v for n, v in values.items() if f"{group}.{n}" in configuration.given}

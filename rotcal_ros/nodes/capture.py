@@ -18,7 +18,7 @@ from rotcal_ros.nodes.instrument_streams import InstrumentStreams
 from rotcal_ros.nodes.latest import WAITING_FOR
 from rotcal_ros.nodes.length_trigger import PERIOD_S, LengthTrigger
 from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
+from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
@@ -92,7 +92,7 @@ class CaptureNode(CellNode):
             self._trigger.serve(topics.length_trigger)
             self._capture = calibration.capture(message.run)
         except Exception as error:
-            self._state = f"plan refused: {error}"
+            self._state = f"{REFUSED}: {error}"
             raise
         self._run, self._needed = run_name(message), calibration.method.topics
         self._instruments.not_silent()

@@ -29,7 +29,7 @@ from rotcal_ros.nodes.managed_node import INACTIVE, UNCONFIGURED
 from rotcal_ros.nodes.matching import deaf_listeners
 from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
-from rotcal_ros.nodes.topic_names import TOPIC, TOPICS, at_odds, plain_name
+from rotcal_ros.nodes.topic_names import TOPIC, plain_name
 from rotcal_ros.observations import Command, Observation
 
 ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
@@ -117,12 +117,6 @@ class CellLinks:
         """Return the absolute name of an instrument's topic, as the capture knows it."""
         plain = plain_name(self.node.get_namespace(), role)
         return self.health.values("capture").get(TOPIC + role, plain)
-
-    def missing_names(self, topics_value: str) -> list[str]:
-        """Return why names of topics do not fit, in words; ``topics_value`` is the goal's."""
-        if self.health.values("capture").get(TOPICS) != topics_value:
-            return ["node capture has not taken the names in the group topics yet"]
-        return list(at_odds(self.health.values, self.node.get_namespace(), self.resolve))
 
     def missing_nodes(self) -> list[str]:
         """Return what keeps the nodes of the suite from working together, in words."""

@@ -72,11 +72,11 @@ class CellNode(ManagedNode, ABC):
         return declare_settings(self, self.given, group, cls, read_only=read_only)
 
     def listen(
-        self, kind: type, topic: str, handle: Callable[[Any], None], qos: QoSProfile
+        self, kind: type, topic: str, handle: Callable[[Any], None], qos: QoSProfile | int
     ) -> None:
         """Subscribe to a topic; an exception in ``handle`` is counted and logged."""
         handle = self.health.guarded(handle)
-        latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        latched = getattr(qos, "durability", None) == DurabilityPolicy.TRANSIENT_LOCAL
 
         def take(message: Any) -> None:
             if self.active:

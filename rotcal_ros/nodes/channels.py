@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.bags.definitions import collect_definition
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, OfferedQos, qos_text
+from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.recording import Channel
 
 
@@ -33,16 +35,49 @@ def described_channel(name: str, type_name: str, infos: Sequence[Any]) -> Channe
 @cache
 def own_channel(topic: str, type_name: str) -> Channel:
     """Return what a bag says of a topic that nobody publishes: the recorder writes it itself."""
-    package, kind, name = type_name.split("/")
-    described = _share(package) / kind / f"{name}.json"
-    hashes = json.loads(described.read_text())["type_hashes"] if described.exists() else ()
     return Channel(
         topic=topic,
         type_name=type_name,
         definition=collect_definition(type_name, _share),
-        type_hash=next((h["hash_string"] for h in hashes if h["type_name"] == type_name), ""),
+        type_hash=_installed_hash(type_name),
         offered_qos=qos_text([OfferedQos(depth=1)]),
     )
+
+
+def importable_type(type_name: str, type_hash: str) -> tuple[type | None, str]:
+    """Return the class of a recorded message type; None, and why, where it is not the same here.
+
+    ``type_hash`` is that of the recorded definition, empty where nobody knows it.
+    """
+    try:
+        found = message_type(type_name)
+    except BagError as error:
+        return None, str(error)
+    here = _installed_hash(type_name)
+    if type_hash and here and type_hash != here:
+        return None, f"message type {type_name} is defined otherwise here than in the bag"
+    return found, ""
+
+
+def message_type(type_name: str) -> type:
+    """Return the class of a message type (``pkg/msg/Name``); BagError where there is none."""
+    package, kind, name = [*type_name.split("/"), "", ""][:3]
+    try:
+        found: type = getattr(import_module(f"{package}.{kind}"), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise BagError(f"message type {type_name} is not installed here: {error}") from error
+    return found
+
+
+def _installed_hash(type_name: str) -> str:
+    """Return the hash of a type's definition as it is installed; empty where nobody tells it."""
+    package, kind, name = type_name.split("/")
+    try:
+        described = _share(package) / kind / f"{name}.json"
+        hashes = json.loads(described.read_text())["type_hashes"] if described.exists() else ()
+    except LookupError:
+        return ""
+    return next((h["hash_string"] for h in hashes if h["type_name"] == type_name), "")
 
 
 def _share(package: str) -> Path:

@@ -10,15 +10,13 @@ or the planner's service of that name, goes on.
 
 from __future__ import annotations
 
-import json
 import os
 import select
 import sys
 import time
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rotcal_msgs.action import Calibrate
 
@@ -27,6 +25,7 @@ from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefused
 from rotcal_ros.nodes.clock_news import jumps_in_words
 from rotcal_ros.nodes.concerns import concerns_told
 from rotcal_ros.nodes.identity import other_session
+from rotcal_ros.nodes.json_lines import say
 from rotcal_ros.nodes.outcome import Feedback, Outcome
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
@@ -54,7 +53,7 @@ class Client:
         path = self._calibrator.node.declare_parameter("configuration_file", "").value
         start_index = self._calibrator.node.declare_parameter("start_index", 0).value
         timeout_s = self._calibrator.node.declare_parameter("server_timeout_s", 30.0).value
-        _say("waiting")
+        say("waiting")
         try:
             if self._planner_came(timeout_s):
                 self._calibrator.start(Path(path) if path else "", start_index)
@@ -62,11 +61,11 @@ class Client:
             else:
                 outcome = Outcome(error_code=Calibrate.Result.CANCELED, error_msg="canceled")
         except GoalRefusedError as error:
-            _say("refused", reason=str(error))
+            say("refused", reason=str(error))
             return
         except CalibratorError as error:
             outcome = Outcome(error_code=Calibrate.Result.NODE_LOST, error_msg=str(error))
-        _say("result", **asdict(outcome))
+        say("result", **asdict(outcome))
 
     def _planner_came(self, timeout_s: float) -> bool:
         """Wait for the planner; False when the client has to end, CalibratorError if in vain."""
@@ -85,7 +84,7 @@ class Client:
 
     def _followed(self) -> Outcome:
         """Report on the goal until it ends."""
-        _say("started")
+        say("started")
         canceling = done = False
         while not done:
             if self._end and not canceling:
@@ -101,7 +100,7 @@ class Client:
     def _live(self) -> None:
         if time.monotonic() - self._spoken_s > ALIVE_PERIOD_S:
             self._spoken_s = time.monotonic()
-            _say("alive", planner=self._calibrator.planner_state)
+            say("alive", planner=self._calibrator.planner_state)
 
     def _warn(self) -> None:
         """Tell of a jump of the clock once, though all nodes do, and of each kind of concern."""
@@ -110,17 +109,17 @@ class Client:
         concerns = ((kind_of(text), text) for text in concerns_told(health))
         for kind, text in (*jumps, *concerns):
             if kind not in self._warned:
-                _say("warning", text=text)
+                say("warning", text=text)
             self._warned.add(kind)
 
     def _show(self, feedback: Feedback | None) -> None:
         if feedback is None or feedback is self._shown:
             return
         before, self._shown = self._shown, feedback
-        _say("feedback", **asdict(feedback))
+        say("feedback", **asdict(feedback))
         instruction = feedback.instruction
         if instruction and (before is None or instruction != before.instruction):
-            _say("paused", instruction=instruction)
+            say("paused", instruction=instruction)
 
     def _listen(self) -> None:
         """Take what stands on standard input; after its end nothing more is expected."""
@@ -137,14 +136,7 @@ class Client:
                 self._calibrator.resume()
             except CalibratorError as error:
                 reason = str(error)
-            _say("resumed", success=not reason, reason=reason)
-
-
-def _say(event: str, **values: Any) -> None:
-    """Print one line; the reader may be gone already."""
-    with suppress(BrokenPipeError):
-        sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
-        sys.stdout.flush()
+            say("resumed", success=not reason, reason=reason)
 
 
 def _work() -> None:

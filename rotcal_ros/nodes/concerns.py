@@ -15,7 +15,9 @@ OFFSET: Final = "clock_offset"
 """Streams whose clocks differ, and by how much."""
 FOREIGN_PLAN: Final = "foreign_plan"
 """A plan that is not of the planner."""
-FOR_PEOPLE: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN)
+SIM_CLOCK: Final = "sim_clock"
+"""That ``/clock`` stands still, or does not come, for a node that follows it."""
+FOR_PEOPLE: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN, SIM_CLOCK)
 """Values in a beat that the person who runs a calibration is told."""
 
 

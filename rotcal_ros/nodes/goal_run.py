@@ -22,7 +22,8 @@ from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
 from rotcal_ros.nodes.plans import RUN, run_name
 from rotcal_ros.nodes.preflight import doubts, expected_air, faults, without_air
-from rotcal_ros.nodes.topic_names import TOPICS, topics_value
+from rotcal_ros.nodes.sim_clock import unlike_clocks
+from rotcal_ros.nodes.topic_names import TOPICS, names_at_odds, topics_value
 from rotcal_ros.session_folder import SessionFolder
 
 BAG_TIMEOUT_S: Final = 10.0
@@ -62,7 +63,8 @@ class GoalRun:
         except GoalError as error:
             begun = self._folder is not None or error.code == Codes.CANCELED
             onward = self.watch.how_to_go_on(error.code) if begun else ""
-            outcome.error_code, outcome.error_msg = error.code, f"{error}{onward}"
+            remark = self.watch.links.health.sim.remark() if error.code != Codes.CANCELED else ""
+            outcome.error_code, outcome.error_msg = error.code, f"{error}{remark}{onward}"
             await self._close_bag_after_failure()
         if self._folder is not None:
             outcome.bag_folder = str(self._folder.bag)
@@ -90,7 +92,7 @@ class GoalRun:
         needed, wished = expected_air(self._calibration)
 
         def missing() -> list[str]:
-            if odd := links.missing_names(topics_value(configuration)):
+            if odd := names_at_odds(links.node, topics_value(configuration)):
                 return odd
             air = [f"nobody publishes {name}, without which the index of refraction is unknown"
                    for name in links.missing_air(needed).values()]  # fmt: skip
@@ -102,6 +104,8 @@ class GoalRun:
         watch.tell("preflight: nodes")
         await watch.have(links.missing_nodes, Codes.NODE_LOST)
         watch.nodes = (links.health.present() | set(PREFLIGHT_NODES)) - {*VIEWERS}
+        watch.tell("preflight: clocks")
+        await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
         watch.tell("preflight: topics")
         await watch.have(missing, Codes.TOPIC_MISSING)
         unheard = [without_air(role, name, configuration)

@@ -143,7 +143,7 @@ class GoalWatch:
     def _check_streams(self, place: str) -> None:
         """Raise when the capture tells of an instrument that fell silent after it had spoken."""
         beat = self.links.health.others.get("capture")
-        if beat is self._stream_beat:
+        if beat is self._stream_beat or not self.links.health.sim.is_settled():
             return
         self._stream_beat = beat
         for key, value in self.links.health.values("capture").items():

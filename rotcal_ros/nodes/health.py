@@ -23,6 +23,7 @@ from rotcal_ros.nodes.draining import Batch, DrainedSubscription
 from rotcal_ros.nodes.identity import IDENTITY, Identity, NameHolders, refusal
 from rotcal_ros.nodes.memory import end_without_memory
 from rotcal_ros.nodes.roll_call import RollCall
+from rotcal_ros.nodes.sim_clock import SimClock
 from rotcal_ros.nodes.steady import steady_timer
 
 BEAT_PERIOD_S: Final = 0.2
@@ -71,6 +72,7 @@ class Health:
         self.concerns: dict[str, str] = {}
         self.alarms: dict[str, str] = {}
         self.clock = ClockNews(node.get_logger())
+        self.sim = SimClock(node.get_clock())
         self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
@@ -114,13 +116,11 @@ class Health:
 
     def values(self, name: str) -> dict[str, str]:
         """Return the values of the last beat of node ``name``."""
-        status = self.others.get(name)
-        return {} if status is None else {v.key: v.value for v in status.values}
+        return {v.key: v.value for v in self.others[name].values} if name in self.others else {}
 
     def state(self, name: str) -> str:
         """Return the state of node ``name`` in words, empty when it was never heard."""
-        status = self.others.get(name)
-        return "" if status is None else str(status.message)
+        return str(self.others[name].message) if name in self.others else ""
 
     def last_words(self, name: str) -> str:
         """Return how long node ``name`` has been silent and what it did before, for a message."""
@@ -129,10 +129,9 @@ class Health:
 
     def leave(self) -> None:
         """Tell the others that this node ends on purpose, and let the word reach them."""
-        if self.refused:
-            return
-        self._beats.publish(self._status(LEAVING, {}))
-        self._beats.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
+        if not self.refused:
+            self._beats.publish(self._status(LEAVING, {}))
+            self._beats.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
 
     def beat(self) -> None:
         """Tell the others the state now, before the next beat is due."""
@@ -166,6 +165,7 @@ class Health:
 
     def _beat(self) -> None:
         self.clock.look()
+        self.sim.look()
         self.beat()
         silent = self._roll.silent(time.monotonic())
         for name in silent.keys() - self.lost.keys():
@@ -187,14 +187,14 @@ class Health:
         trouble: dict[str, object] = {**self.errors, **self.alarms}
         if self.lost:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
-        concerns = self.clock.concerns | self.concerns
+        concerns = self.clock.concerns | self.sim.concerns() | self.concerns
         rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
-        own = self.identity.in_a_beat(time.monotonic())
-        further = {**self.clock.values(), **concerns, **trouble, IDENTITY: own}
+        own = {IDENTITY: self.identity.in_a_beat(time.monotonic())}
+        told = {**values, **self.clock.values(), **self.sim.values(), **concerns, **trouble, **own}
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),
             hardware_id=self._node.get_namespace(),
             message=state,
-            values=[KeyValue(key=k, value=str(v)) for k, v in {**values, **further}.items()],
+            values=[KeyValue(key=k, value=str(v)) for k, v in told.items()],
         )

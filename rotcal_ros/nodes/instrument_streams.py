@@ -46,7 +46,7 @@ class InstrumentStreams:
     """
 
     def __init__(self, node: CellNode, take: Callable[[Any], None]) -> None:
-        self._take = take
+        self._node, self._take = node, take
         self._valid: Counter[str] = Counter()
         self._heard_s: dict[str, float] = {}
         self._latest: dict[str, Any] = {}
@@ -89,8 +89,9 @@ class InstrumentStreams:
             self._note_joints([message for message, _ in batch])
         records = self._interpreter.records(role, type_name, sent)
         if role in TIMED:
+            simulated_ns = self._node.now_ns() if self._node.health.sim.used else 0
             for record, (_, info) in zip(reversed(records), reversed(batch), strict=False):
-                self.offsets.note(role, record.stamp_ns, received_ns(info))
+                self.offsets.note(role, record.stamp_ns, simulated_ns or received_ns(info))
         for record in records:
             self._latest[role] = record
             self._valid[role] += _is_valid(record)

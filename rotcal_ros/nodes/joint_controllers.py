@@ -32,6 +32,9 @@ class JointController(Protocol):
     def send(self, way: Way) -> None:
         """Let the joint go that way from now on."""
 
+    def forget(self) -> None:
+        """Send nothing more of the way under way."""
+
 
 def joint_controller(
     node: CellNode, settings: TableAdapterSettings, joint: str
@@ -65,6 +68,9 @@ class TrajectoryController:
         ]
         self._publisher.publish(JointTrajectory(joint_names=[self._joint], points=points))
 
+    def forget(self) -> None:
+        """Do nothing: the controller has the whole trajectory, and ends it by itself."""
+
 
 class PositionController:
     """A controller that passes positions on at once: it gets the way in small steps."""
@@ -86,6 +92,10 @@ class PositionController:
     def send(self, way: Way) -> None:
         """Begin to go that way."""
         self._way, self._elapsed_s, self._stepped_s = way, 0.0, time.monotonic()
+
+    def forget(self) -> None:
+        """Leave the joint where it was sent last."""
+        self._way = None
 
     def _step(self) -> None:
         """Publish where the joint shall be now; the last position once."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
-from importlib import import_module
 from typing import Any, Final
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -20,7 +19,7 @@ from rotcal_ros.errors import BagError
 from rotcal_ros.instruments.conventions import Conventions, single_shots
 from rotcal_ros.nodes.bookkeeping import NEVER_PAUSE
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.channels import described_channel
+from rotcal_ros.nodes.channels import described_channel, message_type
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription, sent_ns
 from rotcal_ros.nodes.heard_topic import HeardTopic
 from rotcal_ros.nodes.qos import adapted_qos
@@ -162,13 +161,3 @@ def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
         for name, types in node.get_topic_names_and_types()
         if name in further or ((name in ALWAYS or name.startswith(prefix)) and "/_" not in name)
     }
-
-
-def message_type(type_name: str) -> type:
-    """Return the class of messages of a type; BagError where it is not installed."""
-    package, kind, name = type_name.split("/")
-    try:
-        found: type = getattr(import_module(f"{package}.{kind}"), name)
-    except (ImportError, AttributeError) as error:
-        raise BagError(f"message type {type_name} is not installed here: {error}") from error
-    return found

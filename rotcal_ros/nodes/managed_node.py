@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -39,23 +39,32 @@ class ManagedNode(LifecycleNode):
             "autostart", True, "configure and activate at the start; else wait for transitions"
         )
 
-    def parameter(self, name: str, default: Any, description: str) -> Any:
-        """Declare a parameter that stays as it was given, once, and return its value."""
+    def parameter(
+        self, name: str, default: Any, description: str, *, read_only: bool = True
+    ) -> Any:
+        """Declare a parameter, once, and return its value."""
         if not self.has_parameter(name):
-            descriptor = ParameterDescriptor(description=description, read_only=True)
+            descriptor = ParameterDescriptor(description=description, read_only=read_only)
             self.declare_parameter(name, default, descriptor)
         return self.get_parameter(name).value
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters, all or none; of one that is only read the rejection says what to do."""
-        result: SetParametersResult = super().set_parameters_atomically(parameter_list)
+        """Set parameters, all or none; a rejection says why, and what to do."""
         fixed = [p.name for p in parameter_list if self._is_fixed(p.name)]
-        if fixed and not result.successful:
-            result.reason = (
+        reason = self.why_unchanged({p.name: p.value for p in parameter_list})
+        if fixed:
+            reason = (
                 f"{', '.join(fixed)}: taken when node {self.get_name()} starts and the same until "
                 "it ends; start it anew with the value, or give it in the configuration"
             )
+        if reason:
+            return SetParametersResult(successful=False, reason=reason)
+        result: SetParametersResult = super().set_parameters_atomically(parameter_list)
         return result
+
+    def why_unchanged(self, changes: Mapping[str, Any]) -> str:
+        """Return why parameters cannot take these values, name -> value; empty: they can."""
+        return ""
 
     def autostart(self) -> None:
         """Configure and activate, unless told not to; raise what makes that impossible."""

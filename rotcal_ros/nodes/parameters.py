@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from operator import attrgetter
+from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -63,11 +64,18 @@ def declare_settings(
     return settings
 
 
-def read_settings(node: Node, group: str, cls: type[T]) -> T:
-    """Return the present values of parameters that :func:`declare_settings` declared."""
+def read_settings(
+    node: Node, group: str, cls: type[T], changes: Mapping[str, Any] = MappingProxyType({})
+) -> T:
+    """Return the present values of parameters that :func:`declare_settings` declared.
+
+    ``changes`` is parameter name -> value of those that shall be changed. ConfigurationError when
+    these settings cannot be together.
+    """
     values = {}
     for declared in declarations(cls):
-        value = node.get_parameter_or(f"{group}.{declared.name}").value
+        name = f"{group}.{declared.name}"
+        value = changes[name] if name in changes else node.get_parameter_or(name).value
         if declared.is_list and not (declared.optional and value is None):
             value = list(value or ())
         values[declared.name] = value

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
@@ -39,9 +40,7 @@ class Planner(CellNode):
     def configure(self) -> None:
         """Read the configuration, and offer to calibrate."""
         self._run: GoalRun | None = None
-        self._preparing = False
-        self._giving_up = ""
-        self._shown_s = -math.inf
+        self._preparing, self._giving_up, self._shown_s = False, "", -math.inf
         self._configured = PlannerParameters(self)
         self._continuation = read_continuation(self)
         self._links = CellLinks(self)
@@ -63,6 +62,10 @@ class Planner(CellNode):
     def deactivated(self) -> None:
         """Give up the running goal; no other is accepted."""
         self._give_up("the planner was deactivated")
+
+    def why_unchanged(self, changes: Mapping[str, Any]) -> str:
+        """Return why the next goal could not be measured with these parameters."""
+        return self._configured.why_not(changes) if self.configured else ""
 
     def begin_stop(self) -> None:
         """End the running goal with a valid bag."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CalibrationPlan
@@ -29,6 +31,8 @@ from rotcal_ros.untrusted import read_text, why
 ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner")
 """Groups that are parameters of the planner even if it was not given them."""
 
+REFUSED: Final = "plan refused"
+"""How the state of a node begins that cannot use the announced plan."""
 RUN: Final = "run"
 """Value in a beat: the run of the plan that a node works for; see :func:`run_name`."""
 
@@ -75,6 +79,15 @@ class PlannerParameters:
             )
         return configuration
 
+    def why_not(self, changes: Mapping[str, Any]) -> str:
+        """Return why no goal can be measured with changes, name -> value; empty: one can."""
+        try:
+            for group in {name.partition(".")[0] for name in changes} & self._groups.keys():
+                read_settings(self._node, group, self._groups[group], changes)
+        except ConfigurationError as error:
+            return str(error)
+        return ""
+
 
 def run_name(message: CalibrationPlan) -> str:
     """Return what tells this run of a plan from every other run."""
@@ -89,13 +102,15 @@ def calibration_of(message: CalibrationPlan) -> Calibration:
     """
     configuration = parse_configuration(message.configuration, "the announced plan")
     calibration = prepare(configuration)
+    older = (plan(configuration) for plan in configuration.method.older_plans)
+    for plan in (calibration.plan, *older):
+        if (configuration.plan_id, len(plan.steps)) == (message.plan_id, message.total_steps):
+            return replace(calibration, plan=plan)
     found = (configuration.plan_id, len(calibration.plan.steps))
-    if found != (message.plan_id, message.total_steps):
-        raise PlanError(
-            f"the announced plan has {message.total_steps} steps and the hash {message.plan_id}, "
-            f"here it has {found[1]} and {found[0]}: install the same version everywhere"
-        )
-    return calibration
+    raise PlanError(
+        f"the announced plan has {message.total_steps} steps and the hash {message.plan_id}, "
+        f"here it has {found[1]} and {found[0]}: install the same version everywhere"
+    )
 
 
 def read_continuation(node: CellNode) -> Continuation | None:

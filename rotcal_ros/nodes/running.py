@@ -6,8 +6,8 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Final, NoReturn
 
@@ -54,6 +54,16 @@ def use_middleware(default_range: str = ROS_DEFAULT_RANGE) -> None:
     os.environ |= middleware(os.environ, default_range)
 
 
+@contextmanager
+def default_context() -> Iterator[None]:
+    """Keep ROS's default context up, without its signals: Jazzy's ``rclpy.init`` cannot."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield
+    finally:
+        rclpy.try_shutdown()
+
+
 class EndRequest:
     """Whether the process has to end; takes SIGINT and SIGTERM from now on."""
 
@@ -79,7 +89,7 @@ def _spin(make: Callable[[], CellNode]) -> None:
     The middleware stays up meanwhile, which the handlers of rclpy itself would not allow.
     """
     end = EndRequest()
-    with rclpy.init(signal_handler_options=SignalHandlerOptions.NO):
+    with default_context():
         node = make()
         node.autostart()
         executor = SingleThreadedExecutor()

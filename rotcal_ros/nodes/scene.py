@@ -58,13 +58,11 @@ class SceneNode(CellNode):
 
     def configure(self) -> None:
         """Wait for a plan."""
-        self._exaggeration = self.parameter(
-            "exaggeration", 20000.0, "how many times larger than they are errors are drawn"
-        )
+        self._exaggeration = self._wanted_exaggeration()
         self._layout: Layout | None = None
         self._progress: Progress | None = None
         self._errors: Errors | None = None
-        self._joint = ""
+        self._joint, self._heard = "", set[str]()
         self._state = "waiting for a plan"
         self._feedback: JointState | None = None
         self._step: int | None = None
@@ -77,7 +75,7 @@ class SceneNode(CellNode):
         self.listen(DeviationArray, "deviations", self._take_errors, LATCHED)
         self.listen(ProbeTarget, names.PROBE_TARGET, self._take_order, EVENT)
         self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
-        self.listen(JointState, names.JOINT_STATES, self._take_feedback, NEWEST)
+        self._hear_feedback(names.JOINT_STATES)
         self.every(MOTION_PERIOD_S, self._show_moving)
         self.every(STILL_PERIOD_S, self._show_still)
 
@@ -86,6 +84,8 @@ class SceneNode(CellNode):
         self.health.beat()
         calibration = calibration_of(message)
         self._joint = calibration.configuration.cell.joint
+        topics = calibration.configuration.topics.renamed()
+        self._hear_feedback(topics.get(names.JOINT_STATES, names.JOINT_STATES))
         self._layout = layout_of(calibration)
         self._progress = Progress(self._layout)
         self._errors, self._step, self._shown, self._changed = None, None, None, True
@@ -112,6 +112,12 @@ class SceneNode(CellNode):
             self._progress.observe(message.step, accepted=message.accepted)
             self._changed = True
 
+    def _hear_feedback(self, topic: str) -> None:
+        """Listen to the table's feedback there too."""
+        if topic not in self._heard:
+            self._heard.add(topic)
+            self.listen(JointState, topic, self._take_feedback, NEWEST)
+
     def _take_feedback(self, message: JointState) -> None:
         self._feedback = message
 
@@ -122,7 +128,14 @@ class SceneNode(CellNode):
         sample = messages.table_sample(self._feedback, self._joint)
         return 0.0 if sample is None else sample.angle
 
+    def _wanted_exaggeration(self) -> float:
+        """Return what may be changed at any time."""
+        words = "how many times larger than they are errors are drawn"
+        return float(self.parameter("exaggeration", 20000.0, words, read_only=False))
+
     def _show_still(self) -> None:
+        before, self._exaggeration = self._exaggeration, self._wanted_exaggeration()
+        self._changed |= before != self._exaggeration
         if self._layout is None or self._progress is None or not self._changed:
             return
         self._changed = False

@@ -21,10 +21,13 @@ from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Command, HumiditySample, PressureSample
 from rotcal_ros.planning.cell_settings import CellSettings
 from rotcal_ros.simulation import CellOutput, SimulatedCell
+from rotcal_ros.units import NANOSECOND
 
 PERIOD_S: Final = 0.005
-LONGEST_TURN_S: Final = 0.02
+LONGEST_TURN_NS: Final = 20_000_000
 """Wall time made up for in one turn at most, so that a stall never becomes a burst."""
+LONGEST_SIM_TURN_NS: Final = 500_000_000
+"""The same of ``/clock``, which may come seldom."""
 UNASKED_PERIOD_S: Final = 0.5
 ANNOUNCING_PERIOD_S: Final = 0.5
 AIR: Final = {
@@ -49,7 +52,7 @@ class SimulatedCellNode(CellNode):
         self._joint = cell.joint or "table"
         self._scale = settings.time_scale
         self._cell = SimulatedCell(settings, self.now_ns())
-        self._turned_s = time.monotonic()
+        self._turned_ns, self._set_ahead_ns = self._steady_ns(), 0
         self._order_text = "no order yet"
         if self._cell.instrument.streams_lengths:
             self._tracer = self._instrument(TracerLength, names.TRACER_LENGTH, STREAM)
@@ -92,11 +95,15 @@ class SimulatedCellNode(CellNode):
         self._publish(self._cell.follow_table(stamp_ns, message.position[0]))
 
     def _turn(self) -> None:
-        """Let as much machine time pass as wall time has."""
+        """Let as much machine time pass as wall time has, or time of ``/clock``."""
         self.health.clock.look()
-        now = time.monotonic()
-        elapsed = min(now - self._turned_s, LONGEST_TURN_S)
-        self._turned_s = now
+        now_ns = self._steady_ns()
+        passed_ns, self._turned_ns = now_ns - self._turned_ns, now_ns
+        longest_ns = LONGEST_SIM_TURN_NS if self.health.sim.used else LONGEST_TURN_NS
+        lived_ns = min(max(passed_ns, 0), longest_ns)
+        if self.health.sim.used:  # stamps are those of /clock, whatever it does
+            self._set_ahead_ns += passed_ns - lived_ns
+        elapsed = lived_ns * NANOSECOND
         scale = self._scale if self._cell.busy else min(self._scale, 1.0)
         self._publish(self._cell.advance(elapsed * scale))
 
@@ -130,9 +137,15 @@ class SimulatedCellNode(CellNode):
         if not self._cell.busy:
             self._publish(CellOutput(probe=(self._cell.unasked_point(),)))
 
+    def _steady_ns(self) -> int:
+        """Return the time by which the machine lives."""
+        return self.now_ns() if self.health.sim.used else time.monotonic_ns()
+
     @property
     def _jumped_ns(self) -> int:
-        """How far the system clock was set ahead since the machine's began to run."""
+        """How far the clock of the stamps was set ahead since the machine's began to run."""
+        if self.health.sim.used:
+            return self._set_ahead_ns
         return self.health.clock.watch.ahead_ns
 
     def _report(self) -> tuple[str, dict[str, Any]]:

@@ -19,7 +19,7 @@ from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import RUN, calibration_of, read_continuation, run_name
+from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, read_continuation, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.roll_call import LOADING, SOLVING
 from rotcal_ros.nodes.running import run
@@ -72,16 +72,17 @@ class SolverNode(CellNode):
         try:
             self._calibration = calibration_of(message)
         except RotcalError as error:
-            self._state = f"plan refused: {error}"
+            self._state = f"{REFUSED}: {error}"
             raise
         kept: dict[RunStep, Observation] = {}
         known, self._continuation = self._continuation, None
         if old is not None and old.configuration.plan_id == message.plan_id:
-            kept = {k: o for k, o in self._observations.items() if k[1] < message.start_index}
+            further = message.run > self._run_number
+            before = (k for k in self._observations if further or k[1] < message.start_index)
+            kept = {k: self._observations[k] for k in before}
         elif known is not None and known.plan_id == message.plan_id:
             kept = {(o.run, o.step): o for o in known.observations}
-            self._run_number = known.run
-        self._observations = kept
+        self._observations, self._run_number = kept, message.run
         if not kept:
             self._in_force = self._in_force[-1:]  # what was in force before is of no concern
         self._solved_count = 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Iterable
 from contextlib import suppress
@@ -19,6 +18,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from rotcal_ros import __version__
 from rotcal_ros.bags import names
 from rotcal_ros.catalogue.configuration import read_subject
+from rotcal_ros.distribution import distribution, rclpy_version
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.recording import Recording
@@ -53,7 +53,7 @@ def versions_json() -> str:
         "python": platform.python_version(),
         **{package: found for package, found in installed.items() if found},
         "system": platform.platform(),
-        "ros_distro": os.environ.get("ROS_DISTRO", ""),
+        "ros_distro": distribution(rclpy_version()),
         "rmw": get_rmw_implementation_identifier(),
     }
     return json.dumps(versions, indent=1)

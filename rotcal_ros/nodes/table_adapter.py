@@ -68,6 +68,11 @@ class TableAdapter(CellNode):
         self.listen(TableAngle, names.TABLE_ANGLE, self._obey, EVENT)
         self.every(LOOK_PERIOD_S, self._look)
 
+    def deactivated(self) -> None:
+        """Command nothing more."""
+        self._waiting = None
+        self._controller.forget()
+
     def _obey(self, message: TableAngle) -> None:
         """Take an order; it takes the place of one that is under way."""
         self._waiting, self._waiting_s, self._refused = message, time.monotonic(), ""

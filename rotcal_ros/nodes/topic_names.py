@@ -105,6 +105,14 @@ def at_odds(values: Values, namespace: str, resolve: Resolve) -> Iterator[str]:
                 )
 
 
+def names_at_odds(node: Any, topics_of_goal: str) -> list[str]:
+    """Return why the names of topics do not fit, in words, as the planner's ``node`` sees it."""
+    values = node.health.values
+    if values("capture").get(TOPICS) != topics_of_goal:
+        return ["node capture has not taken the names in the group topics yet"]
+    return list(at_odds(values, node.get_namespace(), node.resolve_topic_name))
+
+
 def given_topics(configuration: Configuration) -> dict[str, Any]:
     """Return what a configuration gives in its group ``topics``."""
     given = (name.partition(".") for name in configuration.given)

@@ -6,7 +6,7 @@ import json
 import sys
 from typing import Final
 
-from rotcal_ros.node_names import FURTHER_NODES, NODES, VIEWERS
+from rotcal_ros.node_names import NODES, VIEWERS, further_nodes
 from rotcal_ros.sessions.session import Session
 
 CLIENT: Final = "client"
@@ -17,8 +17,7 @@ def node_names(session: Session) -> list[str]:
 
     Those of every cell, those with a group, and those for people that were asked for.
     """
-    given = session.configuration.given
-    further = (node for group, node in FURTHER_NODES.items() if group in given)
+    further = further_nodes(session.configuration.given)
     return [*NODES, *further, *(VIEWERS[name] for name in session.shown_by)]
 
 

@@ -101,6 +101,40 @@ def test_a_full_disk(monkeypatch, tmp_path):
     assert not doctor.space(tmp_path).ok
 
 
+@pytest.mark.parametrize(
+    ("rclpy", "sourced", "ok", "found"),
+    [
+        ("7.1.5", "", True, "Jazzy, rclpy 7.1.5"),
+        ("9.1.2", "kilted", True, "Kilted, rclpy 9.1.2"),
+        ("9.1.2", "jazzy", False, "Kilted, rclpy 9.1.2, but ROS_DISTRO=jazzy"),
+        ("3.3.16", "humble", False, "Humble, rclpy 3.3.16"),
+        ("11.0.0", "rolling", False, "unknown distribution, rclpy 11.0.0"),
+    ],
+)
+def test_the_distribution_is_what_rclpy_says(monkeypatch, rclpy, sourced, ok, found):
+    monkeypatch.setattr(util, "find_spec", lambda _: True)
+    monkeypatch.setattr(doctor, "rclpy_version", lambda: rclpy)
+    monkeypatch.setenv("ROS_DISTRO", sourced)
+    check = doctor.ros()
+    assert (check.ok, check.found) == (ok, found)
+
+
+@pytest.mark.ros
+def test_the_nodes_start():
+    check = doctor.nodes()
+    assert check.ok, check.found
+    assert check.found.startswith("planner, capture, solver, recorder started")
+
+
+@pytest.mark.ros
+def test_a_node_that_cannot_start_is_seen(monkeypatch):
+    trial_start = pytest.importorskip("rotcal_ros.nodes.trial_start")
+    monkeypatch.setattr(trial_start, "NODES", ("no_such_node",))
+    _, wrong = trial_start.trial()
+    assert wrong.startswith("no_such_node ended with 1: ")
+    assert "No module named rotcal_ros.nodes.no_such_node" in wrong
+
+
 @pytest.mark.ros
 def test_a_message_comes_back():
     check = doctor.loopback()

@@ -40,7 +40,8 @@ def test_started_by_hand_the_bridge_alone_keeps_to_this_machine(cell, monkeypatc
     """No variable of ours is set, as after ``ros2 run rotcal_ros bridge``."""
     live = cell()
     live.processes.environment = {}
-    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTDDS_DEFAULT_PROFILES_FILE"):
+    for name in ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTDDS_DEFAULT_PROFILES_FILE",
+                 "FASTRTPS_DEFAULT_PROFILES_FILE"):  # fmt: skip
         monkeypatch.delenv(name, raising=False)
     live.start(node)
     deadline = time.monotonic() + DEADLINE_S

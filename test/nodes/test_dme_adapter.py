@@ -71,7 +71,7 @@ class Adapter(DmeAdapter):
         self.listening["orders"] += 1
         return Orders()
 
-    def create_service(self, _kind, name, _serve):
+    def offer(self, _kind, name, _serve):
         self.listening[name] += 1
 
     def _complain(self, _text):
@@ -133,6 +133,14 @@ def test_a_lost_planner_stops_the_machine_once_and_another_node_does_not(made):
     made.health.lost["planner"] = 2.0
     made._watch()
     assert made._driver.aborted == ["the planner fell silent in the middle of a step"]
+
+
+def test_an_adapter_that_is_deactivated_stops_the_machine_and_keeps_its_session(made):
+    made.work_for(FIRST)
+    made._driver.busy = True
+    made.deactivated()
+    assert made._driver.aborted == ["the adapter was deactivated in the middle of a step"]
+    assert made._driver.told == ["forget"]
 
 
 def test_why_nothing_moves_stands_in_the_diagnostics_until_it_is_cleared(made):

@@ -20,6 +20,7 @@ from rotcal_ros.node_names import (
     NODES,
     PREFLIGHT_NODES,
     VIEWERS,
+    further_nodes,
 )
 from rotcal_ros.sessions import commands
 
@@ -29,7 +30,7 @@ MODULES = {
     for path in (ROOT / "rotcal_ros" / "nodes").glob("*.py")
     if 'if __name__ == "__main__"' in path.read_text()
 }
-NO_NODES = {"client", "linuxcnc_agent", "selftest"}
+NO_NODES = {"client", "linuxcnc_agent", "player", "readiness", "selftest", "trial_start"}
 """Programs beside the nodes that others start."""
 
 
@@ -71,8 +72,14 @@ def test_the_package_installs_a_command_for_every_node(monkeypatch):
 
 def test_sessions_and_preflight_use_the_same_lists():
     assert commands.NODES is NODES
-    assert commands.FURTHER_NODES is FURTHER_NODES
+    assert commands.further_nodes is further_nodes
     assert commands.VIEWERS is VIEWERS
+
+
+def test_a_simulated_machine_behind_dme_is_no_node():
+    assert further_nodes({"simulation", "bridge"}) == ["bridge", "simulated_cell"]
+    assert further_nodes({"simulation", "dme", "cell"}) == ["dme_adapter"]
+    assert further_nodes({"dme", "table_adapter"}) == ["table_adapter", "dme_adapter"]
 
 
 def test_the_names_are_known_without_numpy():
@@ -108,7 +115,8 @@ def test_the_nodes_get_lists_of_one_type_whatever_the_file_has(monkeypatch, tmp_
     text = (ROOT / "config" / "tracer_paper.yaml").read_text()
     file.write_text(text.replace("box_size_m: [0.45, 0.6, 0.45]", "box_size_m: [1, 0.6, 0.45]"))
     first, *_ = launched(monkeypatch, file, simulated=False)
-    (given_file,) = first["parameters"]
+    given_file, own = first["parameters"]
+    assert own == {"autostart": True}
     given = yaml.safe_load(Path(given_file).read_text())["/**"]["ros__parameters"]
     sizes = given["plan"]["box_size_m"]
     assert sizes == [1.0, 0.6, 0.45]
@@ -118,9 +126,13 @@ def test_the_nodes_get_lists_of_one_type_whatever_the_file_has(monkeypatch, tmp_
 def launched(monkeypatch, file, *, simulated, **more):
     """Return the nodes that the launch file starts, each with its options."""
     values = {"configuration": str(file), "simulated": str(simulated).lower()} | more
-    started, later = [], []
+    started, later, watched = [], [], []
     stub = MagicMock()
-    stub.Node.side_effect = lambda **options: started.append(options)
+    stub.DeclareLaunchArgument.side_effect = lambda name, default_value, **_: values.setdefault(
+        name, default_value
+    )
+    stub.LifecycleNode.side_effect = lambda **options: started.append(options)
+    stub.ExecuteProcess.side_effect = lambda **options: watched.append(options["cmd"])
     stub.OpaqueFunction.side_effect = lambda function: later.append(function)
     stub.LaunchConfiguration.side_effect = lambda name: MagicMock(
         perform=lambda _context: values.get(name)
@@ -131,6 +143,9 @@ def launched(monkeypatch, file, *, simulated, **more):
     runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
     for function in later:
         function(None)
+    ((_, _, module, place, *names),) = watched
+    assert (module, place) == ("rotcal_ros.nodes.readiness", "/cell")
+    assert names == [node["executable"] for node in started]
     return started
 
 

@@ -5,14 +5,15 @@ from typing import Literal
 
 import pytest
 
-rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("rclpy")
 
-from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.parameter import Parameter
 
-from rotcal_ros.errors import ConfigurationError  # noqa: E402
-from rotcal_ros.nodes.cell_node import CellNode  # noqa: E402
-from rotcal_ros.nodes.parameters import read_settings  # noqa: E402
-from rotcal_ros.settings import group, setting  # noqa: E402
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.parameters import read_settings
+from rotcal_ros.nodes.running import default_context
+from rotcal_ros.settings import group, setting
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class ExampleNode(CellNode):
 
 @pytest.fixture(scope="module")
 def context():
-    with rclpy.init():
+    with default_context():
         yield
 
 

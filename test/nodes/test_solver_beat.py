@@ -7,12 +7,12 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-import rclpy
 from live_cell import wait_until
 from rclpy.executors import SingleThreadedExecutor
 
 from rotcal_ros.errors import DataError
 from rotcal_ros.nodes.roll_call import SOLVING
+from rotcal_ros.nodes.running import default_context
 from rotcal_ros.nodes.solver import SolverNode
 
 pytestmark = pytest.mark.ros
@@ -32,7 +32,7 @@ class SlowCalibration:
 
 @pytest.fixture
 def solver():
-    with rclpy.init():
+    with default_context():
         node = SolverNode()
         executor = SingleThreadedExecutor()
         executor.add_node(node)

@@ -10,7 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bag_samples import CONFIGURATION, START_NS, Run, encode, open_writer, serialised, write_run
+from bag_samples import (
+    CONFIGURATION,
+    START_NS,
+    STORE,
+    TYPES,
+    Run,
+    encode,
+    open_writer,
+    serialised,
+    write_run,
+)
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import bag_files, check_files, session_files
@@ -264,3 +274,30 @@ def test_attempts_are_kept_apart(simulated_run: Run, tmp_path: Path) -> None:
     write_run(tmp_path / "bag", run)
     recording = read_recording(tmp_path / "bag", "observations")
     assert recording.observations == tuple(run.records)
+
+
+@pytest.mark.parametrize("how", ["noted", "planned", "asked"])
+def test_other_names_are_read_without_arguments(simulated_run, run_bag, tmp_path, how):
+    settings = WriterSettings(min_free_bytes=0)
+    text = CONFIGURATION
+    if how == "planned":
+        text += "    topics: {tracer_length: laser/length}\n"
+    with BagWriter(tmp_path / "bag", settings) as writer:
+        if how == "noted":
+            writer.note(names.TOPICS, {names.TRACER_LENGTH: "/cell/laser/length", "x": "/y"})
+        writer.attach(names.CONFIGURATION, "application/yaml", text.encode())
+        other = {names.TRACER_LENGTH: "/cell/laser/length"}
+        channels = {
+            role: writer.channel(
+                other.get(role, f"/cell/{role}"), kind, STORE.generate_msgdef(kind)[0]
+            )
+            for role, kind in TYPES.items()
+        }
+        for number, record in enumerate(simulated_run.records):
+            time_ns = START_NS + number * 1_000_000
+            for role, data in encode(record):
+                writer.write(channels[role], data, time_ns, time_ns - 1000)
+    asked = {names.TRACER_LENGTH: "/cell/laser/length"} if how == "asked" else {}
+    recording = read_recording(tmp_path / "bag", topics=Topics(renamed=asked))
+    assert recording.observations == read_recording(run_bag).observations
+    assert recording.same_as_recorded

@@ -1,0 +1,26 @@
+"""Which distribution of ROS 2 this is, as its rclpy says; a sourced shell's word may be stale."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+from typing import Final
+
+SUPPORTED: Final = ("jazzy", "kilted")
+_OF_RCLPY: Final = {3: "humble", 4: "iron", 7: "jazzy", 9: "kilted"}
+_PACKAGES: Final = ("rclpy", "ros-rclpy")
+
+
+def rclpy_version() -> str:
+    """Return the version of rclpy, empty where none is installed."""
+    for package in _PACKAGES:
+        try:
+            return version(package)
+        except PackageNotFoundError:
+            continue
+    return ""
+
+
+def distribution(rclpy: str) -> str:
+    """Return the distribution with this version of rclpy, as in ROS_DISTRO; empty: unknown."""
+    major = rclpy.partition(".")[0]
+    return _OF_RCLPY.get(int(major), "") if major.isdecimal() else ""

@@ -1,0 +1,199 @@
+"""The player: publishes a recorded bag at its own pace, for nodes and viewers without a machine.
+
+It speaks JSON lines, for ``rotcal replay``: ``reading``, ``left_out``, ``note``, ``playing``,
+``solving``, ``result``. SIGINT or SIGTERM ends it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from argparse import Namespace
+from functools import partial
+from typing import Any, Final
+
+from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message
+from rclpy.utilities import remove_ros_args
+from rotcal_msgs.msg import CalibrationPlan
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.reader import read_blocks
+from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.nodes.earlier_messages import Converter, publishable
+from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.json_lines import say
+from rotcal_ros.nodes.peer import Peer
+from rotcal_ros.nodes.plans import REFUSED, RUN, run_name
+from rotcal_ros.nodes.player_arguments import read_arguments
+from rotcal_ros.nodes.recorded_qos import offered_qos
+from rotcal_ros.nodes.replay_guard import conflicts
+from rotcal_ros.nodes.replay_outcome import ReplayOutcome
+from rotcal_ros.nodes.replay_pace import CLOCK_PERIOD_S, ReplayPace
+from rotcal_ros.nodes.replayed_bag import ReplayedBag, run_number
+from rotcal_ros.nodes.running import EndRequest, leave_with
+
+LOOK_AROUND_S: Final = 2.0
+"""So long the graph is looked at before anything is published."""
+LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
+GUARD_PERIOD_S: Final = 1.0
+TOLD_PERIOD_S: Final = 0.2
+_AHEAD_S: Final = 5e-4
+"""Nobody waits for less."""
+
+
+class Ended(Exception):  # noqa: N818  nothing went wrong
+    """The user has ended it."""
+
+
+class Player:
+    """Plays one bag once."""
+
+    def __init__(self, peer: Peer, bag: ReplayedBag, given: Namespace, end: EndRequest) -> None:
+        self._peer, self._bag, self._given, self._end = peer, bag, given, end
+        self._node = peer.node
+        self._health = Health(self._node, None)
+        everything = given.everything
+        self._outcome = ReplayOutcome(peer, bag, self._health, end, everything=everything)
+        self._guarded_s = self._told_s = 0.0
+        self._pace = ReplayPace(self._node, bag.start_ns, given.rate, clock=given.clock)
+        self._publishers: dict[str, tuple[Publisher, Converter]] = {}
+
+    def play(self) -> None:
+        """Publish everything, then have the solver finish; ConfigurationError in bad company."""
+        self._wait(lambda: False, LOOK_AROUND_S)
+        missing = partial(self._health.missing, self._given.nodes)
+        if not self._wait(lambda: not missing(), NODES_S):
+            raise ConfigurationError(f"not here within {NODES_S:g} s: {', '.join(missing())}")
+        self._guard()
+        self._make_publishers()
+        self._wait(
+            lambda: not self._outcome.unheard(self._publishers, with_plan=False), LISTENERS_S
+        )
+        self._pace.begin()
+        for scan, block in read_blocks(self._bag.files):
+            for row in () if block is None else range(len(block)):
+                channel = scan.channels[int(block.headers["channel"][row])]
+                if channel.topic in self._publishers:
+                    self._wait_until(int(block.headers["log_time"][row]))
+                    self._publish(channel, block.payload(row), run_number(scan.metadata))
+        say("playing", done_s=self._bag.seconds, total_s=self._bag.seconds)
+        self._outcome.tell(self._given.result, finish=not self._given.no_finish)
+
+    def _publish(self, channel: ChannelDefinition, data: bytes, run: int) -> None:
+        publisher, convert = self._publishers[channel.topic]
+        if (converted := convert(data, run)) is None:
+            return
+        publisher.publish(converted)
+        if self._bag.called.role(channel.topic) == names.PLAN:
+            self._have_taken(deserialize_message(converted, CalibrationPlan))
+
+    def _make_publishers(self) -> None:
+        """Make a publisher for each topic whose type is installed as it was recorded."""
+        for topic, channel in self._bag.channels.items():
+            try:
+                kind, convert = publishable(channel)
+            except BagError as error:
+                self._bag.left_out[topic] = str(error)
+                continue
+            qos = offered_qos(channel.offered_qos)
+            self._publishers[topic] = self._node.create_publisher(kind, topic, qos), convert
+        for topic, why in self._bag.left_out.items():
+            say("left_out", topic=topic, why=why)
+        for text in self._outcome.notes(self._given.clock):
+            say("note", text=text)
+
+    def _have_taken(self, plan: CalibrationPlan) -> None:
+        """Let the nodes take a plan before the orders come, as a planner does."""
+        nodes = sorted(self._outcome.live())
+        run, waited_s = run_name(plan), time.monotonic()
+
+        def not_yet() -> list[str]:
+            here = self._outcome.live()
+            return [n for n in nodes if n in here and self._health.values(n).get(RUN) != run]
+
+        def settled() -> bool:
+            return not not_yet() or any(self._health.state(n).startswith(REFUSED) for n in nodes)
+
+        if not self._wait(settled, PLAN_TAKEN_S) or not_yet():
+            states = (f"{node}: {self._health.state(node)}" for node in nodes)
+            raise ConfigurationError(f"the plan of the bag is not taken ({'; '.join(states)})")
+        if not self._wait(
+            lambda: not self._outcome.unheard(self._publishers, with_plan=True), LISTENERS_S
+        ):
+            unheard = ", ".join(sorted(self._outcome.unheard(self._publishers, with_plan=True)))
+            say("note", text=f"warning: {' and '.join(nodes)} do not listen to all of {unheard}")
+        self._pace.stood_still(time.monotonic() - waited_s)
+
+    def _wait_until(self, log_time_ns: int) -> None:
+        """Wait until it is time for a message; the clock runs, and Ctrl-C is heard, meanwhile."""
+        while (left_s := self._pace.left_s(log_time_ns)) > _AHEAD_S:
+            self._look()
+            self._peer.work_until(lambda: False, min(left_s, CLOCK_PERIOD_S))
+        self._look()
+
+    def _wait(self, condition: Any, timeout_s: float) -> bool:
+        """Wait while the recording stands still; False after the time-out."""
+        deadline = time.monotonic() + timeout_s
+        while not condition():
+            if self._end:
+                raise Ended
+            if time.monotonic() > deadline:
+                return False
+            self._peer.work_until(condition, CLOCK_PERIOD_S)
+        return True
+
+    def _look(self) -> None:
+        """Do what is due: the clock, the progress, the look around."""
+        now_s = time.monotonic()
+        if self._end:
+            raise Ended
+        self._pace.tick()
+        if now_s - self._told_s > TOLD_PERIOD_S:
+            self._told_s = now_s
+            self._peer.work_until(lambda: True, 0.0)
+            done_s = min(self._pace.passed_s(), self._bag.seconds)
+            say("playing", done_s=done_s, total_s=self._bag.seconds)
+        if now_s - self._guarded_s > GUARD_PERIOD_S:
+            self._guard()
+
+    def _guard(self) -> None:
+        """Raise ConfigurationError when a machine or another source is there."""
+        self._guarded_s = time.monotonic()
+        topics = self._publishers or self._bag.channels
+        if found := conflicts(self._node, self._health, self._bag, topics, self._given):
+            raise ConfigurationError("; ".join(found))
+
+
+def _work() -> None:
+    end = EndRequest()
+    given = read_arguments(remove_ros_args(sys.argv)[1:])
+    told_s = 0.0
+
+    def reading(done: int, total: int) -> None:
+        nonlocal told_s
+        if time.monotonic() - told_s > TOLD_PERIOD_S:
+            told_s = time.monotonic()
+            say("reading", done=done, total=total)
+        if end:
+            raise Ended
+
+    try:
+        bag = ReplayedBag.read(given.bag, everything=given.everything, progress=reading)
+        peer = Peer("player", bag.namespace, sys.argv)
+        try:
+            Player(peer, bag, given, end).play()
+        finally:
+            peer.close()
+    except Ended:
+        say("interrupted")
+
+
+def main() -> None:
+    """Play a bag until its end."""
+    leave_with(_work)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""Waiting until the nodes of a cell are active, then saying what a person does next.
+
+For launch files: ``python -m rotcal_ros.nodes.readiness /cell planner capture``.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from collections.abc import Collection
+from typing import Final
+
+from rotcal_ros.nodes.health import Health
+from rotcal_ros.nodes.managed_node import INACTIVE, UNCONFIGURED
+from rotcal_ros.nodes.peer import Peer
+from rotcal_ros.nodes.running import EndRequest, leave_with
+
+REMIND_S: Final = 15.0
+_TURN_S: Final = 0.2
+ABSENT: Final = "not there (yet)"
+NEXT: Final = """\
+all nodes of {place} are active: {names}
+{shell}calibrate:            ros2 action send_goal --feedback {place}/calibrate \
+rotcal_msgs/action/Calibrate '{{}}'
+  Ctrl-C there cancels; the bag stays valid. A pause of the plan ends with:
+                      ros2 service call {place}/resume std_srvs/srv/Trigger
+what is wrong:        ros2 topic echo /diagnostics
+take a node out:      ros2 lifecycle set {place}/capture deactivate
+'rotcal run CONFIG' would start nodes of its own; 'rotcal attach' shows what it has started."""
+
+
+def waiting_for(health: Health, names: Collection[str]) -> list[str]:
+    """Return which nodes are not active, in words that say what to do."""
+    states = {name: health.state(name) for name in names}
+    for name in health.missing(names):
+        states[name] = ABSENT
+    idle = (INACTIVE, UNCONFIGURED, ABSENT)
+    return [f"node {name} is {state}" for name, state in states.items() if state.startswith(idle)]
+
+
+def what_next(place: str, names: Collection[str], domain: str) -> str:
+    """Return what a person does when all nodes of the namespace ``place`` are active."""
+    shell = f"in a shell with      ROS_DOMAIN_ID={domain}\n" if domain else ""
+    return NEXT.format(place=place.rstrip("/"), names=", ".join(names), shell=shell)
+
+
+def _wait(place: str, names: Collection[str]) -> None:
+    end, peer = EndRequest(), Peer("readiness", place)
+    health = Health(peer.node, None)
+    remind_s = time.monotonic() + REMIND_S
+    told: list[str] = []
+    while not end:
+        peer.work_until(lambda: bool(end), _TURN_S)
+        waiting = waiting_for(health, names)
+        if not waiting:
+            _say(what_next(place, names, os.environ.get("ROS_DOMAIN_ID", "")))
+            break
+        if time.monotonic() > remind_s and waiting != told:
+            _say("still waiting: " + "; ".join(waiting))
+            remind_s, told = time.monotonic() + REMIND_S, waiting
+    peer.close()
+
+
+def _say(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Wait for the nodes that the command line names, after their namespace."""
+    _, place, *names = sys.argv
+    leave_with(lambda: _wait(place, names))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+"""Start the suite's nodes and end them, for ``rotcal doctor``.
+
+    python -m rotcal_ros.nodes.trial_start
+
+They are processes as in a calibration: each has to beat, and to leave well when told to end.
+Prints one line and leaves with 0, or says what failed and leaves with 1.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from typing import Any, Final
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.qos import QoSProfile
+
+from rotcal_ros.node_names import NODES
+from rotcal_ros.nodes.peer import Peer
+from rotcal_ros.nodes.running import SUPERVISOR_VARIABLE
+
+START_S: Final = 40.0
+END_S: Final = 5.0
+_NAMESPACE: Final = "/doctor"
+
+
+class TrialNode:
+    """One node as a process; what it writes stands in a file without a name."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed with the process
+        module = f"rotcal_ros.nodes.{name}"
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, "--ros-args", "-r", f"__ns:={_NAMESPACE}"],
+            env=os.environ | {SUPERVISOR_VARIABLE: str(os.getpid())},
+            stdout=self._said,
+            stderr=subprocess.STDOUT,
+        )
+
+    def running(self) -> bool:
+        """Return whether the process is there."""
+        return self._process.poll() is None
+
+    def interrupt(self) -> None:
+        """Tell it to end, as Ctrl-C does."""
+        self._process.send_signal(signal.SIGINT)
+
+    def end(self) -> str:
+        """Wait until it ended; return what went wrong, empty: nothing."""
+        try:
+            code = self._process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            return f"{self.name} did not end within {END_S:g} s"
+        return self.last_words() if code else ""
+
+    def last_words(self) -> str:
+        """Return how a process ended that has ended."""
+        self._said.seek(0)
+        lines = self._said.read().strip().splitlines() or ["it said nothing"]
+        return f"{self.name} ended with {self._process.returncode}: {lines[-1]}"
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        self._process.kill()
+        self._process.wait()
+        self._said.close()
+
+
+def trial() -> tuple[float, str]:
+    """Start all; return the seconds until all beat, and what went wrong, empty: nothing."""
+    beating: set[str] = set()
+
+    def hear(status: Any) -> None:
+        beating.add(status.name)
+
+    with ExitStack() as stack:
+        peer = Peer("doctor", _NAMESPACE)
+        stack.callback(peer.close)
+        peer.node.create_subscription(DiagnosticStatus, "heartbeat", hear, QoSProfile(depth=100))
+        start = time.monotonic()
+        nodes = []
+        for name in NODES:
+            nodes.append(node := TrialNode(name))
+            stack.callback(node.close)
+        peer.work_until(
+            lambda: beating >= set(NODES) or not all(node.running() for node in nodes), START_S
+        )
+        took = time.monotonic() - start
+        dead = [node.last_words() for node in nodes if not node.running()]
+        silent = [name for name in NODES if name not in beating]
+        if silent and not dead:
+            return took, f"no sign of life within {START_S:g} s: {', '.join(silent)}"
+        for node in nodes:
+            node.interrupt()
+        return took, "; ".join(dead or filter(None, [node.end() for node in nodes]))
+
+
+def main() -> int:
+    """Run the trial and say in one line what came of it."""
+    took, wrong = trial()
+    if wrong:
+        sys.stdout.write(f"{wrong}\n")
+        return 1
+    sys.stdout.write(f"{', '.join(NODES)} started and beat after {took:.1f} s, and ended well\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

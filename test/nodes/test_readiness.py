@@ -1,0 +1,51 @@
+"""What is waited for, and what a person is told when nothing is any more."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+
+from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.readiness import waiting_for, what_next
+
+IDLE = "inactive: ros2 lifecycle set /cell/capture activate"
+
+
+class Heard:
+    """A health that has heard these states."""
+
+    def __init__(self, **states):
+        self._states = states
+
+    def state(self, name):
+        return self._states.get(name, "")
+
+    def present(self):
+        return self._states.keys()
+
+    def missing(self, names):
+        return sorted(set(names) - self._states.keys())
+
+
+def test_each_node_that_is_not_active_is_named_with_what_to_do():
+    heard = Heard(planner="ready", capture=IDLE)
+    assert waiting_for(heard, ["planner", "capture", "solver"]) == [
+        f"node capture is {IDLE}",
+        "node solver is not there (yet)",
+    ]
+    assert waiting_for(Heard(planner="ready"), ["planner"]) == []
+
+
+def test_a_goal_waits_for_every_node_but_those_it_does_not_need():
+    heard = Heard(capture=IDLE, dme_adapter="waiting", bridge=IDLE, scene=IDLE)
+    assert CellLinks.idle_nodes(SimpleNamespace(health=heard)) == [f"node capture is {IDLE}"]
+
+
+def test_the_goal_is_sent_to_this_cell_in_this_domain():
+    text = what_next("/left/cell/", ["planner"], "7")
+    assert "ros2 action send_goal --feedback /left/cell/calibrate rotcal_msgs/action/Calib" in text
+    assert "rotcal_msgs/action/Calibrate '{}'\n" in text
+    assert "ROS_DOMAIN_ID=7\n" in text
+    assert "ROS_DOMAIN_ID" not in what_next("/cell", ["planner"], "")

@@ -1,0 +1,112 @@
+"""What of a bag is replayed, with which quality of service; names that the recorder noted."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
+from rotcal_ros.bags.writer import BagWriter
+from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.errors import BagError
+from rotcal_ros.nodes.earlier_messages import publishable
+from rotcal_ros.nodes.recorded_qos import offered_qos
+from rotcal_ros.nodes.replayed_bag import ReplayedBag
+from rotcal_ros.nodes.topic_names import CalledOtherwise, at_odds
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "tracer" / "bag"
+
+
+def test_streams_orders_and_plan_are_replayed_and_outputs_are_not():
+    bag = ReplayedBag.read(GOLDEN)
+    kept = {topic.rpartition("/")[2] for topic in bag.channels}
+    assert kept == {
+        names.PLAN, names.TRACER_LENGTH, names.JOINT_STATES, names.TEMPERATURE, names.TABLE_ANGLE,
+        names.PROBE_TARGET, names.PROBE_POINT,
+    }  # fmt: skip
+    assert "/cell/observation" in bag.left_out
+    assert "/diagnostics" in bag.left_out
+    assert (bag.namespace, bag.runs) == ("/cell", 2)
+    assert bag.seconds == pytest.approx(13.56, abs=0.01)
+    assert len(bag.accepted) == 63
+    everything = ReplayedBag.read(GOLDEN, everything=True)
+    assert everything.left_out == {}
+
+
+def test_a_bag_with_nothing_to_publish_is_named(tmp_path):
+    settings = WriterSettings(min_free_bytes=0)
+    with BagWriter(tmp_path / "empty", settings):
+        pass
+    with pytest.raises(BagError, match="holds no messages: there is nothing to replay"):
+        ReplayedBag.read(tmp_path / "empty")
+    with BagWriter(tmp_path / "outputs", settings) as writer:
+        channel = writer.channel("/cell/heartbeat", "a/msg/B", "uint8 x\n")
+        writer.write(channel, b"\0\1\0\0\1", 1, 1)
+    with pytest.raises(BagError, match="/cell/heartbeat; --all publishes that too"):
+        ReplayedBag.read(tmp_path / "outputs")
+    with pytest.raises(BagError, match="does not exist"):
+        ReplayedBag.read(tmp_path / "nothing")
+
+
+def test_the_recorded_quality_of_service_is_offered_again():
+    latched = offered_qos(qos_text([OfferedQos(depth=1, durability="transient_local")]))
+    assert latched.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert (latched.reliability, latched.depth) == (ReliabilityPolicy.RELIABLE, 1)
+    loose = offered_qos(qos_text([OfferedQos(reliability="best_effort", lifespan_ns=5 * 10**8)]))
+    assert (loose.reliability, loose.durability) == (
+        ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE
+    )  # fmt: skip
+    assert loose.lifespan.nanoseconds == 5 * 10**8
+    two = qos_text([OfferedQos(), OfferedQos(reliability="best_effort")])
+    assert offered_qos(two).reliability == ReliabilityPolicy.BEST_EFFORT
+    assert offered_qos("").reliability == ReliabilityPolicy.RELIABLE
+
+
+def test_messages_of_earlier_versions_are_published_as_those_of_today():
+    from rclpy.serialization import deserialize_message
+
+    from rotcal_ros.bags.reader import bag_files, read_blocks
+
+    scan, block = next(read_blocks(bag_files(GOLDEN)))
+    number, channel = next((n, c) for n, c in scan.channels.items() if c.topic == "/cell/plan")
+    row = block.headers["channel"].tolist().index(number)
+    kind, convert = publishable(channel)
+    made = deserialize_message(convert(block.payload(row), 7), kind)
+    assert (made.total_steps, made.start_index, made.run) == (60, 0, 7)
+    assert "method: tracer_multistation" in made.configuration
+    other = type(channel)(1, "/x", "no_such_msgs/msg/Thing", "ros2msg", "uint8 x\n")
+    with pytest.raises(BagError, match="is not installed here"):
+        publishable(other)
+
+
+def test_roles_of_topics_follow_what_the_nodes_tell():
+    called = CalledOtherwise("/cell")
+    told = {"capture": {"topic.tracer_length": "/leica/length", "run": ""}, "planner": {"run": ""}}
+    called.look(lambda node: told.get(node, {}))
+    assert called.role("/leica/length") == names.TRACER_LENGTH
+    assert called.role("/cell/tracer_length") == ""
+    assert called.role("/cell/joint_states") == called.role("/x/joint_states") == "joint_states"
+    assert called.lost({"lost /leica/length": 3, "queue /cell/tracer_length": 5}) == 3
+    called.look(lambda _: {})  # the nodes left: what they said stays
+    assert called.topic(names.TRACER_LENGTH) == "/leica/length"
+    called.look(lambda node: {"run": ""})
+    assert called.topic(names.TRACER_LENGTH) == "/cell/tracer_length"
+    odd = list(at_odds(lambda _: {}, "/cell", lambda role: f"/other/{role}"))
+    assert odd[0].startswith("topic plan is /other/plan for the planner and /cell/plan for node")
+
+
+@pytest.mark.parametrize("rate", ["0", "-1", "nan", "1e9", "fast"])
+def test_a_pace_that_is_none_is_refused(rate):
+    done = subprocess.run(
+        [sys.executable, "-m", "rotcal_ros.cli.main", "replay", str(GOLDEN), "--rate", rate],
+        capture_output=True, text=True, timeout=60.0,
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "'--rate'" in done.stderr
