@@ -68,11 +68,17 @@ class Listener:
         for topic in self.topics.values():
             topic.losses.forget()
 
-    def reached_ns(self, roles: Iterable[str], called: Callable[[str], str]) -> int | None:
-        """Return how far the first of these roles that came has come; None: none did.
+    def reached_ns(
+        self, rows: Iterable[Iterable[str]], called: Callable[[str], str]
+    ) -> int | None:
+        """Return how far all ``rows`` have come, of each the first role that came at all.
 
-        ``called`` returns the topic of a role.
+        ``called`` returns the topic of a role. None: nothing came.
         """
+        reached = (self._first_reached_ns(roles, called) for roles in rows)
+        return min((stamp for stamp in reached if stamp is not None), default=None)
+
+    def _first_reached_ns(self, roles: Iterable[str], called: Callable[[str], str]) -> int | None:
         heard = ((role, self.topics.get(called(role))) for role in roles)
         came = ((role, topic) for role, topic in heard if topic is not None and topic.latest)
         return next((topic.taken_ns(role, self._conventions) for role, topic in came), None)

@@ -99,8 +99,7 @@ class RecorderNode(CellNode):
         """Queue a receipt once the readings and the feedback of its window have arrived here."""
         if self._recording is None:
             return
-        came = (self._listener.reached_ns(either, self._called.topic) for either in NEEDED)
-        reached_ns = min((stamp for stamp in came if stamp is not None), default=None)
+        reached_ns = self._listener.reached_ns(NEEDED, self._called.topic)
         if not self._pending:
             self._pending.reach(reached_ns or 0)
             return
