@@ -21,6 +21,8 @@ REFERENCE: Final = "joint_states"
 """The stream that the others are held against: it never pauses."""
 _OPENING: Final = "by the times of arrival the stamps of "
 """How the reason begins for which clocks that differ reject an observation."""
+_OWNERS: Final = {"tracer_length": "length", "joint_states": "table", "probe_point": "probe"}
+"""How the settings of a stream's clock begin, in the group ``topics``."""
 _BUCKET_NS: Final = 250_000_000
 _BUCKETS: Final = 3
 """An offset is known when it is the same in so many intervals running."""
@@ -36,6 +38,7 @@ class StampOffsets:
         self.limit_s = limit_s
         self._ahead: dict[str, dict[int, int]] = {}
         self._events: dict[str, dict[int, int]] = {}
+        self._first: dict[str, tuple[int, int]] = {}
 
     def note(self, stream: str, stamp_ns: int, received_ns: int) -> None:
         """Take a message; both times in ns since the same instant."""
@@ -53,6 +56,7 @@ class StampOffsets:
         """Begin anew with a stream: it is another, or stamped by another clock."""
         self._ahead.pop(stream, None)
         self._events.pop(stream, None)
+        self._first.clear()
 
     def note_many(self, stream: str, stamps: NDArray[Any], received: NDArray[Any]) -> None:
         """Take many messages of a stream that never pauses, arrays (n,) of int64 ns."""
@@ -68,6 +72,7 @@ class StampOffsets:
             offset_ns = self._offset_ns(stream)
             if offset_ns is not None and reference_ns is not None:
                 difference = offset_ns - reference_ns
+                self._first.setdefault(stream, (max(self._ahead[stream]), difference))
             else:
                 difference = _agreed(self._events.get(stream, {}).values()) or 0
             if abs(difference) * NANOSECOND > self.limit_s:
@@ -79,17 +84,36 @@ class StampOffsets:
         return rejected_for(self.in_words(), observation)
 
     def _sentence(self, stream: str, difference_ns: int, reference_ns: int | None) -> str:
+        far, off_ns = stream, difference_ns
         way = "ahead of" if difference_ns > 0 else "behind"
         off = f"{abs(difference_ns) * NANOSECOND:.1f} s {way}"
         which = ""
         if reference_ns is not None:
             own_ns = difference_ns + reference_ns
-            far = stream if abs(own_ns) > abs(reference_ns) else REFERENCE
+            if abs(own_ns) <= abs(reference_ns):
+                far, off_ns = REFERENCE, -difference_ns
             which = f"; it is {far} whose stamps are not the time of arrival"
+        owner = _OWNERS.get(far, "length")
+        which += (
+            f"; where it stays so, add {off_ns * NANOSECOND:.2f} to "
+            f"topics.{owner}_clock_offset_s{self._drift(stream, difference_ns, owner)}"
+        )
         return (
             f"{_OPENING}{stream} are constantly {off} those of "
             f"{REFERENCE}, allowed {self.limit_s:g} s (capture.stamp_offset_s): "
             f"two clocks, set them alike{which}"
+        )
+
+    def _drift(self, stream: str, difference_ns: int, owner: str) -> str:
+        """Say that the difference of two clocks grows, and what to do; empty: it is constant."""
+        bucket, first_ns = self._first.get(stream, (0, difference_ns))
+        seconds = (max(self._ahead[stream]) - bucket) * _BUCKET_NS * NANOSECOND
+        if abs(difference_ns - first_ns) < _SPREAD_NS or seconds <= 0.0:
+            return ""
+        rate = (difference_ns - first_ns) * NANOSECOND / seconds
+        return (
+            f"; but it drifts, by {1e3 * rate:+.3g} ms in a second: take the times of sending "
+            f"(topics.{owner}_clock: sent)"
         )
 
     def _keep(self, stream: str, bucket: int, ahead_ns: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import fsum, isnan, pi
+from math import fsum, isnan, pi, remainder
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""
 
+_SAME = 0.05 * DEGREE  # a table this close to its angle is there, in the unit in question
 _CHUNK = 512  # arrivals are found soon or not at all
 
 
@@ -121,4 +122,8 @@ def _wrongly_told(angle: float, velocity: float, commanded: float) -> str:
             f"; it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
             "commanded: degrees? Publish radians, or say topics.angle_unit: deg"
         )
+    told = angle / DEGREE
+    same = abs(remainder(told - commanded, 2.0 * pi)) <= _SAME
+    if same and abs(angle - commanded) > DEGREE:
+        return f"; in position if its {told:.6g} are radians, not degrees: see topics.angle_unit"
     return ""

@@ -187,6 +187,13 @@ def read_subject(text: str, source: str = "configuration") -> tuple[Identity, bo
     return identity, SIMULATION in values
 
 
+def read_topics(text: str) -> TopicSettings:
+    """Return what a configuration says of its topics, whatever else of it can be read."""
+    with suppress(ConfigurationError):
+        return load(TopicSettings, _parameters(text, "configuration")[1].get("topics"), "topics")
+    return TopicSettings()
+
+
 def read_policy(text: str) -> str:
     """Return the policy that a configuration states, whatever else of it can be read today."""
     with suppress(ConfigurationError):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import LENGTH_UNITS, TopicSettings
@@ -18,8 +18,6 @@ from rotcal_ros.observations import (
 )
 from rotcal_ros.units import NANOSECOND
 
-Numbers = TypeVar("Numbers", float, Any)
-"""A number or an array of numbers."""
 _KELVIN: Final = 273.15
 _CELSIUS: Final[Mapping[str, Callable[[Any], Any]]] = {
     "degC": lambda value: value,
@@ -51,12 +49,12 @@ class Conventions:
 
     settings: TopicSettings
 
-    def length(self, value: Numbers) -> Numbers:
-        """Return lengths in m."""
+    def length(self, value: Any) -> Any:
+        """Return a length, or an array of them, in m."""
         return value * self.settings.length_m
 
-    def angle(self, value: Numbers) -> Numbers:
-        """Return angles in rad, or velocities in rad/s."""
+    def angle(self, value: Any) -> Any:
+        """Return an angle in rad, a velocity in rad/s, or an array of them."""
         return value * self.settings.angle_rad
 
     def position(self, values: Any) -> tuple[float, float, float]:
@@ -117,10 +115,15 @@ class Conventions:
     @property
     def nameless(self) -> TopicSettings:
         """The settings without what the topics are called."""
-        return replace(self.settings, **dict.fromkeys(self.settings.renamed(), ""))
+        named: dict[str, Any] = dict.fromkeys(self.settings.renamed(), "")
+        return replace(self.settings, **named)
 
     @property
     def plain(self) -> bool:
         """Whether nothing is to be changed: SI, and the stamps of the headers."""
-        untouched = {"length_single_shot": False, "probe_single_shot": False, "length_trigger": ""}
+        untouched: dict[str, Any] = {
+            "length_single_shot": False,
+            "probe_single_shot": False,
+            "length_trigger": "",
+        }
         return replace(self.nameless, **untouched) == TopicSettings()

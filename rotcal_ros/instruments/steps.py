@@ -22,6 +22,8 @@ from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 HELD_NS: Final = 200_000_000
 """Events are looked at so long after they were stamped: then all streams have come so far."""
 _KEPT: Final = 4096
+_FACTORS: Final = (1e-3, 1e3, 1e-6, 1e6)
+"""Between the units of lengths."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +132,17 @@ class StepFinder:
         return (
             f"step {step.index}: the probe says {self._position.position}, {off:.6g} m from where "
             f"it was sent, {step.position} (allowed {self._reach(step):g} m)"
+            f"{self._in_another_unit(step)}"
         )
+
+    def _in_another_unit(self, step: Step) -> str:
+        """Say that the probe were there if its positions had another unit; empty: it were not."""
+        assert self._position is not None
+        for factor in _FACTORS:
+            position = tuple(factor * x for x in self._position.position)
+            if dist(position, step.position) <= self._reach(step):
+                return f": {1.0 / factor:g} times as far; which is topics.position_unit?"
+        return ""
 
     def _keep(self, stamp_ns: int, event: TableSample | Position) -> None:
         at = bisect_right(self._waiting, stamp_ns, key=lambda known: known[0])

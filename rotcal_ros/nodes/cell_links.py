@@ -127,10 +127,7 @@ class CellLinks:
         return not_active(self.health.state, sorted(self.health.present() - SPARE - {*but}))
 
     def missing_topics(self, topics: Sequence[str], silent: Collection[str] = ()) -> list[str]:
-        """Return what is missing around the instrument topics and the orders, in words.
-
-        Those that are ``silent`` before the first order need deliver nothing yet.
-        """
+        """Return what is missing, in words; ``silent`` instruments need not have spoken yet."""
         found: list[str] = []
         here: list[str] = []
         heard = self.health.values("capture")

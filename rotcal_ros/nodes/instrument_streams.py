@@ -90,7 +90,8 @@ class InstrumentStreams:
         records = self._interpreter.records(role, type_name, sent)
         if role in TIMED:
             simulated_ns = self._node.now_ns() if self._node.health.sim.used else 0
-            for record, (_, info) in zip(reversed(records), reversed(batch), strict=False):
+            left_out = len(batch) - len(records)  # the first ones
+            for record, (_, info) in zip(records, batch[left_out:], strict=True):
                 self.offsets.note(role, record.stamp_ns, simulated_ns or received_ns(info))
         for record in records:
             self._latest[role] = record

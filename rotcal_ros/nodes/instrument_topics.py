@@ -8,6 +8,7 @@ from typing import Any
 
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.catalogue import Configuration
+from rotcal_ros.errors import BagError
 from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.instruments.forms import not_understood
 from rotcal_ros.nodes.cell_node import CellNode
@@ -47,10 +48,11 @@ class InstrumentTopics:
         def choose(type_names: Sequence[str]) -> type | None:
             nonlocal chosen
             for chosen in type_names:
-                self.refused[role] = f"{self.name(role)}: {not_understood(role, chosen)}"
-                if not not_understood(role, chosen):
-                    del self.refused[role]
-                    return message_type(chosen)
+                kind, why = _kind(role, chosen)
+                if kind is not None:
+                    self.refused.pop(role, None)
+                    return kind
+                self.refused[role] = f"{self.name(role)}: {why}"
             return None
 
         def take(batch: Batch) -> None:
@@ -91,3 +93,13 @@ class InstrumentTopics:
                 self.refused.pop(role, None)
                 self._switched(role)
         self._node.health.beat()
+
+
+def _kind(role: str, type_name: str) -> tuple[type | None, str]:
+    """Return the class of a type in its role; None, and why, where it cannot be used."""
+    if why := not_understood(role, type_name):
+        return None, why
+    try:
+        return message_type(type_name), ""
+    except BagError as error:
+        return None, str(error)

@@ -24,7 +24,9 @@ class LengthTrigger:
     """
 
     def __init__(self, node: CellNode) -> None:
-        self._node, self._client, self._call = node, None, None
+        self._node = node
+        self._client: Any = None
+        self._call: Any = None
         self._since_s, self._asked = 0.0, -1
         self.complaint = ""
 
@@ -32,8 +34,8 @@ class LengthTrigger:
         """Ask this service from now on; empty: none."""
         if self._client is not None:
             self._node.destroy_client(self._client)
-        self._client: Any = self._node.create_client(Trigger, name) if name else None
-        self._call: Any = None
+        self._client = self._node.create_client(Trigger, name) if name else None
+        self._call = None
         self._asked, self.complaint = -1, ""
 
     def look(self, received: int, *, wanted: bool) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, field
 from typing import Any, Final
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -15,41 +13,20 @@ from rclpy.qos import QoSProfile
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import GAP, REPORTED, UNHEARD, Dropout
+from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.catalogue.configuration import read_topics
 from rotcal_ros.errors import BagError
-from rotcal_ros.nodes.bookkeeping import TopicLosses
+from rotcal_ros.instruments.conventions import Conventions, single_shots
+from rotcal_ros.nodes.bookkeeping import NEVER_PAUSE
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.channels import described_channel, message_type
-from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
+from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription, sent_ns
+from rotcal_ros.nodes.heard_topic import HeardTopic
 from rotcal_ros.nodes.qos import adapted_qos
-from rotcal_ros.nodes.recording import Channel
 from rotcal_ros.planning.safety_settings import SafetySettings
 
 ALWAYS: Final = ("/diagnostics", "/rosout")
 """Topics outside the namespace of the cell that are recorded too."""
-_STAMP: Final = struct.Struct("<4xiI")
-"""CDR encapsulation, then the stamp that begins every message with a header."""
-
-
-@dataclass
-class HeardTopic:
-    """A topic that is listened to: its channel and how far it has come.
-
-    ``heard_s`` is the monotonic time of the latest batch, or of the subscription, ``heard_ns`` the
-    log time of the latest message.
-    """
-
-    channel: Channel
-    heard_s: float = field(default_factory=time.monotonic)
-    heard_ns: int = field(default_factory=time.time_ns)
-    latest: bytes = b""
-    losses: TopicLosses = field(default_factory=TopicLosses)
-
-    def latest_stamp_ns(self) -> int:
-        """Return the stamp of the newest message, which must have a header; 0: none came."""
-        if not self.latest:
-            return 0
-        seconds, nanoseconds = _STAMP.unpack_from(self.latest)
-        return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 class Listener:
@@ -75,6 +52,7 @@ class Listener:
         self._drained: list[DrainedSubscription] = []
         self.topics: dict[str, HeardTopic] = {}
         self.refused: dict[str, str] = {}
+        self._conventions = Conventions(TopicSettings())
         self._incompatible: Counter[str] = Counter()
         stop = node.settings("safety", SafetySettings).emergency_stop
         self._stop = [node.resolve_topic_name(stop)] if stop else []
@@ -86,20 +64,35 @@ class Listener:
         lost = {f"{names.LOST} {name}": topic.losses.count for name, topic in self.topics.items()}
         return Counter({name: count for name, count in lost.items() if count}) + self._incompatible
 
-    def forget_losses(self) -> None:
-        """Count from zero."""
+    def begin(self, configuration_text: str) -> None:
+        """Begin a bag: count losses from zero, understand the instruments as it says."""
+        self._conventions = Conventions(read_topics(configuration_text))
         self._incompatible.clear()
         for topic in self.topics.values():
             topic.losses.forget()
 
-    def reached_ns(self, names_in_order: Iterable[str]) -> int | None:
-        """Return the newest stamp of the first of these topics that came; None: none did."""
-        heard = (self.topics[name] for name in names_in_order if name in self.topics)
-        return next((topic.latest_stamp_ns() for topic in heard if topic.latest), None)
+    def reached_ns(
+        self, rows: Iterable[Iterable[str]], called: Callable[[str], str]
+    ) -> int | None:
+        """Return how far all ``rows`` have come, of each the first role that came at all.
 
-    def heard_s(self, counts: Callable[[str], bool]) -> dict[str, float]:
-        """Return when the topics that count by their name were last heard, in monotonic time."""
-        return {name: topic.heard_s for name, topic in self.topics.items() if counts(name)}
+        ``called`` returns the topic of a role. None: nothing came.
+        """
+        reached = (self._first_reached_ns(roles, called) for roles in rows)
+        return min((stamp for stamp in reached if stamp is not None), default=None)
+
+    def _first_reached_ns(self, roles: Iterable[str], called: Callable[[str], str]) -> int | None:
+        heard = ((role, self.topics.get(called(role))) for role in roles)
+        came = ((role, topic) for role, topic in heard if topic is not None and topic.latest)
+        return next((topic.taken_ns(role, self._conventions) for role, topic in came), None)
+
+    def heard_s(self, role: Callable[[str], str]) -> dict[str, float]:
+        """Return when the topics that never pause were last heard, in monotonic time.
+
+        ``role`` returns the role of a topic.
+        """
+        steady = set(NEVER_PAUSE) - set(single_shots(self._conventions.settings))
+        return {name: t.heard_s for name, t in self.topics.items() if role(name) in steady}
 
     def drain(self) -> None:
         """Take what has arrived and is still waiting."""
@@ -132,6 +125,7 @@ class Listener:
 
         def handle(batch: Batch) -> None:
             topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
+            topic.sent_ns = sent_ns(batch[-1][1])
             for _, info in batch:
                 publisher = info.get("publisher_gid")
                 received_ns = info["received_timestamp"] or time.time_ns()

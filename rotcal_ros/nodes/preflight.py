@@ -130,9 +130,13 @@ def _of_rates(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield which stream is too slow for what waits for it, and what to change."""
     capture, planner = configuration.capture, configuration.planner
     lengths, table = names.TRACER_LENGTH, names.JOINT_STATES
-    rates = {
-        role: rate for role in (lengths, table) if (rate := _number(values.get(RATE + role, "")))
-    }
+    rates = {role: _number(values.get(RATE + role, "")) for role in (lengths, table)}
+    for role, owner in ((lengths, "length"), (table, "table")):
+        if rates[role] == 0.0:
+            yield (
+                f"{name_in(values, role)}: its stamps stand still, is the header filled? "
+                f"topics.{owner}_clock: sent takes the time of sending"
+            )
     if (rate := rates.get(table)) and 1.0 / rate > capture.table_silence_s:
         yield (
             f"{name_in(values, table)} comes every {1.0 / rate:.3g} s: at rest "

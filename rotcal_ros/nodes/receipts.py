@@ -8,14 +8,14 @@ from dataclasses import asdict
 from rotcal_msgs.msg import Observation, RecordedObservation
 
 from rotcal_ros.messages import stamp_ns
-from rotcal_ros.nodes.bookkeeping import NEEDED, PendingReceipts
+from rotcal_ros.nodes.bookkeeping import PendingReceipts
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.recording import Receipt
 from rotcal_ros.nodes.topic_names import CalledOtherwise
 
-Reached = Callable[[list[str]], int | None]
-"""The stamp that the streams among some topics have come to; None: there is none."""
+Reached = Callable[[], int | None]
+"""The stamp that the streams of an observation have come to; None: there is none."""
 
 
 class Receipts:
@@ -36,9 +36,7 @@ class Receipts:
 
     def due(self, losses: Callable[[], Mapping[str, int]]) -> Iterator[Receipt]:
         """Yield what can be confirmed; ``losses`` are those since the bag was opened."""
-        needed = ([self._called.topic(role) for role in either] for either in NEEDED)
-        came = map(self._reached_ns, needed)
-        reached_ns = min((stamp for stamp in came if stamp is not None), default=None)
+        reached_ns = self._reached_ns()
         if not self._pending:
             self._pending.reach(reached_ns or 0)
             return

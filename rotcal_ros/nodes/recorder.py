@@ -17,12 +17,13 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError, RotcalError
-from rotcal_ros.nodes.bookkeeping import NEVER_PAUSE, Silences
+from rotcal_ros.nodes.bookkeeping import NEEDED, Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
 from rotcal_ros.nodes.health import RECORDING_FAILED
-from rotcal_ros.nodes.listening import HeardTopic, Listener
+from rotcal_ros.nodes.heard_topic import HeardTopic
+from rotcal_ros.nodes.listening import Listener
 from rotcal_ros.nodes.receipts import Receipts
 from rotcal_ros.nodes.recorded_session import RecordedSession
 from rotcal_ros.nodes.recording import Messages, Recording
@@ -79,7 +80,7 @@ class RecorderNode(CellNode):
         recording = self._writing()
         if recording is None:
             return
-        heard = self._listener.heard_s(lambda topic: self._called.role(topic) in NEVER_PAUSE)
+        heard = self._listener.heard_s(self._called.role)
         self._called.keep_in(recording)
         self._dropouts.silences(self._silences.look(heard, time.monotonic()))
         self._dropouts.write(TOGETHER_S)
@@ -136,7 +137,7 @@ class RecorderNode(CellNode):
         """Record into ``bag`` from now on."""
         self._receipts.begin()
         self._jumps_before = self.health.clock.watch.count
-        self._listener.forget_losses()
+        self._listener.begin(request.configuration)
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._session.begin(request.plan_id, bag.run, bag.earlier)
         recording = Recording(bag.writer, self._settings.queue_bytes, self._receipts.confirm)

@@ -189,7 +189,9 @@ class StreamFeeder:
     def _sent_ns(self, block: Block, rows: Ints) -> Ints:
         """Return when messages were sent, or recorded where the bag does not say that."""
         sent = block.headers["publish_time"][rows].astype(np.int64)
-        return np.where(sent > 0, sent, block.headers["log_time"][rows].astype(np.int64))
+        came = block.headers["log_time"][rows].astype(np.int64)
+        times: Ints = np.where(sent > 0, sent, came)
+        return times
 
     def _bare(self, block: Block, part: Part, form: Form) -> NDArray[np.void]:
         """Return what a topic of bare numbers says, in file order."""

@@ -44,6 +44,28 @@ def test_a_clock_that_is_four_seconds_off_is_told_with_its_size_and_its_stream(m
     assert "it is joint_states whose stamps" in text
 
 
+@pytest.mark.parametrize(("off", "setting"), [
+    ({"tracer_s": -4.0}, "add -4.00 to topics.length_clock_offset_s"),
+    ({"table_s": -4.0}, "add -4.00 to topics.table_clock_offset_s"),
+    ({"table_s": 3.0}, "add 3.00 to topics.table_clock_offset_s"),
+])  # fmt: skip
+def test_an_offset_is_told_with_what_to_state(off, setting):
+    assert told(**off).endswith(setting)
+
+
+def test_a_clock_that_drifts_is_told_with_its_rate():
+    offsets, rate = StampOffsets(1.0), 0.02
+    text = ""
+    for k in range(60 * 50):
+        now = START + k * 20 * MS
+        offsets.note("joint_states", now, now)
+        offsets.note("tracer_length", now + round((now - START) * rate), now)
+        text = offsets.in_words() if k % 25 == 0 else text
+    assert "constantly 1.2 s ahead" in text
+    assert "it drifts, by +20 ms in a second" in text
+    assert "topics.length_clock: sent" in text
+
+
 @pytest.mark.parametrize(
     "cell",
     [

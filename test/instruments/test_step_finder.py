@@ -94,6 +94,7 @@ def test_a_probe_that_is_elsewhere_is_told():
     records = [Position(0, (1000.0, 0.0, 0.0)), ordered(0, 0, 0, plan), *table(0, 500, 0.0)]
     assert answers(finder, records) == []
     assert "999 m from where it was sent" in finder.complaint()
+    assert "1000 times as far; which is topics.position_unit?" in finder.complaint()
 
 
 def test_a_position_that_is_no_number_is_none():

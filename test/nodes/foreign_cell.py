@@ -61,7 +61,7 @@ class ForeignCell(Node):
         if self.mode["length"] in ("float", "text"):
             self.create_timer(0.005, self.tell_length)
         if self.mode["length"] == "burst":
-            self.create_timer(0.8, self.tell_burst)
+            self.create_timer(0.3, self.tell_burst)
         if self.mode["length"] != "shot":
             self.create_timer(0.05, self.tell_probe)
 

@@ -1,0 +1,36 @@
+"""How far a recorded stream has come, whatever its type and its clock."""
+
+import struct
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.instruments.conventions import Conventions
+from rotcal_ros.nodes.heard_topic import HeardTopic
+from rotcal_ros.nodes.recording import Channel
+
+SECOND = 1_000_000_000
+
+
+def heard(type_name, data):
+    channel = Channel("/t", type_name, *("",) * (len(Channel.__dataclass_fields__) - 2))
+    return HeardTopic(channel, latest=data, sent_ns=9 * SECOND)
+
+
+def test_a_number_without_header_is_no_stamp():
+    topic = heard("std_msgs/msg/Float64", b"\0\1\0\0" + struct.pack("<d", 72.5))
+    assert topic.taken_ns(names.TRACER_LENGTH, Conventions(TopicSettings())) == 9 * SECOND
+
+
+@pytest.mark.parametrize(("settings", "seconds"), [
+    (TopicSettings(), 5.0),
+    (TopicSettings(length_clock_offset_s=-4.0), 9.0),
+    (TopicSettings(length_clock="sent", length_clock_offset_s=0.5), 8.5),
+])  # fmt: skip
+def test_a_stamp_is_read_by_the_common_clock(settings, seconds):
+    topic = heard("sensor_msgs/msg/Range", struct.pack("<4xiI", 5, 0))
+    taken_ns = topic.taken_ns(names.TRACER_LENGTH, Conventions(settings))
+    assert taken_ns == round(seconds * SECOND)
