@@ -123,6 +123,7 @@ class RecorderNode(CellNode):
         self._close()
         await until(self.stopped, CLOSE_TIMEOUT_S)
         self._reading, topic = True, self._called.topic(names.OBSERVATION)
+        self.health.beat()  # before the reading can hold it up
         with ThreadPoolExecutor(max_workers=1) as aside:
             found = aside.submit(self._bags.go_on, request.plan_id, topic)
             await until(found.done, math.inf)
@@ -148,7 +149,6 @@ class RecorderNode(CellNode):
         self._recording = recording
         self.begin(attach_parameters, recording, self)
         response.folder, response.success = str(bag.folder.path), True
-        self.health.beat()
 
     async def _stop(
         self, _request: StopRecording.Request, response: StopRecording.Response
