@@ -17,7 +17,7 @@ from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import until
-from rotcal_ros.nodes.concerns import PREFLIGHT
+from rotcal_ros.nodes.concerns import OF_MACHINES, PREFLIGHT, concerns_told
 from rotcal_ros.nodes.goal_watch import Codes, GoalError, GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
 from rotcal_ros.nodes.plans import RUN, run_name
@@ -63,8 +63,8 @@ class GoalRun:
         except GoalError as error:
             begun = self._folder is not None or error.code == Codes.CANCELED
             onward = self.watch.how_to_go_on(error.code) if begun else ""
-            remark = self.watch.links.health.sim.remark() if error.code != Codes.CANCELED else ""
-            outcome.error_code, outcome.error_msg = error.code, f"{error}{remark}{onward}"
+            outcome.error_code = error.code
+            outcome.error_msg = f"{error}{self._remarks(error)}{onward}"
             await self._close_bag_after_failure()
         if self._folder is not None:
             outcome.bag_folder = str(self._folder.bag)
@@ -84,6 +84,14 @@ class GoalRun:
             TOPICS: topics_value(self._calibration.configuration),
         }
         return {RUN: self._run, **own} if self._run else own
+
+    def _remarks(self, error: GoalError) -> str:
+        """Return what the cell says that may be why the goal has ended."""
+        if error.code == Codes.CANCELED:
+            return ""
+        health = self.watch.links.health
+        said = concerns_told(health, OF_MACHINES)
+        return health.sim.remark() + "".join(f"; {text}" for text in said if text not in str(error))
 
     async def _preflight(self) -> None:
         """Wait for all nodes and topics; GoalError names what is missing after the time for it."""

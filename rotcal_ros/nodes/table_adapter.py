@@ -148,7 +148,12 @@ class TableAdapter(CellNode):
                 return f"nobody publishes {self._settings.feedback}: nothing can be moved"
             if not self._controller.heard():
                 return f"nobody listens to {self._settings.controller}: is the controller active?"
-        return self._watch.complaint(time.monotonic())
+        text, word = self._watch.complaint(time.monotonic()), self._controller.word()
+        if word.trouble and not self._watch.arrived():
+            text = word.trouble
+        if text and word.done:
+            text += ", and the controller calls this succeeded"
+        return f"joint {self._joint!r} of {self._settings.controller}: {text}" if text else ""
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         latest = self._watch.latest
