@@ -77,7 +77,7 @@ class GoalController:
         elif ended.status != GoalStatus.STATUS_SUCCEEDED or ended.result.error_code:
             code, own = ended.result.error_code, ended.result.error_string[:MOST_SAID]
             why = f"{ERRORS.get(code, 'unknown reason')} (error {code})"
-            self._say("gave the goal up", f"{why}, {printable(own)!r}" if own else why)
+            self._say("gave the goal up", f"{why}, {printable(own)}" if own else why)
         else:
             self._word = Word(done=True)
 

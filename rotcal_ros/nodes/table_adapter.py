@@ -141,9 +141,12 @@ class TableAdapter(CellNode):
                 f"no joint {self._joint!r} in {self._settings.feedback}, which has "
                 f"{', '.join(self._others)}: set cell.joint"
             )
+        late = time.monotonic() > self._waiting_s + self._settings.silence_s
         if self._waiting is not None:
             if doubt := self._watch.doubt():
                 return doubt
+            if not late:  # graphs take a moment to come together
+                return ""
             if self._watch.latest is None:
                 return f"nobody publishes {self._settings.feedback}: nothing can be moved"
             if not self._controller.heard():
