@@ -55,7 +55,7 @@ def test_a_machine_that_stops_goes_on_by_a_person_and_is_aborted_by_a_cancel(cel
     client.wait_for_step(2)
 
     again = live.processes.children["dme_adapter"].args
-    live.processes.start("second", again)
+    live.processes.start("second", ["env", "-u", "ROTCAL_SESSION", *again])  # of somebody else
     live.wait_for_log("second", "node dme_adapter runs already in /cell")
     second = live.processes.children["second"]
     wait_until(lambda: second.poll() is not None, "the second adapter ends")
