@@ -23,6 +23,14 @@ LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S
 """Time made up for in one step at most: a machine that is busy goes slower, it never jumps."""
 
 
+@dataclass(frozen=True, slots=True)
+class Word:
+    """What a controller says: ``trouble`` why it does not go, ``done`` that it has arrived."""
+
+    trouble: str = ""
+    done: bool = False
+
+
 class JointController(Protocol):
     """Takes ways; a new one takes the place of the one under way."""
 
@@ -40,14 +48,6 @@ class JointController(Protocol):
 
     def word(self) -> Word:
         """Return what the controller says of the latest way."""
-
-
-@dataclass(frozen=True, slots=True)
-class Word:
-    """What a controller says: ``trouble`` why it does not go, ``done`` that it has arrived."""
-
-    trouble: str = ""
-    done: bool = False
 
 
 def joint_controller(

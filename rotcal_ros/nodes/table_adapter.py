@@ -150,7 +150,10 @@ class TableAdapter(CellNode):
             if self._watch.latest is None:
                 return f"nobody publishes {self._settings.feedback}: nothing can be moved"
             if not self._controller.heard():
-                return f"nobody listens to {self._settings.controller}: is the controller active?"
+                return (
+                    f"nobody listens to {self._settings.controller}: is the controller active, "
+                    "and does it take what table_adapter.interface says?"
+                )
         text, word = self._watch.complaint(time.monotonic()), self._controller.word()
         if word.trouble and not self._watch.arrived():
             text = word.trouble

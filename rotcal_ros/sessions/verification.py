@@ -119,8 +119,8 @@ def begin(
         )
     if "dme" in calibration.configuration.given:
         raise ConfigurationError(
-            f"{configuration}: a group 'dme' puts the simulated cell behind another process, whose "
-            "control takes no table from here; verify one without that group"
+            f"{configuration}: its group 'dme' puts the simulated cell behind another process, "
+            "whose control takes no table from here; verify one without that group"
         )
     _rehearse(request, calibration)
     above = next(path for path in (folder, *folder.parents) if path.exists())
