@@ -115,6 +115,8 @@ class Driver:
             self.client.abort(why)
         except DmeError as error:
             self._complain(f"{why}; {error}")
+        if self._stopping:  # what was aborted need not be answered
+            self.client.close()
 
     def _obey(self, order: _Order) -> None:
         """Carry out an order that is wanted still, or say why not."""
@@ -165,7 +167,8 @@ class Driver:
         try:
             work()
         except DmeError as error:
-            self._complain(str(error))
+            if not self._stopping:
+                self._complain(str(error))
 
     def _heard(self, feedback: TableSample | None, _position: Point) -> None:
         if feedback is not None:

@@ -101,6 +101,7 @@ def test_the_end_while_a_machine_is_homed_aborts_that_too(serve, cleared):
     wait_for(lambda: "Home" in server.names())
     driver.stop()
     wait_for(lambda: server.names()[-1] == "AbortE")
+    wait_for(lambda: not driver.alive)  # the answer to Home never comes
 
 
 def turns(server):

@@ -35,7 +35,8 @@ print(future.result().success, future.result().message)
 def cell(tmp_path, monkeypatch):
     """Return a live cell, and the relay to its machine."""
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
-    configuration = changed(read_configuration(CONFIGURATION), ("planner.step_timeout_s=3.0",))
+    slower = ("planner.step_timeout_s=3.0", "simulation.time_scale=100.0")
+    configuration = changed(read_configuration(CONFIGURATION), slower)
     live = LiveCell(tmp_path, configuration)
     command = [sys.executable, "-m", "rotcal_ros.cli.main", "dme", "serve", str(live.file)]
     live.processes.start("server", [*command, "--port", "0"])
