@@ -87,11 +87,9 @@ class GoalRun:
 
     def _remarks(self, error: GoalError) -> str:
         """Return what the cell says that may be why the goal has ended."""
-        if error.code == Codes.CANCELED:
-            return ""
         health = self.watch.links.health
-        said = concerns_told(health, OF_MACHINES)
-        return health.sim.remark() + "".join(f"; {text}" for text in said if text not in str(error))
+        said = (f"; {t}" for t in concerns_told(health, OF_MACHINES) if t not in str(error))
+        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(said)
 
     async def _preflight(self) -> None:
         """Wait for all nodes and topics; GoalError names what is missing after the time for it."""

@@ -53,6 +53,9 @@ class GoalController:
         answer = self._client.send_goal_async(goal)
         answer.add_done_callback(self._guarded(partial(self._answered, way)))
 
+    def forget(self) -> None:
+        """Do nothing: the controller has the whole goal, and ends it by itself."""
+
     def word(self) -> Word:
         """Return what the controller says of the latest goal."""
         return self._word
