@@ -44,7 +44,7 @@ class DmeClient:
     ``blocked`` says why nothing is sent, empty: all is well. ``hear(feedback, position)`` is told
     of every report, by several threads: the table's feedback (None: not known yet) and the tip's
     position (m); ``warn(fault)`` of errors that stop nothing and errors that nobody asked for.
-    All methods but :meth:`abort` are called by one thread.
+    All methods but :meth:`abort` and :meth:`close` are called by one thread.
     """
 
     def __init__(

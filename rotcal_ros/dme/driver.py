@@ -31,7 +31,8 @@ class Driver:
 
     Nothing is sent before :meth:`begin`.
     ``publish_table``, ``publish_point`` and ``complain`` are called by the threads of the driver.
-    ``state`` says in words what it does, ``busy`` whether an order is being carried out.
+    ``state`` says in words what it does, ``busy`` whether the machine may be moving: for an order,
+    or because it is homed at the start of a session.
     """
 
     def __init__(
@@ -87,14 +88,14 @@ class Driver:
         Thread(target=self._abort, args=(why,), name="AbortE", daemon=True).start()
 
     def stop(self) -> None:
-        """End: an order that is being carried out is aborted, then the session is closed."""
+        """End: what moves is aborted, then the session is closed."""
         self._stopping = True
         if self.busy:
-            self.abort("the adapter was ended in the middle of a step")
+            self.abort("the adapter was ended in the middle of a motion")
         self._jobs.put(None)
 
     def _work(self) -> None:
-        self._try(self.client.start)
+        self._move(self.client.start)
         while not self._stopping:
             self.state = self.client.blocked or "ready"
             try:
@@ -114,6 +115,8 @@ class Driver:
             self.client.abort(why)
         except DmeError as error:
             self._complain(f"{why}; {error}")
+        if self._stopping:  # what was aborted need not be answered
+            self.client.close()
 
     def _obey(self, order: _Order) -> None:
         """Carry out an order that is wanted still, or say why not."""
@@ -129,35 +132,43 @@ class Driver:
             self.refused += 1
             self._complain(f"{name} refused before a person clears: {self.client.blocked}")
             return
-        self.state, self.busy = name, True
+        self.state = name
 
         def carry_out() -> None:
             for point in self._measuring.carry_out(command, step, given_up):
                 self._publish_point(point)
             self._tell_where()
 
-        self._try(carry_out)
-        self.busy = False
+        self._move(carry_out)
 
     def _clear(self, request: _Clear) -> None:
-        why = self.client.blocked or "nothing"
+        why, self.busy = self.client.blocked or "nothing", True
         try:
             self.client.clear()
         except DmeError as error:
             request.done.set_exception(error)
         else:
             request.done.set_result(f"cleared: {why}")
+        finally:
+            self.busy = False
 
     def _tell_where(self) -> None:
         """Tell the position unasked, so that a preflight hears the machine."""
         self._publish_point(self._measuring.unasked(self.client.where().position))
+
+    def _move(self, work: Callable[[], None]) -> None:
+        """Do work in which the machine moves: whoever ends it in the middle aborts it."""
+        self.busy = not self._stopping
+        self._try(work)
+        self.busy = False
 
     def _try(self, work: Callable[[], None]) -> None:
         """Do work whose errors are told, not raised: the session is blocked then."""
         try:
             work()
         except DmeError as error:
-            self._complain(str(error))
+            if not self._stopping:
+                self._complain(str(error))
 
     def _heard(self, feedback: TableSample | None, _position: Point) -> None:
         if feedback is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any, Final
 
 REJECTED: Final = "rejected_running"
@@ -21,8 +21,10 @@ EMERGENCY: Final = "emergency_stop"
 """Who stops the cell, and what this node does meanwhile."""
 BLOCKED: Final = "blocked"
 """Why a machine does nothing before a person has cleared it."""
-FOR_PEOPLE: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN, SIM_CLOCK)
+FOR_PEOPLE: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN, SIM_CLOCK, BLOCKED)
 """Values in a beat that the person who runs a calibration is told."""
+OF_MACHINES: Final = (BLOCKED, COMPLAINT)
+"""Values in a beat that may be why a calibration cannot go on."""
 
 
 def show(health: Any, key: str, text: str, *, alarm: bool = False) -> None:
@@ -33,8 +35,8 @@ def show(health: Any, key: str, text: str, *, alarm: bool = False) -> None:
             book[key] = text
 
 
-def concerns_told(health: Any) -> Iterator[str]:
-    """Yield what the other nodes tell people just now."""
+def concerns_told(health: Any, keys: Collection[str] = FOR_PEOPLE) -> Iterator[str]:
+    """Yield what the other nodes tell people just now, under these ``keys``."""
     for name in health.others:
         values = health.values(name)
-        yield from (f"{name}: {values[key]}" for key in FOR_PEOPLE if key in values)
+        yield from (f"{name}: {values[key]}" for key in keys if key in values)

@@ -15,6 +15,7 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.orders import Orders
+from rotcal_ros.dme.client import NOT_STARTED
 from rotcal_ros.dme.driver import Driver
 from rotcal_ros.dme.faults import DmeError
 from rotcal_ros.dme.settings import DmeSettings
@@ -38,6 +39,8 @@ WATCH_PERIOD_S: Final = 0.1
 LOOKS_FIRST: Final = round((BEAT_PERIOD_S + TAKE_OVER_S) / WATCH_PERIOD_S)
 """Looks before the machine is spoken to: time to hear an adapter that was there before."""
 PLANNER: Final = "planner"
+UNBLOCKED: Final = ("", NOT_STARTED)
+HOW_TO_GO_ON: Final = "; once that is put right, a person goes on with the service clear_errors"
 
 
 class DmeAdapter(CellNode):
@@ -129,7 +132,8 @@ class DmeAdapter(CellNode):
             if self._looks == LOOKS_FIRST:
                 self._begin()
         self._follow_planner()
-        show(self.health, BLOCKED, self._driver.client.blocked)
+        blocked = self._driver.client.blocked
+        show(self.health, BLOCKED, blocked + HOW_TO_GO_ON if blocked not in UNBLOCKED else "")
 
     def _planners_run(self) -> str:
         """Return for which run of a plan the planner works; empty: for none, or nobody knows."""

@@ -15,7 +15,7 @@ from rotcal_ros.errors import RotcalError
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.concerns import PREFLIGHT
+from rotcal_ros.nodes.concerns import OF_MACHINES, PREFLIGHT, concerns_told
 from rotcal_ros.nodes.crew import SOLVER, Codes, GoalError
 from rotcal_ros.nodes.goal_bag import GoalBag
 from rotcal_ros.nodes.goal_watch import GoalWatch
@@ -56,8 +56,8 @@ class GoalRun:
         except GoalError as error:
             begun = self.bag.folder is not None or error.code == Codes.CANCELED
             onward = self.watch.how_to_go_on(error.code) if begun else ""
-            remark = self.watch.links.health.sim.remark() if error.code != Codes.CANCELED else ""
-            outcome.error_code, outcome.error_msg = error.code, f"{error}{remark}{onward}"
+            outcome.error_code = error.code
+            outcome.error_msg = f"{error}{self._remarks(error)}{onward}"
             await self.bag.close_after_failure()
         if self.bag.folder is not None:
             outcome.bag_folder = str(self.bag.folder.bag)
@@ -111,6 +111,12 @@ class GoalRun:
         own: dict[str, object] = {**self.watch.progress.counts()}
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
+
+    def _remarks(self, error: GoalError) -> str:
+        """Return what the cell says that may be why the goal has ended."""
+        health = self.watch.links.health
+        said = (f"; {t}" for t in concerns_told(health, OF_MACHINES) if t not in str(error))
+        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(said)
 
     async def _preflight(self) -> None:
         """Wait for all nodes and topics; GoalError names what is missing after the time for it."""

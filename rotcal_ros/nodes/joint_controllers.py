@@ -1,14 +1,17 @@
-"""The two ways in which a controller of ros2_control takes where a joint shall go."""
+"""How controllers of ros2_control take where a joint shall go: by topics, or by goals."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Final, Protocol
 
 from builtin_interfaces.msg import Duration
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
@@ -18,6 +21,14 @@ from rotcal_ros.units import NANOSECOND
 SETPOINT_PERIOD_S: Final = 0.02
 LATEST_S: Final = 1.5 * SETPOINT_PERIOD_S
 """Time made up for in one step at most: a machine that is busy goes slower, it never jumps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """What a controller says: ``trouble`` why it does not go, ``done`` that it has arrived."""
+
+    trouble: str = ""
+    done: bool = False
 
 
 class JointController(Protocol):
@@ -38,13 +49,38 @@ class JointController(Protocol):
     def hold(self, way: Way) -> None:
         """Let the joint come to rest by ``way``, and stay there."""
 
+    def word(self) -> Word:
+        """Return what the controller says of the latest way."""
+
 
 def joint_controller(
     node: CellNode, settings: TableAdapterSettings, joint: str
 ) -> JointController:
-    """Return the controller that the settings name."""
-    kind = TrajectoryController if settings.interface == "trajectory" else PositionController
+    """Return the controller that the settings name.
+
+    Raises ConfigurationError for goals where nobody knows their messages.
+    """
+    interface, with_goals = settings.interface, find_spec("control_msgs") is not None
+    if interface == "goals" and not with_goals:
+        raise ConfigurationError(
+            "table_adapter.interface: goals need the package control_msgs, which is not installed "
+            "here; install it, or set trajectory, which needs nothing"
+        )
+    if interface == "goals" or (interface == "auto" and with_goals):
+        from rotcal_ros.nodes.joint_goals import GoalController
+
+        return GoalController(node, settings.controller, joint)
+    kind = PositionController if interface == "positions" else TrajectoryController
     return kind(node, settings.controller, joint)
+
+
+def trajectory_message(joint: str, way: Way) -> JointTrajectory:
+    """Return a way as a trajectory that begins when it arrives: its stamp is zero."""
+    points = [
+        JointTrajectoryPoint(positions=[angle], velocities=[0.0], time_from_start=_lasting(at))
+        for angle, at in zip(way.angles, way.times_s, strict=True)
+    ]
+    return JointTrajectory(joint_names=[joint], points=points)
 
 
 class TrajectoryController:
@@ -64,12 +100,12 @@ class TrajectoryController:
         """Return None: the controller goes over from one trajectory to the next by itself."""
 
     def send(self, way: Way) -> None:
-        """Publish a trajectory that begins when it arrives: its stamp is zero."""
-        points = [
-            JointTrajectoryPoint(positions=[angle], velocities=[0.0], time_from_start=_lasting(at))
-            for angle, at in zip(way.angles, way.times_s, strict=True)
-        ]
-        self._publisher.publish(JointTrajectory(joint_names=[self._joint], points=points))
+        """Publish it."""
+        self._publisher.publish(trajectory_message(self._joint, way))
+
+    def word(self) -> Word:
+        """Return nothing: a topic has no answer."""
+        return Word()
 
     def forget(self) -> None:
         """Do nothing: the controller has the whole trajectory, and ends it by itself."""
@@ -108,6 +144,10 @@ class PositionController:
         """Send the place of rest at once: the joint is to lag behind nothing further."""
         self._way = None
         self._publisher.publish(Float64MultiArray(data=[way.goal]))
+
+    def word(self) -> Word:
+        """Return nothing: a topic has no answer."""
+        return Word()
 
     def _step(self) -> None:
         """Publish where the joint shall be now; the last position once."""

@@ -59,7 +59,7 @@ class RecorderNode(CellNode):
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         further = self._called.topics.values
         self._listener = Listener(self, self._take, self._dropouts.note, further)
-        self._receipts = Receipts(self, self._called, self._listener.reached_ns)
+        self._receipts = Receipts(self, self._called, self._reached_ns)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def deactivated(self) -> None:
@@ -103,6 +103,10 @@ class RecorderNode(CellNode):
             for receipt in self._receipts.due(self._all_losses):
                 self._dropouts.write()
                 self._recording.confirm(receipt)
+
+    def _reached_ns(self) -> int | None:
+        """Return the stamp that the readings and the feedback have come to."""
+        return self._listener.reached_ns(NEEDED, self._called.topic)
 
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""

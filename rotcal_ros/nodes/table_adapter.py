@@ -166,14 +166,25 @@ class TableAdapter(CellNode):
                 f"no joint {self._joint!r} in {self._settings.feedback}, which has "
                 f"{', '.join(self._others)}: set cell.joint"
             )
+        late = time.monotonic() > self._waiting_s + self._settings.silence_s
         if self._waiting is not None:
             if doubt := self._watch.doubt():
                 return doubt
+            if not late:  # graphs take a moment to come together
+                return ""
             if self._watch.latest is None:
                 return f"nobody publishes {self._settings.feedback}: nothing can be moved"
             if not self._controller.heard():
-                return f"nobody listens to {self._settings.controller}: is the controller active?"
-        return self._watch.complaint(time.monotonic())
+                return (
+                    f"nobody listens to {self._settings.controller}: is the controller active, "
+                    "and does it take what table_adapter.interface says?"
+                )
+        text, word = self._watch.complaint(time.monotonic()), self._controller.word()
+        if word.trouble and not self._watch.arrived():
+            text = word.trouble
+        if text and word.done:
+            text += ", and the controller calls this succeeded"
+        return f"joint {self._joint!r} of {self._settings.controller}: {text}" if text else ""
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         latest = self._watch.latest

@@ -94,8 +94,12 @@ class JointWatch:
         return order.moved
 
     def arrived(self) -> bool:
-        """Return whether the joint is where it was sent last, whole turns apart."""
-        return self.order is None or self._off(self.order.way) <= self._tolerance
+        """Return whether the joint is where it was sent last, whole turns apart.
+
+        One that stands there and has to come again from the other side is not there yet.
+        """
+        order = self.order
+        return order is None or (order.moved and self._off(order.way) <= self._tolerance)
 
     def complaint(self, now_s: float) -> str:
         """Return in one sentence what is wrong with the table, empty while all is well."""

@@ -8,7 +8,7 @@ from typing import Literal
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import check_ros_name, setting
 
-Interface = Literal["trajectory", "positions"]
+Interface = Literal["auto", "goals", "trajectory", "positions"]
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,11 @@ class TableAdapterSettings:
 
     controller: str = setting("/table_controller", doc="ROS name of the controller")
     interface: Interface = setting(
-        "trajectory",
-        doc="what the controller takes: trajectory (trajectory_msgs/JointTrajectory on its topic "
-        "joint_trajectory) or positions (std_msgs/Float64MultiArray on its topic commands)",
+        "auto",
+        doc="what the controller takes: goals (its action follow_joint_trajectory; the package "
+        "control_msgs is needed), trajectory (trajectory_msgs/JointTrajectory on its topic "
+        "joint_trajectory) or positions (std_msgs/Float64MultiArray on its topic commands); "
+        "auto: goals where control_msgs is installed, else trajectory",
     )
     feedback: str = setting(
         "/joint_states", doc="topic of sensor_msgs/JointState that tells where the joint is"

@@ -117,6 +117,11 @@ def begin(
             f"{configuration} has no group 'simulation': with a real cell measure (rotcal run), "
             "export, load the table, measure again, and compare (rotcal compare)"
         )
+    if "dme" in calibration.configuration.given:
+        raise ConfigurationError(
+            f"{configuration}: its group 'dme' puts the simulated cell behind another process, "
+            "whose control takes no table from here; verify one without that group"
+        )
     _rehearse(request, calibration)
     above = next(path for path in (folder, *folder.parents) if path.exists())
     if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):

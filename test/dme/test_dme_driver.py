@@ -90,6 +90,20 @@ def test_the_end_in_the_middle_of_a_motion_aborts_it(serve):
     assert points == []
 
 
+@pytest.mark.parametrize("cleared", [False, True])
+def test_the_end_while_a_machine_is_homed_aborts_that_too(serve, cleared):
+    server = serve("IsHomed", "error") if cleared else serve("Home", "accepted, never done")
+    driver, _points, complaints = driver_of(server)
+    if cleared:  # a person's word begins the session anew
+        wait_for(lambda: complaints)
+        server.harmed, server.fault = "Home", "accepted, never done"
+        driver.clear()
+    wait_for(lambda: "Home" in server.names())
+    driver.stop()
+    wait_for(lambda: server.names()[-1] == "AbortE")
+    wait_for(lambda: not driver.alive)  # the answer to Home never comes
+
+
 def turns(server):
     """Return to which R (deg) the table was sent."""
     ways = [call.arguments[0] for call in server.heard if call.name == "GoTo"]

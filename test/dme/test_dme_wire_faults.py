@@ -156,3 +156,38 @@ def test_a_person_clears_on_a_living_connection_or_begins_a_new_session(serve):
     client.go(None, None, 0.3)
     client.close()
     assert server.names()[-1] == "EndSession"
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_clearing_that_fails_leaves_the_session_blocked_and_the_next_one_begins_anew(serve, fault):
+    server = serve("GoTo", "error")
+    client = client_of(server, reply_timeout_s=LIMIT_S)
+    client.start()
+    with pytest.raises(DmeError):
+        client.go(None, None, 0.3)
+    server.harmed, server.fault = "ClearAllErrors", fault
+    with pytest.raises(DmeError, match="ClearAllErrors"):
+        client.clear()
+    assert "ClearAllErrors" in client.blocked
+    with pytest.raises(NotClearedError):
+        client.where()
+    server.harmed = ""
+    client.clear()
+    assert server.names().count("StartSession") == 2
+    assert client.blocked == ""
+    client.close()
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_an_abort_that_is_not_obeyed_blocks_all_the_same(serve, fault):
+    server = serve("AbortE", fault)
+    client = client_of(server, reply_timeout_s=LIMIT_S)
+    client.start()
+    if fault == "accepted, never done":
+        server.fault = "never"
+    with pytest.raises(DmeError, match="AbortE"):
+        client.abort("somebody stops it")
+    assert client.blocked == "somebody stops it"
+    with pytest.raises(NotClearedError, match="somebody stops it"):
+        client.go(None, None, 0.3)
+    client.close()

@@ -72,6 +72,7 @@ class Machine(Node):
         names = ["arm", "table"] if self.wrong == "other name" else ["arm", "rotary", "follower"]
         stamp = self.get_clock().now().to_msg()
         states = JointState(name=names, position=[0.4, shown, -shown][: len(names)])
+        states.effort = [3.0] * len(names)
         actual = JointState(name=["rotary"], position=[self.angle], velocity=[0.0])
         for message, publisher in ((states, self.states), (actual, self.actual)):
             message.header.stamp = stamp

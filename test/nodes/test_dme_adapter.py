@@ -153,7 +153,7 @@ def test_an_adapter_that_is_deactivated_stops_the_machine_and_keeps_its_session(
 def test_why_nothing_moves_stands_in_the_diagnostics_until_it_is_cleared(made):
     made._driver.client.blocked = "PtMeas: error 1006"
     made._watch()
-    assert made.health.concerns == {"blocked": "PtMeas: error 1006"}
+    assert made.health.concerns["blocked"].startswith("PtMeas: error 1006; once that is put right")
     made._driver.client.blocked = ""
     made._watch()
     assert made.health.concerns == {}

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from live_cell import SUITE, wait_until
+from lone_adapters import expect
 
 from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
@@ -64,7 +65,8 @@ def adapted(cell):
     return make
 
 
-@pytest.mark.parametrize("interface", ["trajectory", "positions"] if LONG else ["trajectory"])
+@pytest.mark.skipif(not LONG, reason="ROTCAL_LONG_TESTS: test_two_cells.py has the trajectory")
+@pytest.mark.parametrize("interface", ["trajectory", "positions"])
 def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface):
     live = adapted(
         f"table_adapter.interface={interface}",
@@ -83,29 +85,27 @@ def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface
     assert recording.verdicts[0].topics["/cell/joint_states"].messages > 100
 
 
-WRONG = [
-    ("stalls", 1, "the table stopped at"),
-    ("degrees", 0, "its feedback is in degrees"),
-    ("rejects", 1, "the table has not moved for"),
-    ("falls silent", 1, "no feedback of the table for"),
-]
+WRONG = {
+    "degrees": ("30", "rad were ordered: its feedback is in degrees"),
+    "rejects": ("30", "joint 'rotary' of /drive: the table has not moved for"),
+    "falls silent": ("30", "joint 'rotary' of /drive: no feedback of the table for"),
+    "other name": ("30", "no joint 'rotary' in /joint_states, which has arm, table"),
+}  # fmt: skip
+"""What a machine does that is sent trajectories by topic, to which angles, what is said then."""
 
 
-@pytest.mark.parametrize(("wrong", "since", "said"), WRONG if LONG else WRONG[:2])
-def test_what_the_controller_does_wrong_is_named_while_a_calibration_runs(
-    adapted, wrong, since, said
-):
-    live = adapted("table_adapter.silence_s=0.5", "capture.step_timeout_s=5.0", wrong=wrong,
-                   since=since, nodes=(*SUITE, "simulated_cell", "table_adapter"))  # fmt: skip
+def test_what_the_controller_does_wrong_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, sys.path)))
+    expect(tmp_path, "joint_controller.py", WRONG, {})
+
+
+@pytest.mark.skipif(not LONG, reason="ROTCAL_LONG_TESTS: test_dme_live.py tells a person, too")
+def test_the_person_at_a_calibration_is_told_too(adapted):
+    live = adapted("table_adapter.silence_s=0.5", "capture.step_timeout_s=5.0", wrong="stalls",
+                   since=1, nodes=(*SUITE, "simulated_cell", "table_adapter"))  # fmt: skip
     client = live.client()
-    live.wait_for_log("table_adapter", said)
-    warning = client.wait_for("warning", where=lambda event: said in event["text"])
-    assert warning["text"].startswith("table_adapter: ")  # the person at rotcal run is told too
-
-
-def test_a_joint_that_is_not_there_is_named_with_those_that_are(adapted):
-    live = adapted(wrong="other name")
-    live.wait_for_log("table_adapter", "no joint 'rotary' in /joint_states, which has arm, table")
+    said = "table_adapter: joint 'rotary' of /drive: the table stopped at"
+    client.wait_for("warning", where=lambda event: event["text"].startswith(said))
 
 
 def test_without_a_joint_it_does_not_start(cell):

@@ -76,6 +76,15 @@ def test_one_that_stands_there_by_chance_is_not_at_rest_before_it_came_from_the_
     assert joint.told[-1][0] == pytest.approx(30.0, abs=1e-5)
 
 
+def test_one_that_stands_there_by_chance_and_is_not_obeyed_is_named():
+    joint = Joint(30 * DEG)
+    joint.order(30 * DEG, Approach.NEGATIVE)
+    assert not joint.watch.arrived()
+    joint.stay(2.2)
+    assert not joint.watch.arrived()
+    assert "has not moved for 2.2 s since it was sent to 30.0000 deg" in joint.complaint()
+
+
 def test_where_nothing_has_to_move_the_feedback_is_told_at_once():
     joint = Joint(30 * DEG)
     joint.order(30 * DEG)
