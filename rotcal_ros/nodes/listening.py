@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -21,10 +21,12 @@ from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.channels import described_channel, message_type
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription
 from rotcal_ros.nodes.qos import adapted_qos
-from rotcal_ros.nodes.recording import Channel
+from rotcal_ros.nodes.recording import Channel, Messages
 
-ALWAYS: Final = ("/diagnostics", "/rosout")
+ALWAYS: Final = ("/diagnostics", "/rosout", names.TF_STATIC)
 """Topics outside the namespace of the cell that are recorded too."""
+MOST_LATCHED: Final = 100
+"""So many batches of static transforms are kept for the next bag."""
 _STAMP: Final = struct.Struct("<4xiI")
 """CDR encapsulation, then the stamp that begins every message with a header."""
 
@@ -41,6 +43,7 @@ class HeardTopic:
     heard_s: float = field(default_factory=time.monotonic)
     heard_ns: int = field(default_factory=time.time_ns)
     latest: bytes = b""
+    latched: deque[Messages] = field(default_factory=lambda: deque(maxlen=MOST_LATCHED))
     losses: TopicLosses = field(default_factory=TopicLosses)
 
     def latest_stamp_ns(self) -> int:
@@ -98,6 +101,13 @@ class Listener:
         """Return when the topics that count by their name were last heard, in monotonic time."""
         return {name: topic.heard_s for name, topic in self.topics.items() if counts(name)}
 
+    def tell_again(self, take: Callable[[Messages], object]) -> None:
+        """Hand over what was told once for all, as if it came now: every bag begins with it."""
+        now_ns = time.time_ns()
+        for topic in self.topics.values():
+            for latched in topic.latched:
+                take(Messages(topic.channel, [(d, now_ns, sent) for d, _, sent in latched.items]))
+
     def drain(self) -> None:
         """Take what has arrived and is still waiting."""
         for drained in self._drained:
@@ -129,6 +139,8 @@ class Listener:
 
         def handle(batch: Batch) -> None:
             topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
+            if name == names.TF_STATIC:
+                topic.latched.append(Messages.taken(topic.channel, batch))
             for _, info in batch:
                 publisher = info.get("publisher_gid")
                 received_ns = info["received_timestamp"] or time.time_ns()

@@ -21,8 +21,9 @@ from rotcal_ros.instruments.plausibility import (
     position_in_words,
 )
 from rotcal_ros.nodes.concerns import OFFSET
-from rotcal_ros.nodes.latest import JOINT, MOST_JOINTS, NOW, RATE, REFUSED
+from rotcal_ros.nodes.latest import FRAME, JOINT, MOST_JOINTS, NOW, RATE, REFUSED
 from rotcal_ros.nodes.topic_names import name_in
+from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
 
 _AIR: Final = {
@@ -31,6 +32,7 @@ _AIR: Final = {
     "humidity": names.RELATIVE_HUMIDITY,
 }
 """Topic of each quantity of the air, by its name in the settings of the capture."""
+_OF_AN_INSTRUMENT: Final = {PointKind.DIRECT, PointKind.MIRRORED, PointKind.NEST}
 
 Values = Mapping[str, str]
 
@@ -43,23 +45,58 @@ def faults(values: Values, configuration: Configuration, plan: Plan | None = Non
     clocks = [values[OFFSET]] if OFFSET in values else []
     return [
         *(text for key, text in values.items() if key.startswith(REFUSED)),
-        *_of_the_joint(values, configuration.cell.joint),
-        *_of_lengths(values, configuration),
-        *(() if plan is None else _of_the_probe(values, configuration, plan)),
-        *_of_rates(values, configuration),
+        *joint_faults(values, configuration.cell.joint),
+        *length_faults(values, configuration),
+        *(() if plan is None else probe_faults(values, configuration, plan)),
+        *rate_faults(values, configuration),
         *clocks,
     ]
 
 
 def doubts(values: Values, configuration: Configuration) -> list[str]:
     """Return what looks wrong, though observations may come of it."""
-    angle = _number(values.get(NOW + names.JOINT_STATES, "")) or 0.0
-    if chosen := _joints(values).get(_chosen(values, configuration.cell.joint)):
-        angle = Conventions(configuration.topics).angle(chosen[0])
-    found = [(names.JOINT_STATES, angle_in_words(angle, configuration.topics))]
-    readings = {role: _number(values.get(NOW + role, "")) for role in _AIR.values()}
-    found += air_in_words({role: value for role, value in readings.items() if value is not None})
-    return [f"{name_in(values, role)} {text}" for role, text in found if text]
+    return [
+        *joint_doubts(values, configuration),
+        *frame_doubts(values, configuration),
+        *(text for role in _AIR.values() for text in air_doubts(values, role)),
+    ]
+
+
+def joint_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
+    """Yield what looks wrong about the table's angle."""
+    text = angle_in_words(table_angle(values, configuration), configuration.topics)
+    if text:
+        yield f"{name_in(values, names.JOINT_STATES)} {text}"
+
+
+def table_angle(values: Values, configuration: Configuration) -> float:
+    """Return where the table says it is (rad); 0 where it says nothing."""
+    if chosen := joints(values).get(chosen_joint(values, configuration.cell.joint)):
+        return Conventions(configuration.topics).angle(chosen[0])
+    return _number(values.get(NOW + names.JOINT_STATES, "")) or 0.0
+
+
+def air_doubts(values: Values, role: str) -> Iterator[str]:
+    """Yield what looks wrong about what the ``role`` says of the air."""
+    value = _number(values.get(NOW + role, ""))
+    found = [] if value is None else air_in_words({role: value})
+    yield from (f"{name_in(values, role)} {text}" for role, text in found if text)
+
+
+def frame_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
+    """Yield why the points of the probe may be in another frame than the plan's targets.
+
+    A tracker's own points are in its own frame.
+    """
+    frame = values.get(FRAME + names.PROBE_POINT, "")
+    ours = configuration.cell.machine_frame
+    of_the_machine = not configuration.method.capture.decide.keys() & _OF_AN_INSTRUMENT
+    if frame and of_the_machine and frame.lstrip("/") != ours.lstrip("/"):
+        yield (
+            f"{name_in(values, names.PROBE_POINT)} is stamped with the frame {printable(frame)}, "
+            f"the targets of the plan are in {ours} (cell.machine_frame); points are taken as "
+            "they come, nothing transforms them"
+        )
 
 
 def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
@@ -85,26 +122,27 @@ def _expected(settings: CaptureSettings, name: str) -> bool:
     return bool(getattr(settings, f"{name}_expected"))
 
 
-def _of_the_joint(values: Values, joint: str) -> Iterator[str]:
+def joint_faults(values: Values, joint: str) -> Iterator[str]:
     """Yield what is wrong with the joint that stands for the table."""
-    joints = _joints(values)
-    chosen, topic = _chosen(values, joint), name_in(values, names.JOINT_STATES)
-    if not joints or (chosen not in joints and len(joints) >= MOST_JOINTS):  # not all are told
+    heard = joints(values)
+    chosen, topic = chosen_joint(values, joint), name_in(values, names.JOINT_STATES)
+    if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are told
         return
-    if chosen not in joints:
+    if chosen not in heard:
         yield (
             f"{topic} has no joint {joint!r} (cell.joint), it has "
-            f"{', '.join(map(printable, joints))}: name one of these, or leave cell.joint empty "
+            f"{', '.join(map(printable, heard))}: name one of these, or leave cell.joint empty "
             "for the first"
         )
-    elif not isfinite(joints[chosen][1]):
+    elif not isfinite(heard[chosen][1]):
         yield (
             f"{topic}: joint {printable(chosen)} has no velocity, without which no "
             "table is at rest: publish it beside the position, in rad/s"
         )
 
 
-def _of_lengths(values: Values, configuration: Configuration) -> Iterator[str]:
+def length_faults(values: Values, configuration: Configuration) -> Iterator[str]:
+    """Yield what is wrong with the lengths."""
     length = _number(values.get(NOW + names.TRACER_LENGTH, ""))
     text = length_in_words(
         0.0 if length is None else length,
@@ -115,7 +153,7 @@ def _of_lengths(values: Values, configuration: Configuration) -> Iterator[str]:
         yield f"{name_in(values, names.TRACER_LENGTH)} {text}"
 
 
-def _of_the_probe(values: Values, configuration: Configuration, plan: Plan) -> Iterator[str]:
+def probe_faults(values: Values, configuration: Configuration, plan: Plan) -> Iterator[str]:
     """Yield that the probe's positions are in another unit than stated."""
     words = values.get(NOW + names.PROBE_POINT, "").split()
     if len(words) != 3:
@@ -126,7 +164,7 @@ def _of_the_probe(values: Values, configuration: Configuration, plan: Plan) -> I
         yield f"{name_in(values, names.PROBE_POINT)} {text}"
 
 
-def _of_rates(values: Values, configuration: Configuration) -> Iterator[str]:
+def rate_faults(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield which stream is too slow for what waits for it, and what to change."""
     capture, planner = configuration.capture, configuration.planner
     lengths, table = names.TRACER_LENGTH, names.JOINT_STATES
@@ -155,11 +193,12 @@ def _of_rates(values: Values, configuration: Configuration) -> Iterator[str]:
         )
 
 
-def _chosen(values: Values, joint: str) -> str:
-    return joint or next(iter(_joints(values)), "")
+def chosen_joint(values: Values, joint: str) -> str:
+    """Return the joint that stands for the table: the configured one, else the first."""
+    return joint or next(iter(joints(values)), "")
 
 
-def _joints(values: Values) -> dict[str, tuple[float, float]]:
+def joints(values: Values) -> dict[str, tuple[float, float]]:
     """Return angle (rad) and velocity (rad/s) of the joints that were heard, by name."""
     found = {}
     for key, value in values.items():

@@ -142,6 +142,7 @@ class RecorderNode(CellNode):
         self._dropouts.begin(recording)
         self._called.keep_in(recording)  # before the configuration, where readers stop to look
         keep_surroundings(recording, request.configuration)
+        self._listener.tell_again(recording.put)
         self._recording = recording
         self.begin(self._attach_parameters, recording)
         return folder.path
