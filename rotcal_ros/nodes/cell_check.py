@@ -38,8 +38,9 @@ from rotcal_ros.nodes.capture import CaptureNode
 from rotcal_ros.nodes.cell_graph import CellGraph
 from rotcal_ros.nodes.channels import message_type
 from rotcal_ros.nodes.check_frames import FramesHeard
+from rotcal_ros.nodes.check_heard import Heard
 from rotcal_ros.nodes.check_neighbours import cell_lines
-from rotcal_ros.nodes.check_streams import Heard, clock_line, stream_lines
+from rotcal_ros.nodes.check_streams import clock_line, stream_lines
 from rotcal_ros.nodes.check_table import machine_lines, table_start
 from rotcal_ros.nodes.concerns import OFFSET
 from rotcal_ros.nodes.header_watch import HeaderWatch, watch_headers

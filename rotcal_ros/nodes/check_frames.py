@@ -13,7 +13,7 @@ from rotcal_ros.nodes.frames import StaticFrames
 from rotcal_ros.nodes.preflight import frame_doubts
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check_streams import Heard
+    from rotcal_ros.nodes.check_heard import Heard
 
 
 _TODO: Final = "publish the points in the machine frame, or set cell.machine_frame to its name"

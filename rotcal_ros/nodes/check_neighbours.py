@@ -12,7 +12,7 @@ from rotcal_ros.nodes.cell_graph import CellGraph
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check_streams import Heard
+    from rotcal_ros.nodes.check_heard import Heard
 
 _OURS: Final = ("cell_check", "_cell_check_ears")
 

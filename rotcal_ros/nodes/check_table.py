@@ -11,7 +11,7 @@ from rotcal_ros.catalogue.check_lines import CheckLine
 from rotcal_ros.escapes import printable
 from rotcal_ros.nodes.cell_graph import ORDERS
 from rotcal_ros.nodes.matching import deaf_listeners
-from rotcal_ros.nodes.preflight import (
+from rotcal_ros.nodes.table_feedback import (
     chosen_joint,
     joint_doubts,
     joint_faults,
@@ -21,7 +21,7 @@ from rotcal_ros.nodes.preflight import (
 from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
-    from rotcal_ros.nodes.check_streams import Heard
+    from rotcal_ros.nodes.check_heard import Heard
 
 _PARTS: Final = {names.TABLE_ANGLE: "table", names.PROBE_TARGET: "probe"}
 _TYPES: Final = {

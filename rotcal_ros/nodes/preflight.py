@@ -6,22 +6,20 @@ It is the values of the capture's beat that are judged: the latest reading of ev
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import isfinite
 from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.escapes import printable
-from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.instruments.plausibility import (
     air_in_words,
-    angle_in_words,
     length_in_words,
     position_in_words,
 )
 from rotcal_ros.nodes.concerns import OFFSET
-from rotcal_ros.nodes.latest import FRAME, JOINT, MOST_JOINTS, NOW, RATE, REFUSED
+from rotcal_ros.nodes.latest import FRAME, NOW, RATE, REFUSED
+from rotcal_ros.nodes.table_feedback import joint_doubts, joint_faults, number_in
 from rotcal_ros.nodes.topic_names import name_in
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
@@ -62,23 +60,9 @@ def doubts(values: Values, configuration: Configuration) -> list[str]:
     ]
 
 
-def joint_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
-    """Yield what looks wrong about the table's angle."""
-    text = angle_in_words(table_angle(values, configuration), configuration.topics)
-    if text:
-        yield f"{name_in(values, names.JOINT_STATES)} {text}"
-
-
-def table_angle(values: Values, configuration: Configuration) -> float:
-    """Return where the table says it is (rad); 0 where it says nothing."""
-    if chosen := joints(values).get(chosen_joint(values, configuration.cell.joint)):
-        return Conventions(configuration.topics).angle(chosen[0])
-    return _number(values.get(NOW + names.JOINT_STATES, "")) or 0.0
-
-
 def air_doubts(values: Values, role: str) -> Iterator[str]:
     """Yield what looks wrong about what the ``role`` says of the air."""
-    value = _number(values.get(NOW + role, ""))
+    value = number_in(values.get(NOW + role, ""))
     found = [] if value is None else air_in_words({role: value})
     yield from (f"{name_in(values, role)} {text}" for role, text in found if text)
 
@@ -122,28 +106,9 @@ def _expected(settings: CaptureSettings, name: str) -> bool:
     return bool(getattr(settings, f"{name}_expected"))
 
 
-def joint_faults(values: Values, joint: str) -> Iterator[str]:
-    """Yield what is wrong with the joint that stands for the table."""
-    heard = joints(values)
-    chosen, topic = chosen_joint(values, joint), name_in(values, names.JOINT_STATES)
-    if not heard or (chosen not in heard and len(heard) >= MOST_JOINTS):  # not all are told
-        return
-    if chosen not in heard:
-        yield (
-            f"{topic} has no joint {joint!r} (cell.joint), it has "
-            f"{', '.join(map(printable, heard))}: name one of these, or leave cell.joint empty "
-            "for the first"
-        )
-    elif not isfinite(heard[chosen][1]):
-        yield (
-            f"{topic}: joint {printable(chosen)} has no velocity, without which no "
-            "table is at rest: publish it beside the position, in rad/s"
-        )
-
-
 def length_faults(values: Values, configuration: Configuration) -> Iterator[str]:
     """Yield what is wrong with the lengths."""
-    length = _number(values.get(NOW + names.TRACER_LENGTH, ""))
+    length = number_in(values.get(NOW + names.TRACER_LENGTH, ""))
     text = length_in_words(
         0.0 if length is None else length,
         configuration.capture.max_length_m,
@@ -169,7 +134,7 @@ def rate_faults(values: Values, configuration: Configuration) -> Iterator[str]:
     capture, planner = configuration.capture, configuration.planner
     lengths, table = names.TRACER_LENGTH, names.JOINT_STATES
     rates = {
-        role: rate for role in (lengths, table) if (rate := _number(values.get(RATE + role, "")))
+        role: rate for role in (lengths, table) if (rate := number_in(values.get(RATE + role, "")))
     }
     if (rate := rates.get(table)) and 1.0 / rate > capture.table_silence_s:
         yield (
@@ -191,27 +156,3 @@ def rate_faults(values: Values, configuration: Configuration) -> Iterator[str]:
             f"{planner.stream_timeout_s:g} s it is lost; a longer time, or "
             "topics.length_single_shot: true for an instrument that is asked"
         )
-
-
-def chosen_joint(values: Values, joint: str) -> str:
-    """Return the joint that stands for the table: the configured one, else the first."""
-    return joint or next(iter(joints(values)), "")
-
-
-def joints(values: Values) -> dict[str, tuple[float, float]]:
-    """Return angle (rad) and velocity (rad/s) of the joints that were heard, by name."""
-    found = {}
-    for key, value in values.items():
-        if key.startswith(JOINT):
-            angle, velocity = map(float, value.split())
-            found[key.removeprefix(JOINT)] = (angle, velocity)
-    return found
-
-
-def _number(text: str) -> float | None:
-    """Return the number that a reading begins with, if it does and is finite."""
-    try:
-        number = float(text.split()[0])
-    except (IndexError, ValueError):
-        return None
-    return number if isfinite(number) else None
