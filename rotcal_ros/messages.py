@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any, TypeVar
 
+from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.observations import (
     Approach,
     Command,
@@ -145,6 +146,23 @@ def observation(message: Any) -> Observation:
         pressure_pa=_number(getattr(message, "pressure", math.nan)),
         humidity=_number(getattr(message, "humidity", math.nan)),
     )
+
+
+def static_frames(message: Any) -> tuple[StaticFrame, ...]:
+    """Return the transforms of a tf2_msgs/TFMessage."""
+    return tuple(
+        StaticFrame(
+            str(each.header.frame_id),
+            str(each.child_frame_id),
+            _point(getattr(each.transform.translation, axis) for axis in "xyz"),
+            _turn(each.transform.rotation),
+        )
+        for each in message.transforms
+    )
+
+
+def _turn(rotation: Any) -> tuple[float, float, float, float]:
+    return float(rotation.x), float(rotation.y), float(rotation.z), float(rotation.w)
 
 
 def _known(kind: type[E], number: int) -> E:

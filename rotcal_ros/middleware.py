@@ -46,6 +46,18 @@ def _profiles(kind: str) -> dict[str, str]:
     return {name: str(folder / f"{begin}_{kind}") for name, begin in _PROFILES.items()}
 
 
+def without_security(environment: Mapping[str, str], why: str) -> str:
+    """Return what it means that ROS does not start with its security on; empty: it is off."""
+    if environment.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+        return ""
+    return (
+        f"ROS does not start with ROS_SECURITY_ENABLE=true ({why.splitlines()[0]}): the Fast DDS "
+        "of the wheels has no security plug-ins, and a keystore must be there; use a full ROS 2 "
+        "installation, or unset ROS_SECURITY_ENABLE and shut the network off instead "
+        "(docs/security.md)"
+    )
+
+
 def discovery_in_words(environment: Mapping[str, str]) -> str:
     """Return where a process looks for others, and what those on other machines need."""
     confined = any(environment.get(name, "").endswith(_LOOPBACK) for name in _PROFILES)

@@ -6,7 +6,12 @@ from pathlib import Path
 import pytest
 
 import rotcal_ros
-from rotcal_ros.middleware import ROS_DEFAULT_RANGE, discovery_in_words, middleware
+from rotcal_ros.middleware import (
+    ROS_DEFAULT_RANGE,
+    discovery_in_words,
+    middleware,
+    without_security,
+)
 
 NODES = Path(rotcal_ros.__file__).parent / "nodes"
 
@@ -59,3 +64,11 @@ def test_where_others_are_looked_for_is_told_as_the_user_would_set_it():
     text = discovery_in_words(middleware({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}))
     assert "ROS_DOMAIN_ID=0 and ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET" in text
     assert "other machines" not in text
+
+
+def test_security_that_cannot_be_had_is_said_only_where_it_was_asked_for():
+    assert not without_security({}, "no")
+    assert not without_security({"ROS_SECURITY_ENABLE": "false"}, "no")
+    text = without_security({"ROS_SECURITY_ENABLE": "true"}, "no libraries\nat line 3")
+    assert "(no libraries)" in text
+    assert "unset ROS_SECURITY_ENABLE" in text

@@ -60,6 +60,8 @@ OBSERVATION: Final = "observation"
 STEP_CHOICE: Final = "step_choice"
 TABLE_IN_FORCE: Final = "table_in_force"
 PAUSE: Final = "pause"
+TF_STATIC: Final = "/tf_static"
+"""Static transforms of all cells of a domain; outside of every namespace, and not needed."""
 
 ROLES: Final = frozenset({
     PLAN, TRACER_LENGTH, PROBE_POINT, JOINT_STATES, TEMPERATURE, AIR_PRESSURE,

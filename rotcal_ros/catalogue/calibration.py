@@ -14,10 +14,12 @@ from rotcal_ros.catalogue.air_settings import AirSettings
 from rotcal_ros.catalogue.configuration import Configuration, read_policy
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation, continued
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
+from rotcal_ros.catalogue.frame_conflicts import frame_conflicts
 from rotcal_ros.catalogue.method import Adaptive, Method, Trials
 from rotcal_ros.catalogue.stations import Stations
 from rotcal_ros.circumstances import Circumstances, Counts, Range
 from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.geometry.rotations import carried
 from rotcal_ros.in_force import UNKNOWN, agreed
 from rotcal_ros.observations import Observation
@@ -66,10 +68,16 @@ class Calibration:
             self.plan, settings, self.method.capture, run, required, single_shot=single_shot
         )
 
-    def solve(self, observations: Iterable[Observation], announced: Iterable[str] = ()) -> Result:
+    def solve(
+        self,
+        observations: Iterable[Observation],
+        announced: Iterable[str] = (),
+        frames: Iterable[StaticFrame] = (),
+    ) -> Result:
         """Solve with the observations that count; see :func:`final_observations`.
 
-        ``announced`` are the tables in force that the cell announced meanwhile.
+        ``announced`` are the tables in force that the cell announced meanwhile, ``frames`` the
+        static transforms that it has: where they contradict the result, that has a warning.
         """
         used = self._that_count(observations)
         result = self.refraction.solve(
@@ -78,7 +86,9 @@ class Calibration:
         measured_on = agreed(self.in_force(announced))
         if measured_on != UNKNOWN:
             result = replace(result, measured_on=measured_on)
-        return replace(result, circumstances=self._circumstances(used))
+        conflicts = frame_conflicts(self.configuration.cell, self.plan, result, frames)
+        warnings = (*result.warnings, *conflicts)
+        return replace(result, warnings=warnings, circumstances=self._circumstances(used))
 
     def _circumstances(self, used: Sequence[Observation]) -> Circumstances:
         """Return under which circumstances the observations ``used`` were made."""

@@ -22,6 +22,7 @@ BROKEN_PIPE: Final = 141
 VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
     "attach": "Show a calibration that runs in the background.",
+    "cell": "Look at a live cell: what is there, what is missing?",
     "verify": "Measure the simulated cell, compensate it, and measure again.",
     "solve": "Solve a recorded bag or a plain table, without ROS.",
     "reprocess": "Solve many bags with one configuration, on all cores or a cluster.",

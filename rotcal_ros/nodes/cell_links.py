@@ -22,19 +22,16 @@ from rotcal_ros.bags import names
 from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
+from rotcal_ros.nodes.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.cell_services import CellServices
 from rotcal_ros.nodes.concerns import show
 from rotcal_ros.nodes.managed_node import not_active
-from rotcal_ros.nodes.matching import deaf_listeners
 from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.topic_names import TOPIC, plain_name
 from rotcal_ros.observations import Command, Observation
 
-ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
-NO_MACHINE: Final = frozenset({"capture", "recorder", *VIEWERS.values()})
-"""Nodes that listen to orders without obeying them."""
 SPARE: Final = frozenset({"bridge", *VIEWERS.values()})
 """Nodes that may be inactive while a calibration runs."""
 Attempt = tuple[int, int]
@@ -47,6 +44,7 @@ class CellLinks:
     def __init__(self, node: CellNode) -> None:
         self.node = node
         self.health = node.health
+        self.graph = CellGraph(node)
         self.observations: dict[Attempt, Observation] = {}
         self.receipts: dict[Attempt, int] = {}
         self.current_std = math.nan
@@ -98,18 +96,11 @@ class CellLinks:
 
     def publishers(self, topic: str) -> list[str]:
         """Return the names of the nodes that publish ``topic``."""
-        infos = self.node.get_publishers_info_by_topic(self.resolve(topic))
-        return sorted(info.node_name for info in infos)
-
-    def listeners(self, topic: str) -> list[str]:
-        """Return the names of the nodes that subscribe to ``topic``."""
-        infos = self.node.get_subscriptions_info_by_topic(self.resolve(topic))
-        return sorted(info.node_name for info in infos)
+        return self.graph.publishers(topic)
 
     def resolve(self, topic: str) -> str:
         """Return the absolute name of a topic of the cell."""
-        name: str = self.node.resolve_topic_name(topic)
-        return name
+        return self.graph.resolve(topic)
 
     def instrument(self, role: str) -> str:
         """Return the absolute name of an instrument's topic, as the capture knows it."""
@@ -127,41 +118,28 @@ class CellLinks:
         return not_active(self.health.state, sorted(self.health.present() - SPARE - {*but}))
 
     def missing_topics(self, topics: Sequence[str], silent: Collection[str] = ()) -> list[str]:
-        """Return what is missing, in words; ``silent`` instruments need not have spoken yet."""
-        found: list[str] = []
-        here: list[str] = []
-        heard = self.health.values("capture")
-        for topic in topics:
-            name = self.instrument(topic)
-            publishers = self.publishers(name)
-            if not publishers:
-                found.append(f"nobody publishes {name}: start its instrument")
-                here = [discovery_in_words(os.environ)]
-            elif len(publishers) > 1:
-                found.append(
-                    f"{len(publishers)} publishers on {name} (nodes {', '.join(publishers)}): "
-                    "one instrument topic has one publisher; stop the others"
-                )
-            elif topic not in silent and heard.get(f"valid.{topic}", "0") == "0":
-                found.append(f"{name} has not delivered a valid message (node {publishers[0]})")
-            found += deaf_listeners(self.node, name, {"capture", "recorder"}.__contains__)
-        disobeyed = (t for t in ORDERS if not set(self.listeners(t)) - NO_MACHINE)
-        found += [f"nobody obeys {self.resolve(t)}: start the machine's node" for t in disobeyed]
-        found += [text for topic in ORDERS for text in self._deaf_machine(topic)]
-        measured = map(self.instrument, topics)
+        """Return what is missing around the instrument topics and the orders, in words.
+
+        Those that are ``silent`` before the first order need deliver nothing yet.
+        """
+        graph, heard = self.graph, self.health.values("capture")
+        measured = [self.instrument(topic) for topic in topics]
+        found = [
+            text
+            for topic, name in zip(topics, measured, strict=True)
+            for text in graph.without_instrument(
+                name, topic in silent or heard.get(f"valid.{topic}", "0") != "0"
+            )
+        ]
+        here = [] if all(map(self.publishers, measured)) else [discovery_in_words(os.environ)]
+        found += [text for topic in ORDERS for text in graph.without_machine(topic)]
         recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE)
-        unheard = (topic for topic in recorded if "recorder" not in self.listeners(topic))
+        unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
         return (
             found
             + here
             + [f"the recorder does not listen to {self.resolve(t)} yet" for t in unheard]
         )
-
-    def _deaf_machine(self, topic: str) -> list[str]:
-        """Return why no machine hears an order, in words; a deaf one beside another is let be."""
-        machines = set(self.listeners(topic)) - NO_MACHINE
-        deaf = list(deaf_listeners(self.node, self.resolve(topic), machines.__contains__))
-        return deaf if len(deaf) >= len(machines) else []
 
     def missing_air(self, expected: Iterable[str]) -> dict[str, str]:
         """Return role -> absolute name of those ``expected`` topics that nobody publishes."""

@@ -112,12 +112,6 @@ class GoalRun:
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
 
-    def _remarks(self, error: GoalError) -> str:
-        """Return what the cell says that may be why the goal has ended."""
-        health = self.watch.links.health
-        said = (f"; {t}" for t in concerns_told(health, OF_MACHINES) if t not in str(error))
-        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(said)
-
     async def _preflight(self) -> None:
         """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
         watch, links = self.watch, self.watch.links

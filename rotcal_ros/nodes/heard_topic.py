@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import struct
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from typing import Final
 
 from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.instruments.forms import form_of
 from rotcal_ros.nodes.bookkeeping import TopicLosses
-from rotcal_ros.nodes.recording import Channel
+from rotcal_ros.nodes.recording import Channel, Messages
 
+MOST_LATCHED: Final = 100
+"""So many batches of static transforms are kept for the next bag."""
 _STAMP: Final = struct.Struct("<4xiI")
 """CDR encapsulation, then the stamp that begins every message with a header."""
 
@@ -21,7 +24,7 @@ class HeardTopic:
     """A topic that is listened to: its channel and how far it has come.
 
     ``heard_s`` is the monotonic time of the latest batch, or of the subscription, ``heard_ns`` the
-    log time of the latest message.
+    log time of the latest message; ``latched`` is what was told once for all.
     """
 
     channel: Channel
@@ -29,6 +32,7 @@ class HeardTopic:
     heard_ns: int = field(default_factory=time.time_ns)
     sent_ns: int = 0
     latest: bytes = b""
+    latched: deque[Messages] = field(default_factory=lambda: deque(maxlen=MOST_LATCHED))
     losses: TopicLosses = field(default_factory=TopicLosses)
 
     def taken_ns(self, role: str, conventions: Conventions) -> int:

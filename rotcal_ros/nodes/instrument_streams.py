@@ -24,7 +24,7 @@ from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, received_ns, sent_ns
 from rotcal_ros.nodes.instrument_topics import InstrumentTopics
 from rotcal_ros.nodes.joint_readings import JointReadings
-from rotcal_ros.nodes.latest import NOW, RATE, reading
+from rotcal_ros.nodes.latest import FRAME, NOW, RATE, reading
 from rotcal_ros.observations import (
     HumiditySample,
     LengthStatus,
@@ -50,6 +50,7 @@ class InstrumentStreams:
         self._valid: Counter[str] = Counter()
         self._heard_s: dict[str, float] = {}
         self._latest: dict[str, Any] = {}
+        self._frames: dict[str, str] = {}
         self._joints, self._rates = JointReadings(), Rates()
         self.offsets = StampOffsets(CaptureSettings().stamp_offset_s)
         self.topics = InstrumentTopics(node, self._switched)
@@ -74,6 +75,7 @@ class InstrumentStreams:
         values: dict[str, Any] = self.topics.values()
         values |= {f"valid.{role}": self._valid[role] for role in self._heard_s}
         values |= {f"{NOW}{role}": reading(record) for role, record in self._latest.items()}
+        values |= {f"{FRAME}{role}": frame for role, frame in self._frames.items()}
         values |= {f"{RATE}{role}": f"{hertz:.4g}" for role, hertz in self._rates.hertz().items()}
         values |= self._joints.values()
         steady = set(FAST) - set(single_shots(self.topics.settings))
@@ -85,6 +87,8 @@ class InstrumentStreams:
     def _heard(self, role: str, type_name: str, batch: Batch) -> None:
         self._heard_s[role] = time.monotonic()
         sent = [(message, sent_ns(info)) for message, info in batch]
+        if header := getattr(batch[-1][0], "header", None):
+            self._frames[role] = header.frame_id
         if type_name == OWN[names.JOINT_STATES]:
             self._note_joints([message for message, _ in batch])
         records = self._interpreter.records(role, type_name, sent)
@@ -106,7 +110,7 @@ class InstrumentStreams:
 
     def _switched(self, role: str) -> None:
         """Forget what was heard of an instrument that is another, or understood otherwise now."""
-        for known in (self._heard_s, self._latest, self._valid):
+        for known in (self._heard_s, self._latest, self._frames, self._valid):
             known.pop(role, None)
         self._rates.forget(role)
         self.offsets.forget(role)

@@ -21,6 +21,8 @@ from rotcal_ros.observations import TemperatureSample as Thermometer
 
 NOW: Final = "now."
 """How the values of the capture begin that tell the latest reading of a topic."""
+FRAME: Final = "frame."
+"""How the values of the capture begin that tell the frame that a topic is stamped with."""
 WAITING_FOR: Final = "waiting_for"
 """Value of the capture: what its oldest undecided attempt waits for, in words."""
 RATE: Final = "rate_hz."

@@ -23,9 +23,10 @@ from rotcal_ros.nodes.channels import described_channel, message_type
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch, DrainedSubscription, sent_ns
 from rotcal_ros.nodes.heard_topic import HeardTopic
 from rotcal_ros.nodes.qos import adapted_qos
+from rotcal_ros.nodes.recording import Messages
 from rotcal_ros.planning.safety_settings import SafetySettings
 
-ALWAYS: Final = ("/diagnostics", "/rosout")
+ALWAYS: Final = ("/diagnostics", "/rosout", names.TF_STATIC)
 """Topics outside the namespace of the cell that are recorded too."""
 
 
@@ -94,6 +95,13 @@ class Listener:
         steady = set(NEVER_PAUSE) - set(single_shots(self._conventions.settings))
         return {name: t.heard_s for name, t in self.topics.items() if role(name) in steady}
 
+    def tell_again(self, take: Callable[[Messages], object]) -> None:
+        """Hand over what was told once for all, as if it came now: every bag begins with it."""
+        now_ns = time.time_ns()
+        for topic in self.topics.values():
+            for latched in topic.latched:
+                take(Messages(topic.channel, [(d, now_ns, sent) for d, _, sent in latched.items]))
+
     def drain(self) -> None:
         """Take what has arrived and is still waiting."""
         for drained in self._drained:
@@ -126,6 +134,8 @@ class Listener:
         def handle(batch: Batch) -> None:
             topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
             topic.sent_ns = sent_ns(batch[-1][1])
+            if name == names.TF_STATIC:
+                topic.latched.append(Messages.taken(topic.channel, batch))
             for _, info in batch:
                 publisher = info.get("publisher_gid")
                 received_ns = info["received_timestamp"] or time.time_ns()

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 
 from rclpy.node import Node
-from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 
-def deaf_listeners(node: Node, topic: str, counts: Callable[[str], bool]) -> Iterator[str]:
+@dataclass(frozen=True)
+class Offer:
+    """A publisher that is still to come."""
+
+    node_name: str
+    qos_profile: QoSProfile
+
+
+def deaf_listeners(
+    node: Node, topic: str, counts: Callable[[str], bool], to_come: Iterable[Offer] = ()
+) -> Iterator[str]:
     """Yield in words which subscribers of an absolute ``topic`` get nothing of a publisher.
 
     ``counts`` says by its name whether a subscriber matters.
     """
-    for source in node.get_publishers_info_by_topic(topic):
+    for source in (*node.get_publishers_info_by_topic(topic), *to_come):
         for reader in node.get_subscriptions_info_by_topic(topic):
             if not counts(reader.node_name):
                 continue

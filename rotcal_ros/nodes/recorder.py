@@ -150,6 +150,7 @@ class RecorderNode(CellNode):
         self._called.keep_in(recording)  # before the configuration, where readers stop to look
         keep_surroundings(recording, request.configuration)
         bag.keep(request.configuration)
+        self._listener.tell_again(recording.put)
         self._recording = recording
         self.begin(attach_parameters, recording, self)
         response.folder, response.success = str(bag.folder.path), True

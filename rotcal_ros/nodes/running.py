@@ -13,10 +13,11 @@ from typing import Final, NoReturn
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
 from rotcal_ros.errors import ConfigurationError, RotcalError
-from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware
+from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware, without_security
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.memory import end_without_memory
 from rotcal_ros.nodes.steady import wake_after_jumps
@@ -43,6 +44,12 @@ def leave_with(work: Callable[[], None], default_range: str = ROS_DEFAULT_RANGE)
     except RotcalError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(error.exit_code)
+    except rclpy_implementation.RCLError as error:
+        text = without_security(os.environ, str(error))
+        if not text:
+            raise
+        sys.stderr.write(f"{text}\n")
+        sys.exit(ConfigurationError.exit_code)
     except MemoryError as error:
         end_without_memory(error, "executor")
     sys.exit(0)

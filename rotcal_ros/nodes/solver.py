@@ -21,6 +21,7 @@ from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.earlier_observations import EarlierObservations
+from rotcal_ros.nodes.frames import StaticFrames
 from rotcal_ros.nodes.planners_plans import PlannersPlans
 from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, read_continuation, run_name
 from rotcal_ros.nodes.qos import EVENT, LATCHED
@@ -56,6 +57,7 @@ class SolverNode(CellNode):
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
         self._earlier = EarlierObservations(self)
         PlannersPlans(self, self._take_plan)
+        self._frames = StaticFrames(self, self.health.guarded)
         self.listen(TableInForce, names.TABLE_IN_FORCE, self._note_in_force, LATCHED)
         self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
         self.offer(FinishCalibration, "finish_calibration", self._finish)
@@ -115,7 +117,8 @@ class SolverNode(CellNode):
 
     def _begin(self, calibration: Calibration) -> Future[Result]:
         observations, in_force = tuple(self._observations.values()), tuple(self._in_force)
-        self._solving = self._worker.submit(calibration.solve, observations, in_force)
+        frames = self._frames.frames
+        self._solving = self._worker.submit(calibration.solve, observations, in_force, frames)
         self.health.beat()  # before the numerics can hold it up
         return self._solving
 

@@ -27,6 +27,7 @@ from rotcal_ros.catalogue.configuration import (
 from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.errors import BagError, DataError, RotcalError
+from rotcal_ros.geometry.frames import StaticFrame
 from rotcal_ros.in_force import contradiction
 from rotcal_ros.instruments.steps import StepFinder
 from rotcal_ros.observations import Observation
@@ -46,7 +47,7 @@ from rotcal_ros.recordings.recorded_setup import (
     require_its_method,
 )
 from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
-from rotcal_ros.recordings.topics import Topics
+from rotcal_ros.recordings.topics import Part, Topics
 from rotcal_ros.recordings.went_on import known_then
 from rotcal_ros.results import Result
 
@@ -61,7 +62,8 @@ class Recording:
     had published; ``counts`` is what the capture counted per stream (empty when the
     observations were taken from the bag), ``broken`` the messages per topic that could not be
     decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
-    ``announced`` which tables the cell announced to be in force, ``unreadable`` why topics could
+    ``announced`` which tables the cell announced to be in force, ``frames`` its static transforms,
+    ``unreadable`` why topics could
     not be read, ``clock`` how the system clock jumped, in words, ``session`` whether all files
     are there, ``dropouts`` what the recorder itself missed.
 
@@ -82,6 +84,7 @@ class Recording:
     attachments: Mapping[str, bytes]
     choices: tuple[RecordedChoice, ...] = ()
     announced: frozenset[str] = frozenset()
+    frames: tuple[StaticFrame, ...] = ()
     unreadable: Mapping[str, str] = field(default_factory=dict)
     clock: tuple[str, ...] = ()
     session: SessionVerdict = field(default_factory=SessionVerdict)
@@ -99,7 +102,7 @@ class Recording:
         """
         self._require_observations()
         try:
-            result = self.calibration.solve(self.observations, self.announced)
+            result = self.calibration.solve(self.observations, self.announced, self.frames)
         except DataError as error:
             why = "; ".join([str(error), *doubtful(self.observations, self.counts)])
             raise DataError(why, error.log) from error
@@ -245,6 +248,7 @@ def read_recording(
         attachments=attachments,
         choices=tuple(found.choices),
         announced=frozenset(found.announced),
+        frames=tuple(found.frames.values()),
         unreadable=dict(topics.unreadable),
         clock=(*clock_in_words(found.scans, found.log_times), *filter(None, [feeder.offset])),
         session=judge_session(path, verdicts),
@@ -279,9 +283,24 @@ class _Found:
     planned: list[str] = field(default_factory=list)
     choices: list[RecordedChoice] = field(default_factory=list)
     announced: set[str] = field(default_factory=set)
+    frames: dict[str, StaticFrame] = field(default_factory=dict)
     scans: list[Scan] = field(default_factory=list)
     log_times: LogTimes = field(default_factory=LogTimes)
     decoders: Decoders = field(default_factory=dict)
+
+    def take(self, part: Part, block: Block) -> None:
+        """Take the messages of a part that is no stream."""
+        if part.role == names.OBSERVATION:
+            self.recorded += (records.observation(m) for _, m in part.messages(block))
+        elif part.role == names.PLAN:
+            self.planned += (message.configuration for _, message in part.messages(block))
+        elif part.role == names.STEP_CHOICE:
+            self.choices += (RecordedChoice.of(m) for _, m in part.messages(block))
+        elif part.role == names.TABLE_IN_FORCE:
+            self.announced |= {m.in_force for _, m in part.messages(block)}
+        elif part.role == names.TF_STATIC:
+            for _, message in part.messages(block):
+                self.frames |= {f.child: f for f in records.static_frames(message)}
 
 
 def _read(
@@ -300,14 +319,7 @@ def _read(
         parts = topics.split(block, scan, found.decoders)
         for part in parts:
             with part.taken_as_expected():
-                if part.role == names.OBSERVATION:
-                    found.recorded += (records.observation(m) for _, m in part.messages(block))
-                elif part.role == names.PLAN:
-                    found.planned += (message.configuration for _, message in part.messages(block))
-                elif part.role == names.STEP_CHOICE:
-                    found.choices += (RecordedChoice.of(m) for _, m in part.messages(block))
-                elif part.role == names.TABLE_IN_FORCE:
-                    found.announced |= {m.in_force for _, m in part.messages(block)}
+                found.take(part, block)
         if feeder is not None:
             feeder.feed(block, parts)
     return found

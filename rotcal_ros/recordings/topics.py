@@ -69,6 +69,8 @@ class Topics:
 
     def role(self, topic: str) -> str | None:
         """Return the role of ``topic``; raises BagError when two topics want the same one."""
+        if topic == names.TF_STATIC:
+            return names.TF_STATIC
         others = {**self.planned, **self._recorded, **self.renamed}
         for role, other in others.items():
             if _is_called(topic, other):

@@ -5,12 +5,21 @@ from __future__ import annotations
 import itertools
 import os
 import socket
+from contextlib import suppress
+from pathlib import Path
 from typing import Final
 
 DOMAINS: Final = 100
 """Domains 1 to 100 use ports below the range that the kernel gives to outgoing connections."""
+DEFAULT_DOMAIN: Final = 0
+"""Where ROS looks as long as nobody has set a domain."""
 _FIRST_PORT: Final = 7410
 _PORTS_PER_DOMAIN: Final = 250
+
+_SOCKETS: Final = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
+_BASE_PORT: Final = 7400
+_OFFSETS: Final = range(10, 50, 2)
+"""Where the first twenty participants of a domain are spoken to, from the domain's base port."""
 
 _turn = itertools.count(os.getpid())
 
@@ -35,3 +44,21 @@ def _is_free(domain: int) -> bool:
         except OSError:
             return False
     return True
+
+
+def domains_in_use() -> tuple[int, ...]:
+    """Return the domains that somebody on this machine takes part in, as far as it can be seen.
+
+    Empty where the system does not list its sockets (other systems than Linux).
+    """
+    places = (divmod(port - _BASE_PORT, _PORTS_PER_DOMAIN) for port in _udp_ports())
+    return tuple(sorted({d for d, offset in places if 0 <= d <= DOMAINS and offset in _OFFSETS}))
+
+
+def _udp_ports() -> set[int]:
+    ports = set()
+    for path in _SOCKETS:
+        with suppress(OSError, ValueError, IndexError):
+            for line in path.read_text().splitlines()[1:]:
+                ports.add(int(line.split()[1].rpartition(":")[2], 16))
+    return ports

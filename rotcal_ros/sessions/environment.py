@@ -10,7 +10,7 @@ from typing import Final
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.middleware import middleware
 from rotcal_ros.report.terminal.console import say
-from rotcal_ros.sessions.domains import free_domain
+from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, free_domain
 
 _OF_THE_PAGE: Final = ("sse_starlette", "starlette", "uvicorn")
 
@@ -34,10 +34,13 @@ def page_can_be_served() -> bool:
     return not missing
 
 
-def node_environment() -> dict[str, str]:
-    """Return the variables for the nodes; what the user has set stays."""
+def node_environment(*, alone: bool = True) -> dict[str, str]:
+    """Return the variables for the nodes; what the user has set stays.
+
+    ``alone``: they need nobody else and take a domain of their own, else ROS's own default.
+    """
     environment = {
-        "ROS_DOMAIN_ID": str(free_domain()),
+        "ROS_DOMAIN_ID": str(free_domain() if alone else DEFAULT_DOMAIN),
         "PYTHONUNBUFFERED": "1",
         "OMP_NUM_THREADS": "1",
     }

@@ -94,7 +94,8 @@ def running(session: Session) -> Iterator[RunningSession]:
     lock = FolderLock(session.folder.path)
     try:
         write_atomically(session.folder.parameters, node_parameters(session.configuration))
-        with Processes(session.log_folder, node_environment(), (lock.descriptor,)) as processes:
+        environment = node_environment(alone=session.configuration.simulated)
+        with Processes(session.log_folder, environment, (lock.descriptor,)) as processes:
             for name in node_names(session):
                 processes.start(name, node_command(session, name))
             processes.start(CLIENT, client_command(session), piped=True)

@@ -30,7 +30,15 @@ MODULES = {
     for path in (ROOT / "rotcal_ros" / "nodes").glob("*.py")
     if 'if __name__ == "__main__"' in path.read_text()
 }
-NO_NODES = {"client", "linuxcnc_agent", "player", "readiness", "selftest", "trial_start"}
+NO_NODES = {
+    "cell_check",
+    "client",
+    "linuxcnc_agent",
+    "player",
+    "readiness",
+    "selftest",
+    "trial_start",
+}
 """Programs beside the nodes that others start."""
 
 

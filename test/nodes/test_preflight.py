@@ -106,3 +106,15 @@ def test_the_air_that_is_expected_and_that_without_which_nothing_is_measured():
     text = without_air("temperature", "/cell/temperature", TRACER)
     assert "nobody publishes /cell/temperature: every observation waits for it as long as" in text
     assert "capture.temperature_expected: false" in text
+
+
+def test_points_of_another_frame_than_the_machine_s_are_a_doubt():
+    named = GOOD | {"frame.probe_point": "base"}
+    (doubt,) = doubts(named, TRACER)
+    assert "probe_point is stamped with the frame base" in doubt
+    assert "(cell.machine_frame)" in doubt
+    assert doubts(named, configured("cell.machine_frame=base")) == []
+    for good in ("", "machine", "/machine"):
+        assert doubts(GOOD | {"frame.probe_point": good}, TRACER) == []
+    mirror = read_configuration(CONFIG / "plane_mirror_demo.yaml")
+    assert doubts({"frame.probe_point": "tracker"}, mirror) == []  # a tracker's own

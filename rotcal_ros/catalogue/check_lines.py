@@ -1,0 +1,59 @@
+"""What a check of a cell finds, line by line: the form that nodes write and the terminal shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Literal
+
+State = Literal["good", "doubt", "missing", "open", "note"]
+BAD: Final = ("missing",)
+"""Lines without which nothing can be measured."""
+
+
+@dataclass(frozen=True)
+class CheckLine:
+    """One thing that was looked at.
+
+    ``part`` groups the lines of a table, a probe, a tracer ...; ``found`` is what was found of
+    ``name``; ``todo`` what a person should do about it, empty where there is nothing. ``state``
+    missing: nothing can be measured; doubt: it looks wrong; open: nobody can know it here; note:
+    for information. ``rate_hz`` and ``stamp_offset_s`` (stamp less time of arrival) are those of
+    a stream; None: there is none.
+    """
+
+    part: str
+    name: str
+    state: State
+    found: str
+    todo: str = ""
+    rate_hz: float | None = None
+    stamp_offset_s: float | None = None
+
+
+@dataclass(frozen=True)
+class CellReport:
+    """All lines of a check; ``place`` says where was listened, ``seconds`` how long."""
+
+    namespace: str
+    place: str
+    seconds: float
+    lines: tuple[CheckLine, ...]
+    domains: tuple[int, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is missing."""
+        return not any(line.state in BAD for line in self.lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain types for JSON."""
+        return {"complete": self.complete, **asdict(self), "todo": list(self.todos())}
+
+    def todos(self) -> tuple[str, ...]:
+        """Return what to do next, each once, what is missing before what is doubtful."""
+        return tuple(dict.fromkeys([*_todos(self.lines, "missing"), *_todos(self.lines, "doubt")]))
+
+
+def _todos(lines: Iterable[CheckLine], state: State) -> Iterable[str]:
+    return (line.todo for line in lines if line.state == state and line.todo)

@@ -1,0 +1,50 @@
+"""What a check of a cell has heard, and under which names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rotcal_ros.bags import names
+from rotcal_ros.catalogue import Calibration, Configuration
+from rotcal_ros.instruments.conventions import single_shots
+from rotcal_ros.nodes.cell_graph import CellGraph
+from rotcal_ros.nodes.header_watch import HeaderWatch
+from rotcal_ros.nodes.preflight import Values
+from rotcal_ros.nodes.topic_names import TOPIC
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What a check has to judge by; ``calibration``: None where no configuration was given."""
+
+    graph: CellGraph
+    values: Values
+    headers: Mapping[str, HeaderWatch]
+    configuration: Configuration
+    calibration: Calibration | None
+
+    def name(self, role: str) -> str:
+        """Return the absolute name of the topic of a role, as the capture knows it."""
+        return self.values.get(TOPIC + role) or self.graph.resolve(role)
+
+    def publishers(self, role: str) -> list[str]:
+        """Return the names of the nodes that publish the topic of a role."""
+        return self.graph.publishers(self.name(role))
+
+    def unusable(self, role: str) -> str:
+        """Return in words why the topic of a role is of no use; empty: it is of use."""
+        silent = role in single_shots(self.configuration.topics)
+        delivered = silent or self.values.get(f"valid.{role}", "0") != "0"
+        return next(self.graph.without_instrument(self.name(role), delivered), "")
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The instrument topics that must be there."""
+        always = (names.JOINT_STATES, names.PROBE_POINT)
+        return always if self.calibration is None else self.configuration.method.topics
+
+    @property
+    def started_by_us(self) -> bool:
+        """Whether ``rotcal run`` starts the instruments itself: they are simulated."""
+        return self.configuration.simulated and not self.publishers(names.JOINT_STATES)

@@ -1,0 +1,114 @@
+"""The machine of a cell: the joint of its table, and who obeys the two orders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import isfinite
+from typing import TYPE_CHECKING, Final
+
+from rotcal_ros.bags import names
+from rotcal_ros.catalogue.check_lines import CheckLine
+from rotcal_ros.escapes import printable
+from rotcal_ros.nodes.cell_graph import ORDERS
+from rotcal_ros.nodes.matching import deaf_listeners
+from rotcal_ros.nodes.table_feedback import (
+    chosen_joint,
+    joint_doubts,
+    joint_faults,
+    joints,
+    table_angle,
+)
+from rotcal_ros.units import DEGREE
+
+if TYPE_CHECKING:
+    from rotcal_ros.nodes.check_heard import Heard
+
+_PARTS: Final = {names.TABLE_ANGLE: "table", names.PROBE_TARGET: "probe"}
+_TYPES: Final = {
+    names.TABLE_ANGLE: "rotcal_msgs/msg/TableAngle",
+    names.PROBE_TARGET: "rotcal_msgs/msg/ProbeTarget",
+}
+_ADAPTER: Final = "table_adapter"
+
+
+def machine_lines(heard: Heard) -> Iterator[CheckLine]:
+    """Yield a line for the joint and for every order."""
+    if _starts_the_adapter(heard):
+        yield from _adapter_lines(heard)
+    elif joints(heard.values):
+        yield _joint_line(heard)
+    for order in ORDERS:
+        yield from _order_lines(heard, order)
+
+
+def table_start(heard: Heard) -> float:
+    """Return where the table stands (rad), as far as it was heard."""
+    angle = table_angle(heard.values, heard.configuration)
+    return angle if isfinite(angle) and not next(_doubts(heard), "") else 0.0
+
+
+def _starts_the_adapter(heard: Heard) -> bool:
+    given = _ADAPTER in heard.configuration.given
+    return given and _ADAPTER not in heard.graph.listeners(names.TABLE_ANGLE)
+
+
+def _doubts(heard: Heard) -> Iterator[str]:
+    return joint_doubts(heard.values, heard.configuration)
+
+
+def _joint_line(heard: Heard) -> CheckLine:
+    joint = heard.configuration.cell.joint
+    chosen = chosen_joint(heard.values, joint)
+    if fault := next(joint_faults(heard.values, joint), ""):
+        there = ", ".join(map(printable, joints(heard.values)))
+        todo = f"cell.joint: one of {there}"
+        if chosen in joints(heard.values):
+            todo = "publish the joint's velocity beside its position, rad/s"
+        return CheckLine("table", "joint", "missing", fault, todo)
+    angle, speed = joints(heard.values)[chosen]
+    found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed:.3g} rad/s"
+    if doubt := next(_doubts(heard), ""):
+        return CheckLine("table", "joint", "doubt", doubt, "publish the feedback in radians")
+    return CheckLine("table", "joint", "good", found)
+
+
+def _order_lines(heard: Heard, order: str) -> Iterator[CheckLine]:
+    """Yield who obeys an order, and who else than the planner gives it."""
+    part, graph = _PARTS[order], heard.graph
+    name, machines = graph.resolve(order), graph.machines(order)
+    if order == names.TABLE_ANGLE and _starts_the_adapter(heard):
+        found = "table_adapter obeys it, which rotcal run starts"
+        yield CheckLine(part, order, "note", found)
+    elif heard.started_by_us and not machines:
+        yield CheckLine(part, order, "note", "simulated: rotcal run starts who obeys it")
+    elif why := list(graph.without_machine(order)):
+        todo = f"let your machine's node subscribe to {name} ({_TYPES[order]}), volatile"
+        yield CheckLine(part, order, "missing", "; ".join(why), todo)
+    else:
+        yield CheckLine(part, order, "good", f"node {', '.join(machines)} obeys it")
+    strangers = sorted(set(graph.publishers(order)) - {"planner"})
+    if strangers:
+        found = f"node {', '.join(strangers)} gives orders on {name}, too"
+        todo = f"the planner alone may order motion: stop what else publishes on {name}"
+        yield CheckLine(part, order, "doubt", found, todo)
+
+
+def _adapter_lines(heard: Heard) -> Iterator[CheckLine]:
+    """Yield whether a controller of ros2_control is there, for the adapter to come."""
+    settings, node = heard.configuration.table_adapter, heard.graph.node
+    if not node.get_publishers_info_by_topic(settings.feedback):
+        found = f"nobody publishes {settings.feedback}"
+        todo = "start joint_state_broadcaster, or correct table_adapter.feedback"
+        yield CheckLine("table", "feedback", "missing", found, todo)
+    else:
+        yield CheckLine("table", "feedback", "good", f"{settings.feedback} is published")
+    last = "joint_trajectory" if settings.interface == "trajectory" else "commands"
+    topic = f"{settings.controller}/{last}"
+    listeners = node.get_subscriptions_info_by_topic(topic)
+    if not listeners:
+        found, todo = f"nobody listens to {topic}", "start and activate the controller"
+        yield CheckLine("table", "controller", "missing", found, todo)
+    else:
+        deaf = list(deaf_listeners(node, topic, lambda _: True))
+        found = "; ".join(deaf) or f"node {listeners[0].node_name} listens to {topic}"
+        yield CheckLine("table", "controller", "missing" if deaf else "good", found)
