@@ -12,18 +12,15 @@ from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.errors import RotcalError
-from rotcal_ros.instruments.conventions import single_shots
-from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.concerns import OF_MACHINES, PREFLIGHT, concerns_told
+from rotcal_ros.nodes.concerns import OF_MACHINES, concerns_told
 from rotcal_ros.nodes.crew import SOLVER, Codes, GoalError
 from rotcal_ros.nodes.goal_bag import GoalBag
+from rotcal_ros.nodes.goal_preflight import be_ready
 from rotcal_ros.nodes.goal_watch import GoalWatch
 from rotcal_ros.nodes.measuring import Measuring
 from rotcal_ros.nodes.plans import RUN, run_name
-from rotcal_ros.nodes.preflight import doubts, expected_air, faults, without_air
-from rotcal_ros.nodes.sim_clock import unlike_clocks
-from rotcal_ros.nodes.topic_names import TOPICS, names_at_odds, topics_value
+from rotcal_ros.nodes.topic_names import TOPICS, topics_value
 
 MOST_IN_VAIN: Final = 2
 """So many runs without an accepted step follow each other at most, when nodes are lost."""
@@ -84,7 +81,7 @@ class GoalRun:
 
     async def _solved_in_one_run(self) -> FinishCalibration.Response:
         try:
-            await self._preflight()
+            await be_ready(self._calibration, self.watch)
         except GoalError as error:
             if self._lost is None or error.code == Codes.CANCELED:
                 raise
@@ -112,37 +109,11 @@ class GoalRun:
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
 
-    async def _preflight(self) -> None:
-        """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
-        watch, links = self.watch, self.watch.links
-        configuration, topics = self._calibration.configuration, self._calibration.method.topics
-        needed, wished = expected_air(self._calibration)
-
-        def missing() -> list[str]:
-            if odd := names_at_odds(links.node, topics_value(configuration)):
-                return odd
-            air = [f"nobody publishes {name}, without which the index of refraction is unknown"
-                   for name in links.missing_air(needed).values()]  # fmt: skip
-            wrong = faults(links.health.values("capture"), configuration, self._calibration.plan)
-            silent = single_shots(configuration.topics)
-            return links.missing_topics(topics, silent) + air + wrong
-
-        links.forget()
-        if watch.preflight:  # a later one, after a lost node, hears of a stop in between
-            watch.stop.forget()
-        watch.tell("preflight: nodes")
-        await watch.have(links.missing_nodes, Codes.NODE_LOST)
-        nodes = watch.crew.nodes = links.health.present() | set(PREFLIGHT_NODES)
-        watch.tell("preflight: clocks")
-        await watch.have(lambda: unlike_clocks(links.health, configuration), Codes.TOPIC_MISSING)
-        watch.tell("preflight: topics")
-        await watch.have(missing, Codes.TOPIC_MISSING)
-        unheard = [without_air(role, name, configuration)
-                   for role, name in links.missing_air(wished).items()]  # fmt: skip
-        links.warn(PREFLIGHT, unheard + doubts(links.health.values("capture"), configuration))
-        watch.crew.nodes = (nodes | links.health.present()) - {*VIEWERS.values()}
-        watch.refuse_stop()
-        watch.preflight = False
+    def _remarks(self, error: GoalError) -> str:
+        """Return what the cell says that may be why the goal has ended."""
+        health = self.watch.links.health
+        words = (f"; {t}" for t in concerns_told(health, OF_MACHINES) if t not in str(error))
+        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(words)
 
     async def _go_on(self) -> None:
         """Measure what is left, joined with what the recorder has of the runs before."""

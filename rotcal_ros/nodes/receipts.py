@@ -8,21 +8,19 @@ from dataclasses import asdict
 from rotcal_msgs.msg import Observation, RecordedObservation
 
 from rotcal_ros.messages import stamp_ns
-from rotcal_ros.nodes.bookkeeping import PendingReceipts
+from rotcal_ros.nodes.bookkeeping import NEEDED, PendingReceipts
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.listening import Listener
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.recording import Receipt
 from rotcal_ros.nodes.topic_names import CalledOtherwise
-
-Reached = Callable[[], int | None]
-"""The stamp that the streams of an observation have come to; None: there is none."""
 
 
 class Receipts:
     """The receipts of a recorder that are due, and their topic."""
 
-    def __init__(self, node: CellNode, called: CalledOtherwise, reached_ns: Reached) -> None:
-        self._clock, self._called, self._reached_ns = node.get_clock(), called, reached_ns
+    def __init__(self, node: CellNode, called: CalledOtherwise, listener: Listener) -> None:
+        self._clock, self._called, self._listener = node.get_clock(), called, listener
         self._pending = PendingReceipts()
         self._publisher = node.create_publisher(RecordedObservation, "observation_recorded", EVENT)
 
@@ -36,7 +34,7 @@ class Receipts:
 
     def due(self, losses: Callable[[], Mapping[str, int]]) -> Iterator[Receipt]:
         """Yield what can be confirmed; ``losses`` are those since the bag was opened."""
-        reached_ns = self._reached_ns()
+        reached_ns = self._listener.reached_ns(NEEDED, self._called.topic)
         if not self._pending:
             self._pending.reach(reached_ns or 0)
             return

@@ -17,7 +17,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError, RotcalError
-from rotcal_ros.nodes.bookkeeping import NEEDED, Silences
+from rotcal_ros.nodes.bookkeeping import Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
@@ -57,9 +57,9 @@ class RecorderNode(CellNode):
         self.offer(Trigger, "recorded_observations", self._session.tell)
         self._called = CalledOtherwise(self.get_namespace())
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
-        further = self._called.topics.values
-        self._listener = Listener(self, self._take, self._dropouts.note, further)
-        self._receipts = Receipts(self, self._called, self._reached_ns)
+        heard = self._take, self._dropouts.note, self._called.topics.values
+        self._listener = Listener(self, *heard)
+        self._receipts = Receipts(self, self._called, self._listener)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def deactivated(self) -> None:
@@ -103,10 +103,6 @@ class RecorderNode(CellNode):
             for receipt in self._receipts.due(self._all_losses):
                 self._dropouts.write()
                 self._recording.confirm(receipt)
-
-    def _reached_ns(self) -> int | None:
-        """Return the stamp that the readings and the feedback have come to."""
-        return self._listener.reached_ns(NEEDED, self._called.topic)
 
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""

@@ -42,9 +42,7 @@ class SolverNode(CellNode):
 
     def configure(self) -> None:
         """Wait for plans."""
-        period_s = self.parameter(
-            "preliminary_period_s", 3.0, "s, how often a preliminary result is solved for"
-        )
+        period_s = self.parameter("preliminary_period_s", 3.0, "s, between preliminary results")
         self._continuation = read_continuation(self)
         self._calibration: Calibration | None = None
         self._run, self._state = "", "waiting for a plan"
@@ -177,9 +175,8 @@ class SolverNode(CellNode):
         assert self._calibration is not None
         configuration = self._calibration.configuration
         plan_id, now_ns = configuration.plan_id, self.now_ns()
-        self._deviations.publish(
-            conversions.deviations_message(result, plan_id, now_ns, final=final)
-        )
+        message = conversions.deviations_message(result, plan_id, now_ns, final=final)
+        self._deviations.publish(message)
         if not final:
             return
         try:

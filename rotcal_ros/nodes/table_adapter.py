@@ -65,9 +65,8 @@ class TableAdapter(CellNode):
         self._others: tuple[str, ...] = ()
         self._state = "waiting for feedback"
         self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
-        self._passes_on = self._feedback.topic_name != self.resolve_topic_name(
-            self._settings.feedback
-        )
+        heard = self.resolve_topic_name(self._settings.feedback)
+        self._passes_on = self._feedback.topic_name != heard
         InstrumentSubscription(
             self, JointState, self._settings.feedback, self.health.guarded(self._hear)
         )
@@ -110,12 +109,8 @@ class TableAdapter(CellNode):
         self._state = f"step {order.step}, attempt {order.attempt}"
         begin = self._controller.setpoint()
         try:
-            way = way_to(
-                order.angle,
-                Approach(order.approach),
-                here if begin is None else begin,
-                self._settings,
-            )
+            begin = here if begin is None else begin
+            way = way_to(order.angle, Approach(order.approach), begin, self._settings)
         except DataError as error:
             self._refused = str(error)
             return
@@ -166,25 +161,29 @@ class TableAdapter(CellNode):
                 f"no joint {self._joint!r} in {self._settings.feedback}, which has "
                 f"{', '.join(self._others)}: set cell.joint"
             )
-        late = time.monotonic() > self._waiting_s + self._settings.silence_s
         if self._waiting is not None:
-            if doubt := self._watch.doubt():
-                return doubt
-            if not late:  # graphs take a moment to come together
-                return ""
-            if self._watch.latest is None:
-                return f"nobody publishes {self._settings.feedback}: nothing can be moved"
-            if not self._controller.heard():
-                return (
-                    f"nobody listens to {self._settings.controller}: is the controller active, "
-                    "and does it take what table_adapter.interface says?"
-                )
+            return self._why_waiting()
         text, word = self._watch.complaint(time.monotonic()), self._controller.word()
         if word.trouble and not self._watch.arrived():
             text = word.trouble
         if text and word.done:
             text += ", and the controller calls this succeeded"
         return f"joint {self._joint!r} of {self._settings.controller}: {text}" if text else ""
+
+    def _why_waiting(self) -> str:
+        """Say why an order is not sent; nothing while graphs may still come together."""
+        if doubt := self._watch.doubt():
+            return doubt
+        if time.monotonic() <= self._waiting_s + self._settings.silence_s:
+            return ""
+        if self._watch.latest is None:
+            return f"nobody publishes {self._settings.feedback}: nothing can be moved"
+        if not self._controller.heard():
+            return (
+                f"nobody listens to {self._settings.controller}: is the controller active, "
+                "and does it take what table_adapter.interface says?"
+            )
+        return ""
 
     def _report(self) -> tuple[str, dict[str, Any]]:
         latest = self._watch.latest
