@@ -88,8 +88,8 @@ class GoalRun:
     def _remarks(self, error: GoalError) -> str:
         """Return what the cell says that may be why the goal has ended."""
         health = self.watch.links.health
-        said = (f"; {t}" for t in concerns_told(health, OF_MACHINES) if t not in str(error))
-        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(said)
+        causes = (f"; {t}" for t in concerns_told(health, OF_MACHINES) if t not in str(error))
+        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(causes)
 
     async def _preflight(self) -> None:
         """Wait for all nodes and topics; GoalError names what is missing after the time for it."""
