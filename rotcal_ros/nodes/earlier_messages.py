@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from rclpy.serialization import serialize_message
 
@@ -33,7 +33,7 @@ def publishable(channel: ChannelDefinition) -> tuple[type, Converter]:
         return kind, as_recorded
     if not channel.type_name.startswith(OURS):
         raise BagError(why)
-    kind, decoder = message_type(channel.type_name), Decoder(channel)
+    decoder, kind = Decoder(channel), cast("Any", message_type(channel.type_name))
     known = {line.split()[1].partition("=")[0] for line in _fields(channel.definition)}
     if further := sorted(known - kind.get_fields_and_field_types().keys() - _constants(kind)):
         raise BagError(f"{why}: it has no {', '.join(further)}")

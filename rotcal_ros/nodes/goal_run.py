@@ -112,8 +112,8 @@ class GoalRun:
     def _remarks(self, error: GoalError) -> str:
         """Return what the cell says that may be why the goal has ended."""
         health = self.watch.links.health
-        words = (f"; {t}" for t in concerns_told(health, OF_MACHINES) if t not in str(error))
-        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(words)
+        causes = (f"; {t}" for t in concerns_told(health, OF_MACHINES) if t not in str(error))
+        return "" if error.code == Codes.CANCELED else health.sim.remark() + "".join(causes)
 
     async def _go_on(self) -> None:
         """Measure what is left, joined with what the recorder has of the runs before."""

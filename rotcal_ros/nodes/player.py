@@ -68,12 +68,13 @@ class Player:
             raise ConfigurationError(f"not here within {NODES_S:g} s: {', '.join(missing())}")
         self._guard()
         self._make_publishers()
-        self._wait(
-            lambda: not self._outcome.unheard(self._publishers, with_plan=False), LISTENERS_S
-        )
+        unheard = partial(self._outcome.unheard, self._publishers, with_plan=False)
+        self._wait(lambda: not unheard(), LISTENERS_S)
         self._pace.begin()
         for scan, block in read_blocks(self._bag.files):
-            for row in () if block is None else range(len(block)):
+            if block is None:
+                continue
+            for row in range(len(block)):
                 channel = scan.channels[int(block.headers["channel"][row])]
                 if channel.topic in self._publishers:
                     self._wait_until(int(block.headers["log_time"][row]))

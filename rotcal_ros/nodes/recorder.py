@@ -160,8 +160,7 @@ class RecorderNode(CellNode):
             return response
         self._close()
         await until(lambda: recording.finished, CLOSE_TIMEOUT_S)
-        response.success = recording.finished and not recording.error
-        losses = self._all_losses()
+        response.success, losses = recording.finished and not recording.error, self._all_losses()
         response.message = recording.error or ", ".join(f"{n}: {k}" for k, n in losses.items())
         response.file, response.messages = recording.file, recording.messages
         response.lost = sum(losses.values())

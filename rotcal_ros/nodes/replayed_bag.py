@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -185,7 +185,7 @@ class _Found:
         """Return the accepted observations on ``topic``."""
         return of_attempts(messages.observation(m) for m in self._messages(topic))
 
-    def _messages(self, topic: str) -> Iterable[messages.Any]:
+    def _messages(self, topic: str) -> Iterable[Any]:
         with suppress(BagError, AttributeError, TypeError, ValueError):
             decoder = Decoder(self.channels[topic])
             for data in self._kept.get(topic, ()):

@@ -54,8 +54,8 @@ class Input:
                 )
             if of_reading:
                 raise ConfigurationError(f"--set {of_reading[0]}: {self.path} is no bag")
-            configuration = changed(read_setup(self.setup), self.changes)
-            return read_measurements(self.path, configuration, self.targets)
+            stated = changed(read_setup(self.setup), self.changes)
+            return read_measurements(self.path, stated, self.targets)
         if self.targets is not None:
             raise ConfigurationError(f"{self.path} is no table: only a table takes --targets")
         limits = changed_limits(of_reading)
