@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 
 NODES = ("planner", "capture", "solver", "recorder", "simulated_cell", "client")
 LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))
-STOPPED = NODES if LONG else ("planner",)
+STOPPED = NODES if LONG else ()
 STARVED = NODES if LONG else ("recorder",)
 STANDSTILL_S = 5.0
 ROOM = 1 << 20
