@@ -6,7 +6,7 @@ VENV := .venv$(patsubst -kilted,,-$(ROS_DISTRO))
 BIN := $(VENV)/bin
 DEMO := out/demo$(VENV:.venv%=%)
 # Live and short, for CI: other people's cell with known truth, whether nodes start.
-JAZZY_TESTS := test/nodes/test_own_cell.py test/cli/test_doctor.py
+JAZZY_TESTS := test/nodes/test_two_cells.py test/cli/test_doctor.py
 SEED ?= 1
 SAMPLE ?= 400
 SECONDS ?= 60
