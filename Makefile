@@ -5,7 +5,7 @@ ROS_DISTRO := kilted
 VENV := .venv$(patsubst -kilted,,-$(ROS_DISTRO))
 BIN := $(VENV)/bin
 DEMO := out/demo$(VENV:.venv%=%)
-# Live and short, for CI: other people's cell with known truth, whether nodes start.
+# For CI, with known truth: a table of ros2_control and a ball plate behind I++ DME at once.
 JAZZY_TESTS := test/nodes/test_two_cells.py test/cli/test_doctor.py
 SEED ?= 1
 SAMPLE ?= 400
