@@ -25,6 +25,10 @@ HELD_NS: Final = 200_000_000
 PATIENCE_NS: Final = 3_000_000_000
 """Table and probe have stood still for so long elsewhere before it is said: they travel first."""
 _KEPT: Final = 4096
+_SILENT_NS: Final = 1_000_000_000
+"""A position after which nothing came for so long is where the probe stands."""
+_STILL: Final = 0.01
+"""A probe stands that went no further than this share of its tolerance since it last spoke."""
 _FACTORS: Final = (1e-3, 1e3, 1e-6, 1e6)
 """Between the units of lengths."""
 
@@ -62,7 +66,8 @@ class StepFinder:
     apart or not; the probe within ``probe_tolerance_m`` of its target, a touched ball within
     ``ball_tolerance_m``. Where there is a planner, it is the step that it has ``ordered``; without
     one (a bag of somebody else) the next one of the plan that fits, and steps that were left out
-    are passed over. Events are taken in the order of their stamps, whichever stream arrives first.
+    are passed over. A carried reflector that is still on its way within the tolerance is not there
+    yet; one of a ``single_shot`` probe is, which speaks when it has arrived. Events are taken in the order of their stamps, whichever stream arrives first.
     """
 
     def __init__(
@@ -72,6 +77,7 @@ class StepFinder:
         tip_radius_m: float = 0.0,
         *,
         ordered: bool = False,
+        single_shot: bool = False,
     ) -> None:
         self._plan, self._settings, self._tip_radius = plan, settings, tip_radius_m
         self._angle_tolerance = settings.position_tolerance_arcsec * ARCSEC
@@ -85,6 +91,7 @@ class StepFinder:
         self._newest_ns: int | None = None
         self._angle: float | None = None
         self._position: Position | None = None
+        self._single_shot, self._stands = single_shot, True
         self._told: TableSample | None = None
         self._stood: dict[type, Position | TableSample] = {}
         self._moved_ns = 0
@@ -177,9 +184,11 @@ class StepFinder:
             resting = abs(event.velocity) <= self._speed_limit
             self._told, self._angle = event, event.angle if resting else None
         elif all(map(isfinite, event.position)):
+            self._stands = self._single_shot or self._stays(event)
             self._position = event
         if self._angle is None or self._position is None:
             return None
+        self._stands |= stamp_ns - self._position.stamp_ns >= _SILENT_NS
         waited = self._waited_for(stamp_ns)
         if waited is None:
             return None
@@ -203,6 +212,13 @@ class StepFinder:
                 moved = True
         if moved:
             self._stood[type(event)], self._moved_ns = event, stamp_ns
+
+    def _stays(self, event: Position) -> bool:
+        """Return whether the probe is where it was when it last spoke; the first word counts."""
+        if self._position is None:
+            return True
+        moved = dist(event.position, self._position.position)
+        return moved <= _STILL * self._settings.probe_tolerance_m
 
     def _waited_for(self, stamp_ns: int) -> _Awaited | None:
         """Return what is waited for at a time, if table and probe are there."""
@@ -239,7 +255,8 @@ class StepFinder:
     def _is_reached(self, step: Step) -> bool:
         assert self._position is not None
         near = dist(self._position.position, step.position) <= self._reach(step)
-        return near and self._is_at(step)
+        arrived = self._stands or step.kind != PointKind.REFLECTOR
+        return near and arrived and self._is_at(step)
 
     def _is_at(self, step: Step) -> bool:
         """Return whether the table rests at the angle of a step."""

@@ -97,6 +97,24 @@ def test_a_probe_that_is_elsewhere_is_told():
     assert "1000 times as far; which is topics.position_unit?" in finder.complaint()
 
 
+@pytest.mark.parametrize(("single_shot", "at_ms", "x"), [(False, 200, 1.0), (True, 100, 0.9995)])
+def test_a_reflector_within_its_tolerance_has_not_arrived_while_it_moves(single_shot, at_ms, x):
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS, single_shot=single_shot)
+    way = [(0, 0.5), (100, 0.9995), (150, 1.0), (200, 1.0), (250, 1.0)]  # ms, m
+    records = [ordered(0, 0, 0, plan), *(Position(t * MS, (x, 0.0, 0.0)) for t, x in way)]
+    found = [r for s in (*records, *table(0, 900, 0.0)) for r in finder.understood(s)]
+    (answer,) = (r for r in found if isinstance(r, ProbeSample))
+    assert (answer.stamp_ns, answer.position[0]) == (at_ms * MS, x)
+
+
+def test_a_reflector_of_which_nothing_more_is_heard_has_arrived():
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS)
+    records = [ordered(0, 0, 0, plan), Position(0, (0.0, 0.0, 0.0)), Position(MS, (1.0, 0.0, 0.0))]
+    assert answers(finder, [*records, *table(0, 2000, 0.0)]) == [(0, 0, 1010 * MS, 0)]
+
+
 def test_travel_of_the_probe_is_no_complaint_until_it_stands():
     plan = plan_of()
     finder = StepFinder(plan, SETTINGS)
