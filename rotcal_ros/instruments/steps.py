@@ -66,8 +66,9 @@ class StepFinder:
     apart or not; the probe within ``probe_tolerance_m`` of its target, a touched ball within
     ``ball_tolerance_m``. Where there is a planner, it is the step that it has ``ordered``; without
     one (a bag of somebody else) the next one of the plan that fits, and steps that were left out
-    are passed over. A carried reflector that is still on its way within the tolerance is not there
-    yet; one of a ``single_shot`` probe is, which speaks when it has arrived. Events are taken in the order of their stamps, whichever stream arrives first.
+    are passed over. A carried reflector that is still on its way within the tolerance is not
+    there yet; one of a ``single_shot`` probe is, which speaks when it has arrived. Events are
+    taken in the order of their stamps, whichever stream arrives first.
     """
 
     def __init__(
