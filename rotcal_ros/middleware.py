@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from importlib.resources import files
 from typing import Final
 
+from rotcal_ros.distribution import distribution, rclpy_version
+
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 LOCALHOST: Final = "LOCALHOST"
 ROS_DEFAULT_RANGE: Final = "SUBNET"
@@ -14,6 +16,10 @@ _PROFILES: Final = {
     "FASTRTPS_DEFAULT_PROFILES_FILE": "fastrtps",
 }
 """Variable -> how our files for it begin: of Fast DDS 3, and of Fast DDS 2 (Jazzy)."""
+_OF_DISTRIBUTION: Final = {
+    "jazzy": "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "kilted": "FASTDDS_DEFAULT_PROFILES_FILE",
+}
 _LOOPBACK: Final = "loopback.xml"
 _NETWORK: Final = "network.xml"
 _TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
@@ -42,8 +48,11 @@ def middleware(environment: Mapping[str, str], default_range: str = LOCALHOST) -
 
 
 def _profiles(kind: str) -> dict[str, str]:
+    """Return the profile of the Fast DDS that is here: each prints errors about the other's."""
     folder = files("rotcal_ros") / "nodes"
-    return {name: str(folder / f"{begin}_{kind}") for name, begin in _PROFILES.items()}
+    variable = _OF_DISTRIBUTION.get(distribution(rclpy_version()))
+    wanted = _PROFILES if variable is None else {variable: _PROFILES[variable]}
+    return {name: str(folder / f"{begin}_{kind}") for name, begin in wanted.items()}
 
 
 def without_security(environment: Mapping[str, str], why: str) -> str:

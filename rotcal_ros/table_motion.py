@@ -11,6 +11,10 @@ from rotcal_ros.units import DEGREE, NANOSECOND
 
 TOWARDS: Final = {Approach.POSITIVE: 1.0, Approach.NEGATIVE: -1.0}
 """Sign of the last motion, where a side is ordered."""
+PUBLISH_VELOCITY: Final = (
+    "publish it beside the position, in rad/s (in deg/s with topics.angle_unit: deg)"
+)
+"""What to do about a feedback without velocity."""
 _HISTORY: Final = 10_000
 _SAME_DEG: Final = 0.05
 """A feedback so close to the commanded angle in degrees is one in degrees."""

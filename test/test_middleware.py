@@ -16,20 +16,37 @@ from rotcal_ros.middleware import (
 NODES = Path(rotcal_ros.__file__).parent / "nodes"
 
 
+FASTDDS, FASTRTPS = "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE"
+
+
+@pytest.fixture
+def unknown_ros(monkeypatch):
+    monkeypatch.setattr("rotcal_ros.middleware.rclpy_version", lambda: "")
+
+
+@pytest.mark.usefixtures("unknown_ros")
 def test_one_machine_is_the_loopback_interface_without_shared_memory():
     for environment in ({}, {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}):
         found = middleware(environment)
         assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
-        assert found["FASTDDS_DEFAULT_PROFILES_FILE"].endswith("nodes/fastdds_loopback.xml")
-        assert found["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith("nodes/fastrtps_loopback.xml")
+        assert found[FASTDDS].endswith("nodes/fastdds_loopback.xml")
+        assert found[FASTRTPS].endswith("nodes/fastrtps_loopback.xml")
 
 
+@pytest.mark.parametrize(("rclpy", "variable"), [("7.1.4", FASTRTPS), ("9.1.2", FASTDDS)])
+def test_a_fast_dds_that_is_known_gets_its_own_profile_alone(monkeypatch, rclpy, variable):
+    monkeypatch.setattr("rotcal_ros.middleware.rclpy_version", lambda: rclpy)
+    for default_range in ("LOCALHOST", ROS_DEFAULT_RANGE):
+        assert {FASTDDS, FASTRTPS} & middleware({}, default_range).keys() == {variable}
+
+
+@pytest.mark.usefixtures("unknown_ros")
 @pytest.mark.parametrize("environment", [{"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, {}])
 def test_several_machines_get_udp_everywhere(environment):
     found = middleware(environment, ROS_DEFAULT_RANGE)
     assert found["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SUBNET"
     assert found["FASTDDS_BUILTIN_TRANSPORTS"] == "UDPv4"
-    assert found["FASTDDS_DEFAULT_PROFILES_FILE"].endswith("nodes/fastdds_network.xml")
+    assert found[FASTDDS].endswith("nodes/fastdds_network.xml")
 
 
 @pytest.mark.parametrize(

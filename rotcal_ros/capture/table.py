@@ -10,7 +10,7 @@ from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.table_motion import in_degrees
+from rotcal_ros.table_motion import PUBLISH_VELOCITY, in_degrees
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 ANGLE, VELOCITY = range(2)
@@ -103,12 +103,21 @@ def why_not_at_rest(
             f"{settings.table_silence_s:g} s (capture.table_silence_s)"
         )
     angle, velocity = table.values[last - 1].tolist()
+    return (
+        f"table not at rest in position for a whole window within {limit:.3g} s: "
+        f"{off_in_words(angle, velocity, commanded, settings)}"
+    )
+
+
+def off_in_words(
+    angle: float, velocity: float, commanded: float, settings: CaptureSettings
+) -> str:
+    """Say how far (rad, rad/s) the last feedback is off the commanded angle, and what is wrong."""
     off = float(offset(np.array([angle]), commanded)[0])
     return (
-        f"table not at rest in position for a whole window within {limit:.3g} s: the last feedback"
-        f" is {off / ARCSEC:.4g} arcsec off the commanded {commanded / DEGREE:.4f} deg"
-        f" (allowed {settings.position_tolerance_arcsec:g}) at {velocity / DEGREE:.3g} deg/s"
-        f" (allowed {settings.velocity_tolerance_deg_s:g})"
+        f"the last feedback is {off / ARCSEC:.4g} arcsec off the commanded "
+        f"{commanded / DEGREE:.4f} deg (allowed {settings.position_tolerance_arcsec:g}) at "
+        f"{velocity / DEGREE:.3g} deg/s (allowed {settings.velocity_tolerance_deg_s:g})"
         f"{_wrongly_told(angle, velocity, commanded)}"
     )
 
@@ -116,7 +125,7 @@ def why_not_at_rest(
 def _wrongly_told(angle: float, velocity: float, commanded: float) -> str:
     """Say what a feedback that is never in position has wrong by itself; empty: nothing."""
     if isnan(velocity):
-        return "; the feedback has no velocity: publish it beside the position, in rad/s"
+        return f"; the feedback has no velocity: {PUBLISH_VELOCITY}"
     if in_degrees(angle, commanded):
         return (
             f"; it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "

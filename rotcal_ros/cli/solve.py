@@ -111,7 +111,7 @@ def _show(result: Result, output: Path | None, as_json: bool) -> int:
     if output is not None:
         from rotcal_ros.files import write_atomically
 
-        write_atomically(output, text + "\n")
+        write_atomically(output, text)
     if as_json:
         for warning in result.warnings:
             say(f"warning: {warning}")

@@ -15,13 +15,20 @@ from math import dist, isfinite, pi
 from typing import Any, Final
 
 from rotcal_ros.capture import CaptureSettings
+from rotcal_ros.capture.table import off_in_words
 from rotcal_ros.observations import Command, PointKind, ProbeSample, TableSample
 from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 HELD_NS: Final = 200_000_000
 """Events are looked at so long after they were stamped: then all streams have come so far."""
+PATIENCE_NS: Final = 3_000_000_000
+"""Table and probe have stood still for so long elsewhere before it is said: they travel first."""
 _KEPT: Final = 4096
+_SILENT_NS: Final = 1_000_000_000
+"""A position after which nothing came for so long is where the probe stands."""
+_STILL: Final = 0.01
+"""A probe stands that went no further than this share of its tolerance since it last spoke."""
 _FACTORS: Final = (1e-3, 1e3, 1e-6, 1e6)
 """Between the units of lengths."""
 
@@ -59,7 +66,9 @@ class StepFinder:
     apart or not; the probe within ``probe_tolerance_m`` of its target, a touched ball within
     ``ball_tolerance_m``. Where there is a planner, it is the step that it has ``ordered``; without
     one (a bag of somebody else) the next one of the plan that fits, and steps that were left out
-    are passed over. Events are taken in the order of their stamps, whichever stream arrives first.
+    are passed over. A carried reflector that is still on its way within the tolerance is not
+    there yet; one of a ``single_shot`` probe is, which speaks when it has arrived. Events are
+    taken in the order of their stamps, whichever stream arrives first.
     """
 
     def __init__(
@@ -69,6 +78,7 @@ class StepFinder:
         tip_radius_m: float = 0.0,
         *,
         ordered: bool = False,
+        single_shot: bool = False,
     ) -> None:
         self._plan, self._settings, self._tip_radius = plan, settings, tip_radius_m
         self._angle_tolerance = settings.position_tolerance_arcsec * ARCSEC
@@ -82,6 +92,10 @@ class StepFinder:
         self._newest_ns: int | None = None
         self._angle: float | None = None
         self._position: Position | None = None
+        self._single_shot, self._stands = single_shot, True
+        self._told: TableSample | None = None
+        self._stood: dict[type, Position | TableSample] = {}
+        self._moved_ns = 0
 
     def understood(self, record: Any) -> Iterator[Any]:
         """Yield the records for the capture: a position becomes the step it stands at."""
@@ -125,15 +139,24 @@ class StepFinder:
         """Return why the last order has no answer, for people; empty: it has, or all moves yet."""
         if not self._orders or self._orders[-1].points or self._position is None:
             return ""
+        still_since_ns = max(self._orders[-1].since_ns, self._moved_ns)
+        if self._newest_ns is None or self._newest_ns - still_since_ns < PATIENCE_NS:
+            return ""
         step = self._orders[-1].step
         if not self._is_at(step):
-            return ""
+            return f"step {step.index}: {self._table_in_words(step)}"
         off = dist(self._position.position, step.position)
         return (
             f"step {step.index}: the probe says {self._position.position}, {off:.6g} m from where "
             f"it was sent, {step.position} (allowed {self._reach(step):g} m)"
             f"{self._in_another_unit(step)}"
         )
+
+    def _table_in_words(self, step: Step) -> str:
+        table = self._told
+        if table is None:
+            return "no table feedback since the order"
+        return off_in_words(table.angle, table.velocity, step.table_angle, self._settings)
 
     def _in_another_unit(self, step: Step) -> str:
         """Say that the probe were there if its positions had another unit; empty: it were not."""
@@ -157,13 +180,16 @@ class StepFinder:
         return tuple(answer for answer in answers if answer is not None)
 
     def _event(self, stamp_ns: int, event: TableSample | Position) -> ProbeSample | None:
+        self._note_motion(stamp_ns, event)
         if isinstance(event, TableSample):
             resting = abs(event.velocity) <= self._speed_limit
-            self._angle = event.angle if resting else None
+            self._told, self._angle = event, event.angle if resting else None
         elif all(map(isfinite, event.position)):
+            self._stands = self._single_shot or self._stays(event)
             self._position = event
         if self._angle is None or self._position is None:
             return None
+        self._stands |= stamp_ns - self._position.stamp_ns >= _SILENT_NS
         waited = self._waited_for(stamp_ns)
         if waited is None:
             return None
@@ -173,6 +199,27 @@ class StepFinder:
         if not carried and not isinstance(event, Position):
             return None
         return self._answer(waited, stamp_ns)
+
+    def _note_motion(self, stamp_ns: int, event: TableSample | Position) -> None:
+        """Note when table or probe were last further from where they had stood than tolerated."""
+        before = self._stood.get(type(event))
+        match before, event:
+            case TableSample(), TableSample():
+                moved = not abs(event.angle - before.angle) <= self._angle_tolerance
+            case Position(), Position():
+                off = dist(event.position, before.position)
+                moved = off > self._settings.probe_tolerance_m
+            case _:
+                moved = True
+        if moved:
+            self._stood[type(event)], self._moved_ns = event, stamp_ns
+
+    def _stays(self, event: Position) -> bool:
+        """Return whether the probe is where it was when it last spoke; the first word counts."""
+        if self._position is None:
+            return True
+        moved = dist(event.position, self._position.position)
+        return moved <= _STILL * self._settings.probe_tolerance_m
 
     def _waited_for(self, stamp_ns: int) -> _Awaited | None:
         """Return what is waited for at a time, if table and probe are there."""
@@ -209,7 +256,8 @@ class StepFinder:
     def _is_reached(self, step: Step) -> bool:
         assert self._position is not None
         near = dist(self._position.position, step.position) <= self._reach(step)
-        return near and self._is_at(step)
+        arrived = self._stands or step.kind != PointKind.REFLECTOR
+        return near and arrived and self._is_at(step)
 
     def _is_at(self, step: Step) -> bool:
         """Return whether the table rests at the angle of a step."""

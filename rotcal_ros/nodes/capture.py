@@ -87,7 +87,11 @@ class CaptureNode(CellNode):
             self._instruments.use(calibration.configuration)
             topics = self._instruments.topics.settings
             self._finder = StepFinder(
-                calibration.plan, settings, topics.tip_radius_m, ordered=True
+                calibration.plan,
+                settings,
+                topics.tip_radius_m,
+                ordered=True,
+                single_shot=topics.probe_single_shot,
             )
             self._trigger.serve(topics.length_trigger)
             self._capture = calibration.capture(message.run)

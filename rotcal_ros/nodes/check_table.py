@@ -18,6 +18,7 @@ from rotcal_ros.nodes.table_feedback import (
     joints,
     table_angle,
 )
+from rotcal_ros.table_motion import PUBLISH_VELOCITY
 from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def _joint_line(heard: Heard) -> CheckLine:
         there = ", ".join(map(printable, joints(heard.values)))
         todo = f"cell.joint: one of {there}"
         if chosen in joints(heard.values):
-            todo = "publish the joint's velocity beside its position, rad/s"
+            todo = f"velocity of the joint: {PUBLISH_VELOCITY}"
         return CheckLine("table", "joint", "missing", fault, todo)
     angle, speed = joints(heard.values)[chosen]
     found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed:.3g} rad/s"

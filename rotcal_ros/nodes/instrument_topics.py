@@ -10,7 +10,7 @@ from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import BagError
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.forms import not_understood
+from rotcal_ros.instruments.forms import not_understood, without_simulated_time
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.channels import message_type
 from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
@@ -48,7 +48,7 @@ class InstrumentTopics:
         def choose(type_names: Sequence[str]) -> type | None:
             nonlocal chosen
             for chosen in type_names:
-                kind, why = _kind(role, chosen)
+                kind, why = _kind(role, chosen, simulated=self._node.health.sim.used)
                 if kind is not None:
                     self.refused.pop(role, None)
                     return kind
@@ -95,9 +95,10 @@ class InstrumentTopics:
         self._node.health.beat()
 
 
-def _kind(role: str, type_name: str) -> tuple[type | None, str]:
+def _kind(role: str, type_name: str, *, simulated: bool) -> tuple[type | None, str]:
     """Return the class of a type in its role; None, and why, where it cannot be used."""
-    if why := not_understood(role, type_name):
+    why = not_understood(role, type_name)
+    if why := why or (without_simulated_time(role, type_name) if simulated else ""):
         return None, why
     try:
         return message_type(type_name), ""

@@ -88,6 +88,11 @@ class ReplayOutcome:
                 "some topics were called otherwise; nodes hear them with the configuration in the "
                 f"bag, or --ros-args {' '.join(remappings)}"
             )
+        for topic, type_name in self._bag.unstamped().items():
+            yield (
+                f"{topic} ({type_name}) bears no stamp: live nodes take it as of now, beside "
+                "stamps of the recording, and observe nothing with it; rotcal solve BAG does"
+            )
         if clock:
             yield "nodes follow /clock where they have use_sim_time: true"
 

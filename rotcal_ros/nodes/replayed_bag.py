@@ -19,6 +19,7 @@ from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.errors import BagError
+from rotcal_ros.instruments.forms import form_of
 from rotcal_ros.nodes.topic_names import CalledOtherwise
 from rotcal_ros.observations import Observation
 from rotcal_ros.units import NANOSECOND
@@ -97,6 +98,15 @@ class ReplayedBag:
     def roles(self, *wanted: str) -> list[str]:
         """Return the published topics of some roles."""
         return [topic for topic in self.channels if self.called.role(topic) in wanted]
+
+    def unstamped(self) -> dict[str, str]:
+        """Return topic and type of the instruments whose messages bear no stamp."""
+        forms = {t: form_of(self.called.role(t), c.type_name) for t, c in self.channels.items()}
+        return {
+            topic: self.channels[topic].type_name
+            for topic, form in sorted(forms.items())
+            if form is not None and not form.stamped
+        }
 
     def remappings(self) -> list[str]:
         """Return the remappings without which the nodes hear not all of it."""

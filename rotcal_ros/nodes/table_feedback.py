@@ -12,6 +12,7 @@ from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.instruments.plausibility import angle_in_words
 from rotcal_ros.nodes.latest import JOINT, MOST_JOINTS, NOW
 from rotcal_ros.nodes.topic_names import name_in
+from rotcal_ros.table_motion import PUBLISH_VELOCITY
 
 Values = Mapping[str, str]
 
@@ -31,7 +32,7 @@ def joint_faults(values: Values, joint: str) -> Iterator[str]:
     elif not isfinite(heard[chosen][1]):
         yield (
             f"{topic}: joint {printable(chosen)} has no velocity, without which no "
-            "table is at rest: publish it beside the position, in rad/s"
+            f"table is at rest: {PUBLISH_VELOCITY}"
         )
 
 

@@ -261,7 +261,12 @@ def _feeder(calibration: catalogue.Calibration, configuration: Configuration) ->
     return StreamFeeder(
         calibration.capture,
         configuration.cell.joint,
-        StepFinder(calibration.plan, configuration.capture, configuration.topics.tip_radius_m),
+        StepFinder(
+            calibration.plan,
+            configuration.capture,
+            configuration.topics.tip_radius_m,
+            single_shot=configuration.topics.probe_single_shot,
+        ),
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
         configuration.capture.stamp_offset_s,

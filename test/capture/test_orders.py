@@ -8,15 +8,18 @@ from hypothesis import strategies as st
 from rotcal_ros.capture.orders import WAITING_LIMIT, Orders
 from rotcal_ros.observations import Approach, Command, PointKind
 
+HEADER = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))
+
 
 def table(step, attempt=0, angle=0.5):
-    return SimpleNamespace(step=step, attempt=attempt, angle=angle, approach=1)
+    return SimpleNamespace(header=HEADER, step=step, attempt=attempt, angle=angle, approach=1)
 
 
 def probe(step, attempt=0, target=3):
     return SimpleNamespace(
-        step=step, attempt=attempt, kind=1, target=target, position=(1.0, 2.0, 3.0), station=2
-    )
+        header=HEADER, step=step, attempt=attempt, kind=1, target=target,
+        position=(1.0, 2.0, 3.0), station=2,
+    )  # fmt: skip
 
 
 def fed(orders, messages):

@@ -157,7 +157,8 @@ def test_every_fault_is_named_in_order_with_its_number():
     assert found.reason == (
         "only 1 of 8 readings usable: 2 beam broken, 1 unstable by its own status, 1 of unknown "
         "status, 1 not a finite number, 1 implausibly long, 1 spikes; expected at least 90%; "
-        "found 30 m, plausible are 20 m (millimetres instead of metres?)"
+        "found 30 m, plausible are 20 m (millimetres instead of metres?); "
+        "topics.length_unit says which"
     )
 
 

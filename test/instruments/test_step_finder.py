@@ -91,10 +91,52 @@ def test_touches_are_points_of_the_ordered_step_and_travel_is_none():
 def test_a_probe_that_is_elsewhere_is_told():
     plan = plan_of()
     finder = StepFinder(plan, SETTINGS)
-    records = [Position(0, (1000.0, 0.0, 0.0)), ordered(0, 0, 0, plan), *table(0, 500, 0.0)]
+    records = [Position(0, (1000.0, 0.0, 0.0)), ordered(0, 0, 0, plan), *table(0, 3500, 0.0)]
     assert answers(finder, records) == []
     assert "999 m from where it was sent" in finder.complaint()
     assert "1000 times as far; which is topics.position_unit?" in finder.complaint()
+
+
+@pytest.mark.parametrize(("single_shot", "at_ms", "x"), [(False, 200, 1.0), (True, 100, 0.9995)])
+def test_a_reflector_within_its_tolerance_has_not_arrived_while_it_moves(single_shot, at_ms, x):
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS, single_shot=single_shot)
+    way = [(0, 0.5), (100, 0.9995), (150, 1.0), (200, 1.0), (250, 1.0)]  # ms, m
+    records = [ordered(0, 0, 0, plan), *(Position(t * MS, (x, 0.0, 0.0)) for t, x in way)]
+    found = [r for s in (*records, *table(0, 900, 0.0)) for r in finder.understood(s)]
+    (answer,) = (r for r in found if isinstance(r, ProbeSample))
+    assert (answer.stamp_ns, answer.position[0]) == (at_ms * MS, x)
+
+
+def test_a_reflector_of_which_nothing_more_is_heard_has_arrived():
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS)
+    records = [ordered(0, 0, 0, plan), Position(0, (0.0, 0.0, 0.0)), Position(MS, (1.0, 0.0, 0.0))]
+    assert answers(finder, [*records, *table(0, 2000, 0.0)]) == [(0, 0, 1010 * MS, 0)]
+
+
+def test_travel_of_the_probe_is_no_complaint_until_it_stands():
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS)
+    answers(finder, [Position(0, (-4.0, 0.0, 0.0)), ordered(0, 0, 0, plan)])
+    for t_ms in range(0, 4000, 50):  # on its way for 4 s, and then it stands at -2 m
+        answers(finder, [Position(t_ms * MS, (-4.0 + 5e-4 * t_ms, 0.0, 0.0))])
+        answers(finder, table(t_ms, t_ms + 50, 0.0))
+        assert finder.complaint() == ""
+    answers(finder, table(4000, 8000, 0.0))
+    assert "m from where it was sent" in finder.complaint()
+
+
+def test_a_table_that_never_says_it_is_there_is_named_with_its_unit():
+    plan = plan_of()
+    finder = StepFinder(plan, SETTINGS)
+    records = [Position(0, (1.0, 0.0, 0.0)), ordered(1, 0, 0, plan)]
+    answers(finder, [*records, *table(0, 2000, 0.5, 0.1)])
+    assert finder.complaint() == ""
+    answers(finder, table(2000, 6000, math.radians(1.0)))  # 1 rad, read as degrees
+    found = finder.complaint()
+    assert "step 1: the last feedback is" in found
+    assert "in position if its 1 are radians, not degrees: see topics.angle_unit" in found
 
 
 def test_a_position_that_is_no_number_is_none():

@@ -13,6 +13,7 @@ pytest.importorskip("rotcal_msgs")
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings
@@ -112,3 +113,15 @@ def test_a_pace_that_is_none_is_refused(rate):
     )  # fmt: skip
     assert done.returncode == 2
     assert "'--rate'" in done.stderr
+
+
+def test_instruments_without_a_stamp_are_known():
+    kinds = {"/leica/length": "std_msgs/msg/Float64", "/cell/air": "std_msgs/msg/Float64",
+             "/cell/probe_point": "geometry_msgs/msg/PoseStamped"}  # fmt: skip
+    channels = {
+        topic: ChannelDefinition(k, topic, kind, "ros2msg", "")
+        for k, (topic, kind) in enumerate(kinds.items())
+    }
+    bag = ReplayedBag((), channels)
+    bag.called.topics = {names.TRACER_LENGTH: "/leica/length"}
+    assert bag.unstamped() == {"/leica/length": "std_msgs/msg/Float64"}
