@@ -44,7 +44,7 @@ class Progress:
     def begin(self) -> None:
         """Begin to measure, or go on in another run."""
         if not self.done:
-            self.started_s = time.monotonic()
+            self.started_s, self.paused_s = time.monotonic(), None
         self.go_on()
 
     def pause(self) -> None:
