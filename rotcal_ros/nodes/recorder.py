@@ -88,8 +88,7 @@ class RecorderNode(CellNode):
             recording.note(names.CLOCK_JUMPS, noted(jumps))
 
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
-        recording = self._writing()
-        if recording is None:
+        if (recording := self._writing()) is None:
             return
         messages = Messages.taken(topic.channel, batch)
         if not recording.put(messages):
@@ -118,13 +117,12 @@ class RecorderNode(CellNode):
     async def _go_on(self, request: Request, response: Response) -> Response:
         """Record the next run of the last session of a plan; what is still open is closed."""
         self._close()
-        if not await until(self.stopped, CLOSE_TIMEOUT_S):
-            response.message = "the recorder is still closing the bag of the run before"
-            return response
-        self._reading, self._unwanted = True, False
-        self.health.beat()  # before the reading can hold it up
         topic = self._called.topic(names.OBSERVATION)
         try:
+            if not await until(self.stopped, CLOSE_TIMEOUT_S):
+                raise BagError("the recorder is still closing the bag of the run before")
+            self._reading, self._unwanted = True, False
+            self.health.beat()  # before the reading can hold it up
             bag = await done_aside(self._bags.go_on, request.plan_id, topic)
             if self._unwanted:
                 bag.writer.close()
