@@ -48,8 +48,9 @@ class Progress:
         self.go_on()
 
     def pause(self) -> None:
-        """Begin a pause."""
-        self.paused_s = time.monotonic()
+        """Begin a pause, unless one is on already."""
+        if self.paused_s is None:
+            self.paused_s = time.monotonic()
 
     def go_on(self) -> None:
         """End a pause: it does not count."""
