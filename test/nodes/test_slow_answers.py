@@ -14,6 +14,7 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.planner import Planner
+from rotcal_ros.nodes.recorder import RecorderNode
 from rotcal_ros.nodes.running import default_context
 from rotcal_ros.nodes.solver import SolverNode
 
@@ -135,3 +136,20 @@ def test_a_preparation_that_fails_for_an_unknown_reason_has_an_error_code(made, 
     outcome, _ = planned(made, monkeypatch, prepared)
     assert outcome.error_code == outcome.UNKNOWN
     assert "nobody thought of that" in outcome.error_msg
+
+
+def test_a_recorder_that_is_deactivated_while_it_reads_opens_no_bag(made):
+    node, _ = made(RecorderNode)
+    closed = []
+
+    def go_on(_plan_id, _topic):
+        node.deactivated()
+        return SimpleNamespace(writer=SimpleNamespace(close=lambda: closed.append(True)))
+
+    node._bags = SimpleNamespace(go_on=go_on)
+    request = SimpleNamespace(plan_id="ours", configuration="")
+    response = asyncio.run(node._go_on(request, SimpleNamespace(success=False, message="")))
+    assert closed
+    assert not response.success
+    assert "meanwhile" in response.message
+    assert node.stopped()
