@@ -3,8 +3,10 @@
 ros2 launch rotcal_ros cell.launch.py --show-args
 """
 
+import atexit
 import sys
 from pathlib import Path
+from shutil import rmtree
 from tempfile import mkdtemp
 
 from launch import LaunchDescription
@@ -41,6 +43,7 @@ def cell(context):
     viewers = [node for argument, node in VIEWERS.items() if value(argument) == "true"]
     # ROS takes one type in a list, and no group that is empty; people write what they like.
     parameters = Path(mkdtemp(prefix="rotcal_")) / "parameters.yaml"
+    atexit.register(rmtree, parameters.parent, ignore_errors=True)  # respawned nodes read it
     parameters.write_text(node_parameters(configuration), encoding="utf-8")
     files = [str(parameters), *filter(None, [value("parameters")])]
     own = {

@@ -10,6 +10,7 @@ from inspect import isawaitable
 from types import coroutine
 from typing import Any, TypeVar
 
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -64,6 +65,7 @@ class CellNode(ManagedNode, ABC):
         self._latched: dict[Callable[[Any], None], Any] = {}
         self._left_alone: set[str] = set()
         self._answering = 0
+        self._answers = MutuallyExclusiveCallbackGroup()
         self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
         self.health = Health(self, self._beat_values, self._missed)
 
@@ -99,7 +101,8 @@ class CellNode(ManagedNode, ABC):
     ) -> None:
         """Offer a service, whose response has a ``message`` that says why it was refused.
 
-        ``always``: it is not refused while the node is inactive.
+        ``always``: it is not refused while the node is inactive. An answer that takes its time
+        holds up other services, but neither what the node hears nor its beat.
         """
 
         async def answer(request: Any, response: Any) -> Any:
@@ -113,7 +116,7 @@ class CellNode(ManagedNode, ABC):
             finally:
                 self._answering -= 1
 
-        self.create_service(kind, name, answer)
+        self.create_service(kind, name, answer, callback_group=self._answers)
 
     def begin(self, work: Callable[..., Awaitable[None]], *arguments: Any) -> None:
         """Do ``work`` in the executor's turns; it is given up when the node is cleaned up."""

@@ -15,8 +15,6 @@ from rotcal_ros.nodes.identity import process_of
 Codes = Calibrate.Result
 """The message that holds the error codes of the action."""
 SOLVER: Final = "solver"
-OF_ONE_RUN: Final = tuple(name for name in PREFLIGHT_NODES if name != SOLVER)
-"""Nodes that know what belongs to the run at hand: one that is started anew needs another run."""
 
 
 class GoalError(Exception):
@@ -34,7 +32,8 @@ class GoalError(Exception):
 class Crew:
     """The ``nodes`` that must beat while a goal runs.
 
-    The solver may be away for ``restart_wait_s``: it gets from the recorder what it missed.
+    The solver may be away for ``restart_wait_s``: it gets from the recorder what it missed. Any
+    other that was started anew breaks the run off, however quickly it came back.
     """
 
     def __init__(self, health: Health, restart_wait_s: float) -> None:
@@ -46,12 +45,14 @@ class Crew:
 
     def begin_run(self) -> None:
         """Take those that are here now for those of the run."""
-        self._processes = {name: process_of(self._health, name) for name in PREFLIGHT_NODES}
+        nodes = self.nodes.union(PREFLIGHT_NODES)
+        self._processes = {name: process_of(self._health, name) for name in nodes}
 
     def end_run(self) -> None:
         """Let the nodes of the suite come and go: a preflight looks for them."""
-        self._processes.clear()
         self.nodes -= set(PREFLIGHT_NODES)
+        for name in PREFLIGHT_NODES:
+            self._processes.pop(name, None)
 
     def newcomers(self) -> list[str]:
         """Return which nodes are other processes than when the run began."""
@@ -66,7 +67,7 @@ class Crew:
     def check(self, place: str) -> None:
         """Raise GoalError where the run cannot go on with the nodes that are here."""
         missing = self._health.missing(self.nodes)
-        anew = sorted({*self.newcomers()} & {*OF_ONE_RUN} - {*missing})
+        anew = sorted({*self.newcomers()} - {SOLVER, *missing})
         if SOLVER not in missing:
             self._away_since_s = None
         elif missing == [SOLVER] and not anew and self._may_be_away():

@@ -19,14 +19,17 @@ from rotcal_ros.nodes.plans import RUN, run_name
 from rotcal_ros.observations import Observation
 
 PATIENCE_S: Final = 10.0
-"""So long a recorder may take to be found and to answer."""
+"""After so long without an answer a recorder is asked again."""
+NO_GOAL_S: Final = 2.0
+"""A planner that has no goal for so long did not announce the plan."""
 Known = Mapping[RunStep, Observation]
 
 
 class EarlierObservations:
     """Asks the recorder for the observations of a plan so far, all runs of its session.
 
-    Only where the planner works for this plan: what somebody else announces has none.
+    Only where the planner works for this plan: what somebody else announces has none. While it
+    does, they are waited for: without them the joined runs could not be solved.
     """
 
     def __init__(self, node: CellNode) -> None:
@@ -36,6 +39,7 @@ class EarlierObservations:
         self._kept: Known = {}
         self._wanted: tuple[CalibrationPlan, Callable[[Known], None], float] | None = None
         self._asked: Any = None
+        self._asked_s = 0.0
         node.every(BEAT_PERIOD_S, self._look)
 
     def ask(self, message: CalibrationPlan, kept: Known, take: Callable[[Known], None]) -> None:
@@ -49,24 +53,34 @@ class EarlierObservations:
     def ask_again(self, take: Callable[[Known], None]) -> None:
         """Ask once more for the same plan."""
         if self._plan is not None:
-            self._wanted = self._plan, take, time.monotonic() + PATIENCE_S
+            self._wanted = self._plan, take, time.monotonic()
             self._asked = None
             self._look()
 
     def _look(self) -> None:
         if self._wanted is None:
             return
-        message, take, deadline_s = self._wanted
-        if self._node.health.values("planner").get(RUN) != run_name(message):
+        message, take, since_s = self._wanted
+        now_s = time.monotonic()
+        if self._is_foreign(message, now_s - since_s):
             self._answer(take, ())
-        elif self._asked is None and self._client.service_is_ready():
-            self._asked = self._client.call_async(Trigger.Request())
-            self._asked.add_done_callback(self._node.health.guarded(lambda _: self._look()))
         elif self._asked is not None and self._asked.done():
             self._answer(take, self._told(message))
-        elif time.monotonic() > deadline_s:
-            self._node.get_logger().warning("the recorder does not tell what was measured before")
-            self._answer(take, ())
+        elif self._asked is None and self._client.service_is_ready():
+            self._asked_s, self._asked = now_s, self._client.call_async(Trigger.Request())
+            self._asked.add_done_callback(self._node.health.guarded(lambda _: self._look()))
+        elif now_s - max(self._asked_s, since_s) > PATIENCE_S:
+            text = "the recorder does not tell what was measured before: waiting for it"
+            self._node.get_logger().warning(text, throttle_duration_sec=PATIENCE_S)
+            self._asked = None
+
+    def _is_foreign(self, message: CalibrationPlan, waited_s: float) -> bool:
+        """Return whether the plan is not that of the planner's goal: there is nothing to ask."""
+        health = self._node.health
+        if not health.state("planner") or "planner" in health.lost:
+            return True
+        goals_run = health.values("planner").get(RUN, "")
+        return goals_run != run_name(message) if goals_run else waited_s > NO_GOAL_S
 
     def _told(self, message: CalibrationPlan) -> tuple[Observation, ...]:
         """Return what the recorder told, if it is of this plan."""

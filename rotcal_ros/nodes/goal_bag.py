@@ -37,9 +37,12 @@ class GoalBag:
         request = StartRecording.Request(
             plan_id=self._configuration.plan_id, configuration=self._configuration.text
         )
+        if not goes_on:
+            await self.close_after_failure()  # of a run that was lost before it had begun
         client = self._services.continue_recording if goes_on else self._services.start_recording
+        self._is_open = True  # or soon: a cancel does not wait for the answer
         answer = await self._recorder_did(client, request, OPEN_TIMEOUT_S)
-        self._is_open = self._watch.recording = True
+        self._watch.recording = True
         self.folder = SessionFolder(Path(answer.folder))
 
     async def recorded(self) -> Recorded:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Final
 
 from rotcal_msgs.msg import CalibrationPlan
@@ -23,7 +24,7 @@ from rotcal_ros.nodes.plans import RUN, run_name
 from rotcal_ros.nodes.topic_names import TOPICS, topics_value
 
 MOST_IN_VAIN: Final = 2
-"""So many runs without an accepted step follow each other at most, when nodes are lost."""
+"""So many runs without a newly accepted step follow each other at most, when nodes are lost."""
 
 
 class GoalRun:
@@ -36,6 +37,7 @@ class GoalRun:
         self._continuation = continuation
         self.bag = GoalBag(calibration.configuration, watch)
         self._goes_on = continuation.run == 0 and continuation.start_index > 0
+        self._from_step = continuation.start_index
         self._lost: GoalError | None = None
         self.verdict_line = ""
         self._run = ""
@@ -81,9 +83,10 @@ class GoalRun:
 
     async def _solved_in_one_run(self) -> FinishCalibration.Response:
         try:
-            await be_ready(self._calibration, self.watch)
+            await be_ready(self._calibration, self.watch, self.measuring.asking)
         except GoalError as error:
-            if self._lost is None or error.code == Codes.CANCELED:
+            of_a_person = error.code in (Codes.CANCELED, Codes.EMERGENCY_STOP)
+            if self._lost is None or of_a_person or error.in_another_run:
                 raise
             text = f"{self._lost}; did not come back in time: {error}"
             raise GoalError(self._lost.code, text) from error
@@ -98,7 +101,8 @@ class GoalRun:
 
     def _begin_anew(self, lost: GoalError) -> None:
         """Go on in another run of the same session, as soon as all nodes are back."""
-        self._lost, self._goes_on = lost, True
+        self._lost = lost
+        self._goes_on = self._goes_on or self.bag.folder is not None
         self.watch.progress.pause()
         self.watch.end_run(self.watch.crew.restart_wait_s)
         self.watch.links.node.get_logger().warning(f"{lost}: the goal waits for it and goes on")
@@ -117,10 +121,9 @@ class GoalRun:
 
     async def _go_on(self) -> None:
         """Measure what is left, joined with what the recorder has of the runs before."""
-        asked = self._continuation.start_index if self._lost is None else 0
         known = await self.bag.recorded()
         try:
-            left = self._calibration.continued(known.run, known.observations, asked)
+            left = self._calibration.continued(known.run, known.observations, self._from_step)
             self.measuring = Measuring(self._calibration, left, self.watch)
         except RotcalError as error:
             raise GoalError(Codes.BAD_CONFIGURATION, str(error)) from error
@@ -155,7 +158,8 @@ class GoalRun:
         )
         answer = None
         while answer is None:
-            await watch.have(lambda: watch.links.missing_plan(watch.run), Codes.NODE_LOST)
+            # without an end of its own: the watch knows how long a solver may be away
+            await watch.wait(lambda: not watch.links.missing_plan(watch.run), math.inf)
             answer = await watch.call(
                 watch.links.services.finish_calibration,
                 request,

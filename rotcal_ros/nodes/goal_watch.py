@@ -14,13 +14,12 @@ from rotcal_ros.nodes.clock_news import jumps_told
 from rotcal_ros.nodes.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.health import RECORDING_FAILED
+from rotcal_ros.nodes.latest import SILENT
 from rotcal_ros.nodes.pauses import Pauses
 from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
-
-SILENCE: Final = "silent_s."
-"""How the values of the capture begin that tell the silence of a stream in seconds."""
 
 ASTRAY_TIMEOUT_S: Final = 5.0
 """So long capture and solver may be without the plan of the goal."""
@@ -38,7 +37,8 @@ class GoalWatch:
     something: a stop ends it, later it waits. ``show`` is called with every progress, ``canceled``
     tells of a cancel request. ``crew`` are the nodes needed, ``patience_s`` a preflight's time.
     ``stopping`` says why the planner gives up; ``recording`` that a bag is open: from then on the
-    recorder and streams are watched too; ``run`` what capture and solver have to work for.
+    recorder and streams are watched too; ``run`` what capture and solver have to work for;
+    ``owed`` a pause that was broken off, the work still to be done, and the first step to check.
     """
 
     settings: PlannerSettings
@@ -54,6 +54,7 @@ class GoalWatch:
     preflight: bool = True
     recording: bool = False
     run: str = ""
+    owed: tuple[Pause, str, int] | None = None
     _astray_s: float | None = None
     _stream_beat: object = None
     _bag_open: bool = False
@@ -120,9 +121,8 @@ class GoalWatch:
         """Return the answer of a service; None once it is ``in_vain`` to wait for it."""
         future = client.call_async(request)
         if not await self.wait(lambda: future.done() or in_vain(), timeout_s):
-            raise GoalError(
-                Codes.NODE_LOST, f"{client.srv_name} gave no answer in {timeout_s:g} s"
-            )
+            text = f"{client.srv_name} gave no answer in {timeout_s:g} s"
+            raise GoalError(Codes.NODE_LOST, text)
         return future.result() if future.done() else None
 
     def refuse_stop(self) -> None:
@@ -194,7 +194,7 @@ class GoalWatch:
     def silent_streams(self) -> Iterator[str]:
         """Yield which instruments have fallen silent, as the capture says."""
         for key, value in self.links.health.values("capture").items():
-            if key.startswith(SILENCE) and float(value) > self.settings.stream_timeout_s:
-                topic = self.links.instrument(key.removeprefix(SILENCE))
+            if key.startswith(SILENT) and float(value) > self.settings.stream_timeout_s:
+                topic = self.links.instrument(key.removeprefix(SILENT))
                 publishers = ", ".join(self.links.publishers(topic)) or "gone"
                 yield f"{topic} (node {publishers}) has been silent for {value} s"

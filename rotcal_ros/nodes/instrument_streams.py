@@ -24,7 +24,7 @@ from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, received_ns, sent_ns
 from rotcal_ros.nodes.instrument_topics import InstrumentTopics
 from rotcal_ros.nodes.joint_readings import JointReadings
-from rotcal_ros.nodes.latest import FRAME, NOW, RATE, reading
+from rotcal_ros.nodes.latest import FRAME, NOW, RATE, SILENT, reading
 from rotcal_ros.observations import (
     HumiditySample,
     LengthStatus,
@@ -81,7 +81,7 @@ class InstrumentStreams:
         steady = set(FAST) - set(single_shots(self.topics.settings))
         now = time.monotonic()
         for role in steady & set(needed) & self._heard_s.keys():
-            values[f"silent_s.{role}"] = f"{now - self._heard_s[role]:.2f}"
+            values[f"{SILENT}{role}"] = f"{now - self._heard_s[role]:.2f}"
         return values
 
     def _heard(self, role: str, type_name: str, batch: Batch) -> None:

@@ -29,6 +29,8 @@ RATE: Final = "rate_hz."
 """How the values of the capture begin that tell how often a stream comes."""
 REFUSED: Final = "refused."
 """How the values of the capture begin that tell why a topic's message type cannot be used."""
+SILENT: Final = "silent_s."
+"""How the values of the capture begin that tell the silence of a stream in seconds."""
 JOINT: Final = "joint."
 """How the values of the capture begin that tell angle (rad) and velocity (rad/s) of a joint."""
 MOST_JOINTS: Final = 32

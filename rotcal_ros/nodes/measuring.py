@@ -26,7 +26,7 @@ SETTLING_S: Final = 1.2
 class Measuring:
     """Measures the steps of one goal; no attempt at a step has a number twice.
 
-    ``reasons`` says why attempts were rejected, or came to nothing.
+    ``reasons`` says why attempts were rejected, or came to nothing; ``asking`` asks a person.
     """
 
     def __init__(
@@ -35,8 +35,7 @@ class Measuring:
         self._calibration = calibration
         self._continuation = continuation
         self._watch = watch
-        plan_id = calibration.configuration.plan_id
-        self._asking = Asking(watch, plan_id, continuation.run)
+        self.asking = Asking(watch, calibration.configuration.plan_id, continuation.run)
         self._policy = calibration.policy(continuation)
         self._chosen = 0
         self._next_attempt: dict[int, int] = {}
@@ -47,13 +46,19 @@ class Measuring:
         """Measure what the policy chooses, until it stops."""
         progress = self._watch.progress
         progress.begin()
+        made_up = self._watch.owed
+        if made_up:
+            await self._have_done(*made_up)
         choice = self._policy.choose()
         while choice.step is not None:
             progress.left = choice.standing.left
             progress.uncertainty, progress.goal = choice.standing.uncertainty, choice.standing.goal
             pause = self._calibration.plan.pause_before(choice.step)
+            if made_up and pause is made_up[0]:
+                pause = None
             if pause is not None:
-                await self._have_done(pause)
+                work = pause.instruction if pause.again_from is None else ""
+                await self._have_done(pause, work, pause.first)
             if pause is None or pause.last < pause.first:
                 self._failed.note(choice.step, await self._measure(choice.step, choice))
             choice = self._policy.choose()
@@ -75,34 +80,33 @@ class Measuring:
 
     def _tell(self, choice: Choice, attempt: int) -> None:
         """Publish a choice, for people and for the bag."""
-        links, run = self._watch.links, self._continuation.run
-        plan_id = self._calibration.configuration.plan_id
-        message = conversions.choice_message(
-            choice, plan_id, run, self._chosen, attempt, links.node.now_ns()
-        )
-        links.tell_choice(message)
+        links, plan_id = self._watch.links, self._calibration.configuration.plan_id
+        chosen = choice, plan_id, self._continuation.run, self._chosen, attempt
+        links.tell_choice(conversions.choice_message(*chosen, links.node.now_ns()))
         self._chosen += 1
 
-    async def _have_done(self, pause: Pause) -> None:
-        """Have the work of a pause done and check it, again and again until it is good.
+    async def _have_done(self, pause: Pause, work: str, begin: int) -> None:
+        """Have the ``work`` of a pause done and check it, again and again until it is good.
 
-        What the method can live with is asked for ``max_attempts`` times, what makes a result
-        impossible until the goal is canceled.
+        The check begins with step ``begin``. What the method can live with is asked for
+        ``max_attempts`` times, what makes a result impossible until the goal is canceled. What is
+        broken off is still owed: the next run begins with it.
         """
-        text, begin = pause.instruction, pause.first
         for asked in count(1):
-            if pause.again_from is None or asked > 1:
+            self._watch.owed = pause, work, begin
+            if work:
                 self._place(pause.first)
-                await self._asking.have_done(text, pause.move)
+                await self.asking.have_done(work, pause.move)
+            self._watch.owed = pause, "", begin
             for index in range(begin, pause.last + 1):
-                await self._measure(
-                    index, Choice(index, f"shows {pause.instruction}", Standing(1))
-                )
+                shows = Choice(index, f"shows {pause.instruction}", Standing(1))
+                await self._measure(index, shows)
             begin = pause.first if pause.again_from is None else pause.again_from
             found, hopeless = self._complaints()
             if not found or (asked >= self._watch.settings.max_attempts and not hopeless):
+                self._watch.owed = None
                 return
-            text = f"not as it should be: {found}; put it right ({pause.instruction})"
+            work = f"not as it should be: {found}; put it right ({pause.instruction})"
 
     def _complaints(self) -> tuple[str, bool]:
         """Return what the observations so far say against the work; hopeless or not."""
@@ -122,7 +126,7 @@ class Measuring:
         except HaltedError as halted:
             self.reasons.append(str(halted))
         self._watch.progress.rejected += 1
-        await self._asking.have_done()
+        await self.asking.have_done()
         return await self._measure(index, choice)
 
     async def _attempt(self, index: int, choice: Choice) -> list[str]:

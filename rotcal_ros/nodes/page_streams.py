@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.nodes.latest import NOW
+from rotcal_ros.nodes.latest import NOW, SILENT
 from rotcal_ros.observations import LengthStatus
 from rotcal_ros.page.board import Course
 from rotcal_ros.page.state import Lengths, Points, Stream, Temperature
@@ -19,7 +19,6 @@ LENGTHS_S: Final = 60.0
 LENGTH_POINTS: Final = 400
 TEMPERATURE_PERIOD_S: Final = 5.0
 VALID: Final = "valid."
-SILENT: Final = "silent_s."
 WORDS: Final = {
     LengthStatus.BEAM_BROKEN.name: "beam broken",
     LengthStatus.UNSTABLE.name: "unstable",

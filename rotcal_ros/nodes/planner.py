@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
@@ -17,9 +16,10 @@ from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.catalogue import prepare_to_measure
 from rotcal_ros.errors import RotcalError
+from rotcal_ros.nodes.aside import done_aside
 from rotcal_ros.nodes.asking import obstacle
 from rotcal_ros.nodes.cell_links import CellLinks
-from rotcal_ros.nodes.cell_node import CellNode, until
+from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.conversions import feedback_message
 from rotcal_ros.nodes.crew import Codes, Crew
 from rotcal_ros.nodes.emergency_stop import EmergencyStop
@@ -47,14 +47,12 @@ class Planner(CellNode):
     def configure(self) -> None:
         """Read the configuration, and offer to calibrate."""
         self._run: GoalRun | None = None
-        self._preparing, self._giving_up, self._shown_s = False, "", -math.inf
+        self._preparing, self._shown_s = False, -math.inf
+        self._giving_up = self._given_up = ""
         self._configured = PlannerParameters(self)
         self._continuation = read_continuation(self)
-        self._restart_wait_s = self.parameter(
-            "restart_wait_s",
-            RESTART_WAIT_S,
-            "s, how long a goal waits for lost nodes of the suite",
-        )
+        text = "s, how long a goal waits for lost nodes of the suite"
+        self._restart_wait_s = self.parameter("restart_wait_s", RESTART_WAIT_S, text)
         self._links = CellLinks(self)
         self._stop = EmergencyStop(self, self._configured.safety, NO_ORDERS)
         self._pauses = Pauses(self, self._obstacle, lambda: self._beat_values()[0])
@@ -89,7 +87,7 @@ class Planner(CellNode):
         return self._run is None and not self._preparing
 
     def _give_up(self, why: str) -> None:
-        self._giving_up = why
+        self._giving_up = self._given_up = why
         if self._run is not None:
             self._run.watch.stopping = why
 
@@ -97,6 +95,7 @@ class Planner(CellNode):
         """Refuse a goal while another runs; the heartbeat tells the reason to the client."""
         free = self._run is None and not self._preparing
         if self.active and not self._giving_up and free:
+            self._given_up = ""
             return GoalResponse.ACCEPT
         self.get_logger().warning(f"goal refused: the planner is {self._beat_values()[0]}")
         return GoalResponse.REJECT
@@ -111,28 +110,32 @@ class Planner(CellNode):
         except RotcalError as error:
             handle.abort()
             return Codes(error_code=Codes.BAD_CONFIGURATION, error_msg=str(error))
+        except Exception as error:
+            handle.abort()
+            return self._unknown(error)
         self._run = goal
-        goal.watch.stopping = self._giving_up
+        goal.watch.stopping = self._given_up  # meanwhile, even if it is active again
         try:
             outcome = await goal.execute()
         except Exception as error:
-            self.health.note_error("goal", error)
-            outcome = Codes(error_code=Codes.UNKNOWN, error_msg=repr(error))
+            outcome = self._unknown(error)
+            await goal.bag.close_after_failure()
         finally:
             self._run = None
         self._end(handle, outcome, goal.verdict_line)
         return outcome
 
+    def _unknown(self, error: Exception) -> Codes:
+        self.health.note_error("goal", error)
+        return Codes(error_code=Codes.UNKNOWN, error_msg=repr(error))
+
     async def _prepared(self, handle: ServerGoalHandle) -> GoalRun:
         """Return :meth:`_prepare`, which may plan for seconds; the node goes on meanwhile."""
         self._preparing = True
-        with ThreadPoolExecutor(max_workers=1) as aside:
-            try:
-                found = aside.submit(self._prepare, handle)
-                await until(found.done, math.inf)
-                return found.result()
-            finally:
-                self._preparing = False
+        try:
+            return await done_aside(self._prepare, handle)
+        finally:
+            self._preparing = False
 
     def _prepare(self, handle: ServerGoalHandle) -> GoalRun:
         """Return the run of a goal; ConfigurationError or PlanError when it is impossible."""

@@ -44,12 +44,13 @@ class Progress:
     def begin(self) -> None:
         """Begin to measure, or go on in another run."""
         if not self.done:
-            self.started_s = time.monotonic()
+            self.started_s, self.paused_s = time.monotonic(), None
         self.go_on()
 
     def pause(self) -> None:
-        """Begin a pause."""
-        self.paused_s = time.monotonic()
+        """Begin a pause, unless one is on already."""
+        if self.paused_s is None:
+            self.paused_s = time.monotonic()
 
     def go_on(self) -> None:
         """End a pause: it does not count."""

@@ -29,9 +29,11 @@ class RecordedSession:
         self._plan_id, self._run = plan_id, run
         self._observations = list(earlier)
 
-    def take(self, message: ObservationMsg) -> None:
-        """Take an observation that is being recorded."""
+    def take(self, data: bytes) -> ObservationMsg:
+        """Take an observation that is being recorded, and return its message."""
+        message: ObservationMsg = deserialize_message(data, ObservationMsg)
         self._observations.append(messages.observation(message))
+        return message
 
     def tell(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Answer with all of it, as JSON."""

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, TypeAlias
 
-from rclpy.serialization import deserialize_message
-from rotcal_msgs.msg import Observation
 from rotcal_msgs.srv import StartRecording, StopRecording
 from std_srvs.srv import Trigger
 
@@ -17,6 +13,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError, RotcalError
+from rotcal_ros.nodes.aside import done_aside
 from rotcal_ros.nodes.bookkeeping import Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
@@ -50,7 +47,7 @@ class RecorderNode(CellNode):
         self._bags, self._session = SessionBags(self._settings), RecordedSession()
         self._recording: Recording | None = None
         self._silences = Silences(self._settings.silence_s, time.monotonic())
-        self._jumps_before, self._reading = 0, False
+        self._jumps_before, self._reading, self._unwanted = 0, False, False
         self.offer(StartRecording, "start_recording", self._start)
         self.offer(StartRecording, "continue_recording", self._go_on)
         self.offer(StopRecording, "stop_recording", self._stop, always=True)
@@ -63,12 +60,13 @@ class RecorderNode(CellNode):
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def deactivated(self) -> None:
-        """Write what has arrived and close the bag."""
+        """Write what has arrived and close the bag, also one that is about to be opened."""
+        self._unwanted = True
         self._close()
 
     def stopped(self) -> bool:
         """Return whether the bag is closed."""
-        return self._writing() is None
+        return self._writing() is None and not self._reading
 
     def _writing(self) -> Recording | None:
         """Return the recording whose bag is open."""
@@ -90,19 +88,17 @@ class RecorderNode(CellNode):
             recording.note(names.CLOCK_JUMPS, noted(jumps))
 
     def _take(self, topic: HeardTopic, batch: Batch) -> None:
-        if self._recording is not None:
-            messages = Messages.taken(topic.channel, batch)
-            if not self._recording.put(messages):
-                self._dropouts.refused(messages)
+        if (recording := self._writing()) is None:
+            return
+        messages = Messages.taken(topic.channel, batch)
+        if not recording.put(messages):
+            self._dropouts.refused(messages)
         if topic.channel.topic == self._called.topic(names.OBSERVATION):
             for data, _ in batch:
-                message = deserialize_message(data, Observation)
-                self._session.take(message)
-                self._receipts.expect(message)
-        if self._recording is not None:
-            for receipt in self._receipts.due(self._all_losses):
-                self._dropouts.write()
-                self._recording.confirm(receipt)
+                self._receipts.expect(self._session.take(data))
+        for receipt in self._receipts.due(self._all_losses):
+            self._dropouts.write()
+            recording.confirm(receipt)
 
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""
@@ -121,17 +117,21 @@ class RecorderNode(CellNode):
     async def _go_on(self, request: Request, response: Response) -> Response:
         """Record the next run of the last session of a plan; what is still open is closed."""
         self._close()
-        await until(self.stopped, CLOSE_TIMEOUT_S)
-        self._reading, topic = True, self._called.topic(names.OBSERVATION)
-        self.health.beat()  # before the reading can hold it up
-        with ThreadPoolExecutor(max_workers=1) as aside:
-            found = aside.submit(self._bags.go_on, request.plan_id, topic)
-            await until(found.done, math.inf)
-        self._reading = False
+        topic = self._called.topic(names.OBSERVATION)
         try:
-            self._begin(request, found.result(), response)
+            if not await until(self.stopped, CLOSE_TIMEOUT_S):
+                raise BagError("the recorder is still closing the bag of the run before")
+            self._reading, self._unwanted = True, False
+            self.health.beat()  # before the reading can hold it up
+            bag = await done_aside(self._bags.go_on, request.plan_id, topic)
+            if self._unwanted:
+                bag.writer.close()
+                raise BagError("the recorder was deactivated or ended meanwhile")
+            self._begin(request, bag, response)
         except (RotcalError, OSError) as error:
             response.message = str(error)
+        finally:
+            self._reading = False
         return response
 
     def _begin(self, request: Request, bag: OpenBag, response: Response) -> None:

@@ -114,9 +114,8 @@ class SolverNode(CellNode):
             )
 
     def _begin(self, calibration: Calibration) -> Future[Result]:
-        observations, in_force = tuple(self._observations.values()), tuple(self._in_force)
-        frames = self._frames.frames
-        self._solving = self._worker.submit(calibration.solve, observations, in_force, frames)
+        known = tuple(self._observations.values()), tuple(self._in_force), self._frames.frames
+        self._solving = self._worker.submit(calibration.solve, *known)
         self.health.beat()  # before the numerics can hold it up
         return self._solving
 
@@ -140,9 +139,10 @@ class SolverNode(CellNode):
     ) -> FinishCalibration.Response:
         try:
             result = await self._final(request)
+            if not self.active:
+                raise DataError(self.why_not())
             self._publish(result, final=True)
-            response.result_json = result.to_json()
-            response.verdict = result.verdict
+            response.result_json, response.verdict = result.to_json(), result.verdict
             response.success = True
             self._state = f"final result, verdict {result.verdict_line}"
         except Exception as error:

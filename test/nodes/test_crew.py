@@ -87,3 +87,13 @@ def test_without_patience_nobody_is_waited_for():
     health.gone = {"solver"}
     with pytest.raises(GoalError, match="node solver was ended"):
         made.check("at step 3")
+
+
+def test_a_machine_that_was_started_anew_ends_the_goal_however_quickly_it_was_back():
+    health, made = watched()
+    made.end_run()  # nor is it forgotten while the goal waits for others
+    made.check("in the preflight")
+    health.processes["machine"] = "second"
+    with pytest.raises(GoalError, match="node machine was started anew at step 3") as raised:
+        made.check("at step 3")
+    assert not raised.value.in_another_run

@@ -24,7 +24,7 @@ class SlowCalibration:
     def __init__(self):
         self.begun, self.go_on = threading.Semaphore(0), threading.Semaphore(0)
 
-    def solve(self, observations, in_force):
+    def solve(self, *_):
         self.begun.release()
         assert self.go_on.acquire(timeout=30.0)
         raise DataError("nothing to solve")
@@ -34,6 +34,7 @@ class SlowCalibration:
 def solver():
     with default_context():
         node = SolverNode()
+        node.autostart()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         yield node, executor

@@ -23,3 +23,15 @@ def test_a_pause_neither_lengthens_nor_shortens_it(monkeypatch):
             getattr(progress, event)()
         left.append(progress.time_left())
     assert left == pytest.approx([80.0, 80.0, 80.0, 80.0, 120.0])
+
+
+def test_it_is_never_negative_after_a_node_was_lost_before_the_first_step(monkeypatch):
+    now_s = [100.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now_s[0])
+    progress = Progress(total=10, left=9, started_s=100.0)
+    progress.pause()
+    now_s[0] = 160.0
+    progress.begin()
+    now_s[0] = 165.0
+    progress.note(0, accepted=True)
+    assert progress.time_left() == pytest.approx(45.0)
