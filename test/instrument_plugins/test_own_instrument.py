@@ -1,8 +1,10 @@
 """An instrument from a package of somebody else, driven against a fake of it behind TCP."""
 
 import importlib.util
+import math
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
@@ -10,7 +12,12 @@ import pytest
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
-from rotcal_ros.instrument_plugins.instrument import Instrument, InstrumentError, Place
+from rotcal_ros.instrument_plugins.instrument import (
+    Instrument,
+    InstrumentError,
+    Length,
+    Place,
+)
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.instrument_plugins.table_rest import TableRest
 from rotcal_ros.observations import Approach, Command, LengthStatus, PointKind, TableSample
@@ -49,12 +56,10 @@ class Fake:
 class Heard:
     """What a driver told, until its end."""
 
-    def __init__(self, instrument, settings, may_measure=lambda _: True):
+    def __init__(self, instrument, settings, why_not=lambda _: ""):
         self.lengths, self.places, self.complaints = [], [], []
         listeners = Listeners(self.lengths.append, self.places.append, self.complaints.append)
-        self.driver = InstrumentDriver(
-            instrument, settings, listeners, may_measure, now_ns=lambda: 7
-        )
+        self.driver = InstrumentDriver(instrument, settings, listeners, why_not, now_ns=lambda: 7)
         self.driver.begin()
 
     def until(self, condition):
@@ -79,10 +84,11 @@ def test_lengths_arrive_in_metres_whatever_the_pieces_and_a_broken_beam_is_told(
     assert fake.asked == ["START 200\n"]
     assert [s.length for s in heard.lengths[:2]] == pytest.approx([1.234567e-3, 1.2346e-3])
     assert [s.status for s in heard.lengths[:4]] == [
-        *[LengthStatus.OK] * 2, *[LengthStatus.BEAM_BROKEN] * 2
+        *[LengthStatus.OK] * 2, LengthStatus.BEAM_BROKEN, LengthStatus.UNSTABLE
     ]  # fmt: skip
     assert [s.sequence for s in heard.lengths[:4]] == [0, 1, 2, 3]
     assert heard.lengths[0].stamp_ns == 7
+    assert heard.lengths[3].length == pytest.approx(5e-6)
 
 
 @pytest.mark.parametrize(
@@ -143,11 +149,18 @@ class Tracker(Instrument):
 
 def test_an_order_is_measured_when_the_table_rests_and_echoed():
     rest = TableRest(tolerance_arcsec=20.0, speed_deg_s=0.02, settle_s=0.5)
-    heard = Heard(Tracker(), settings("here"), rest.at)
+    heard = Heard(Tracker(), settings("here"), rest.why_not)
     heard.driver.order(ORDER)
-    for stamp_s, angle, velocity in ((0, 0.4, 0.1), (1, 0.5, 0.0), (1.4, 0.5, 0.0)):
+    assert rest.why_not(ORDER) == "no feedback of the table has come"
+    for stamp_s, angle, velocity, why in (
+        (0.0, 0.4, 0.1, "the table moves"),
+        (0.1, 0.5, math.nan, "the feedback tells no velocity"),
+        (0.2, 0.4, 0.0, "the table rests at 22.9183° and is ordered to 28.6479°"),
+        (1.0, 0.5, 0.0, "the table has just come to rest"),
+        (1.4, 0.5, 0.0, "the table has just come to rest"),
+    ):
         rest.hear(TableSample(round(stamp_s * 1e9), angle, velocity))
-        assert not rest.at(ORDER)
+        assert rest.why_not(ORDER) == why
     rest.hear(TableSample(1_500_000_000, 0.5 + 2 * 3.141592653589793, 0.0))  # a turn further
     (place,) = heard.until(lambda h: h.places).places
     assert (place.step, place.attempt, place.kind, place.target, place.station) == (
@@ -155,6 +168,15 @@ def test_an_order_is_measured_when_the_table_rests_and_echoed():
     )  # fmt: skip
     assert place.position == pytest.approx((1.0, 2.0, 3.001))
     assert (place.position_std, place.stamp_ns) == ((1e-6, 1e-6, 2e-6), 11)
+
+
+def test_an_order_that_waits_too_long_says_for_what(monkeypatch):
+    monkeypatch.setattr("rotcal_ros.instrument_plugins.driver.PATIENCE_S", 0.05)
+    heard = Heard(Tracker(), settings("here"), lambda _: "the table moves")
+    heard.driver.order(ORDER)
+    heard.until(lambda h: h.driver.waits)
+    assert heard.driver.waits == "step 3 is not measured: the table moves"
+    assert not heard.driver.trouble
 
 
 def test_a_place_without_reflector_is_told_and_the_next_attempt_measured():
@@ -167,6 +189,81 @@ def test_a_place_without_reflector_is_told_and_the_next_attempt_measured():
     heard.driver.order(ORDER)
     heard.until(lambda h: h.places)
     assert heard.driver.connections == 1
+
+
+class Asked(Fake):
+    """A MyTracer at 200 Hz, which answers each WHERE 50 ms later by the next of ``talks``."""
+
+    def _serve(self):
+        connection, _ = self._listener.accept()
+        connection.settimeout(0.005)
+        answers, due_s, sent = list(self._talks), [], 0
+        with connection, suppress(OSError):
+            while True:
+                with suppress(TimeoutError):
+                    self.asked.append(connection.recv(100).decode())
+                    if "WHERE" in self.asked[-1]:
+                        due_s.append(time.monotonic() + 0.05)
+                answer = b""
+                if due_s and time.monotonic() > due_s[0]:
+                    due_s.pop()
+                    answer = answers.pop(0)
+                connection.sendall(b"%d.0 OK\n" % sent + answer)
+                sent += 1
+
+
+def asked(*answers):
+    """Return a fake, and a MyTracer that it answers."""
+    fake = Asked(*answers)
+    tracer = mytracer.make(fake.address, {"rate_hz": "200"})
+    tracer.connect()
+    return fake, tracer
+
+
+def test_a_place_is_awaited_among_the_lengths_and_none_of_these_is_lost():
+    _, tracer = asked(b"PLACE 1.0 2.0 3.001\n", b"NONE\n")
+    place = tracer.measure((1.0, 2.0, 3.0), DEADLINE_S)
+    assert place.position == (1.0, 2.0, 3.001)
+    with pytest.raises(InstrumentError, match="no reflector near"):
+        tracer.measure((1.0, 2.0, 3.0), DEADLINE_S)
+    before = time.time_ns()
+    lengths = [*tracer.read(DEADLINE_S), *tracer.read(DEADLINE_S)]
+    tracer.close()
+    assert [round(length.length * 1e6) for length in lengths] == [*range(len(lengths))]
+    stamps = [length.stamp_ns for length in lengths if length.stamp_ns is not None]
+    assert len(stamps) >= 2
+    assert stamps == sorted(stamps)
+    assert all(stamp < before for stamp in stamps)  # not those of the reading, later
+
+
+def test_no_answer_ends_the_connection_so_that_a_late_one_is_not_that_of_the_next_question():
+    _, tracer = asked(b"")
+    with pytest.raises(TimeoutError, match=r"no answer to WHERE within 0\.2 s"):
+        tracer.measure((1.0, 2.0, 3.0), 0.2)
+    tracer.close()
+
+
+class Both(Tracker):
+    """A slow tracer: a place takes longer than silence may last, and a length comes behind it."""
+
+    streams_lengths, measured, reads = True, False, 0
+
+    def read(self, timeout_s):
+        time.sleep(0.01)
+        self.reads += self.measured
+        return [Length(1.0)] if self.reads == 3 else []
+
+    def measure(self, near, timeout_s):
+        time.sleep(0.4)
+        self.measured = True
+        return super().measure(near, timeout_s)
+
+
+def test_the_time_of_a_measurement_is_no_silence():
+    heard = Heard(Both(), settings("here"))
+    heard.driver.order(ORDER)
+    heard.until(lambda h: h.lengths)
+    assert not heard.complaints
 
 
 class Wrong(Tracker):
