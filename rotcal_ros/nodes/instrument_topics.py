@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import BagError
@@ -24,7 +25,8 @@ class InstrumentTopics:
     """Subscribes to instruments, and elsewhere when a goal names other topics.
 
     ``settings`` are the group ``topics`` in force: what a goal gives, told by the planner's beat
-    before the preflight, else by the plan, goes before the parameters of the node. ``switched`` is
+    before the preflight, else by the plan. Units and clocks are then the goal's alone, as for
+    everybody who reads the bag; of the node's own parameters only names stay. ``switched`` is
     called with the role of a stream that comes from elsewhere now, or is understood otherwise.
     ``refused`` says by role which types cannot be used.
     """
@@ -36,6 +38,7 @@ class InstrumentTopics:
         self.settings = node.settings("topics", TopicSettings)
         self._streams: dict[str, InstrumentSubscription] = {}
         self.refused: dict[str, str] = {}
+        self._types: dict[str, str] = {}
         node.every(BEAT_PERIOD_S, self._follow)
 
     def listen(self, role: str, handle: Callable[[str, Batch], None]) -> None:
@@ -51,6 +54,7 @@ class InstrumentTopics:
                 kind, why = _kind(role, chosen, simulated=self._node.health.sim.used)
                 if kind is not None:
                     self.refused.pop(role, None)
+                    self._types[role] = chosen
                     return kind
                 self.refused[role] = f"{self.name(role)}: {why}"
             return None
@@ -71,9 +75,22 @@ class InstrumentTopics:
 
     def values(self) -> dict[str, str]:
         """Return what the beat tells of names."""
-        refused = {REFUSED + role: text for role, text in self.refused.items()}
+        refused = {REFUSED + r: text for r, text in (self._by_sending() | self.refused).items()}
         named = other_names(self._node.get_namespace(), self.name)
         return {**named, **refused, TOPICS: self._goals}
+
+    def _by_sending(self) -> dict[str, str]:
+        """Say by role what bears the time of the computer while the cell follows ``/clock``."""
+        if not self._node.health.sim.used:
+            return {}
+        conventions = Conventions(self.settings)
+        return {
+            role: f"{self.name(role)}: {kind} is taken when it is sent, by the computer's clock, "
+            "and the cell follows /clock (use_sim_time): publish a type with a header that is "
+            "stamped by /clock (topics.*_clock: stamp), or leave use_sim_time out"
+            for role, kind in self._types.items()
+            if conventions.by_sending(role, kind)
+        }
 
     def _follow(self) -> None:
         """Listen where the goal of the planner says."""
@@ -82,8 +99,17 @@ class InstrumentTopics:
             self._take(json.loads(goals))
 
     def _take(self, given: dict[str, Any]) -> None:
-        settings = load(TopicSettings, {**self._own, **given}, "the goal's configuration: topics")
-        self._goals = json.dumps(given, sort_keys=True)
+        told = json.dumps(given, sort_keys=True)
+        others = {key: value for key, value in self._own.items() if key not in names.ROLES}
+        if told != self._goals and (ours := others.items() - given.items()):
+            self._node.get_logger().warning(
+                f"parameters of this node that the goal's configuration does not say: "
+                f"{', '.join(f'topics.{key}' for key, _ in sorted(ours))}; they do not count, "
+                "for a bag would not tell them: put them into the configuration"
+            )
+        called = {key: value for key, value in self._own.items() if key in names.ROLES}
+        settings = load(TopicSettings, {**called, **given}, "the goal's configuration: topics")
+        self._goals = told
         if settings == self.settings:
             return
         nameless = Conventions(settings).nameless != Conventions(self.settings).nameless

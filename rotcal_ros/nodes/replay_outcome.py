@@ -88,10 +88,11 @@ class ReplayOutcome:
                 "some topics were called otherwise; nodes hear them with the configuration in the "
                 f"bag, or --ros-args {' '.join(remappings)}"
             )
-        for topic, type_name in self._bag.unstamped().items():
+        if anew := self._bag.taken_when_sent():
             yield (
-                f"{topic} ({type_name}) bears no stamp: live nodes take it as of now, beside "
-                "stamps of the recording, and observe nothing with it; rotcal solve BAG does"
+                f"warning: {', '.join(anew)}: taken when they are sent (no header, or "
+                "topics.*_clock: sent), which is now; observations are not the recorded ones, and "
+                "beside streams with stamps of then there are none: rotcal solve reads the bag"
             )
         if clock:
             yield "nodes follow /clock where they have use_sim_time: true"

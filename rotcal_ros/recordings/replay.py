@@ -14,6 +14,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.run_number import run_number
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
@@ -220,7 +221,7 @@ def read_recording(
     topics = topics or Topics()
     if configuration is None:
         configuration = find_configuration(files, topics, limits)
-    topics.planned = configuration.topics.renamed()
+    topics.follow(configuration.topics.renamed())
     calibration = as_planned(configuration, files, topics, limits)
     feeder = _feeder(calibration, configuration)
     blocks = read_blocks(files, progress, limits)
@@ -250,7 +251,10 @@ def read_recording(
         announced=frozenset(found.announced),
         frames=tuple(found.frames.values()),
         unreadable=dict(topics.unreadable),
-        clock=(*clock_in_words(found.scans, found.log_times), *filter(None, [feeder.offset])),
+        clock=(
+            *clock_in_words(found.scans, found.log_times),
+            *filter(None, [feeder.offset or feeder.doubt]),
+        ),
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
     )
@@ -261,7 +265,7 @@ def _feeder(calibration: catalogue.Calibration, configuration: Configuration) ->
     return StreamFeeder(
         calibration.capture,
         configuration.cell.joint,
-        StepFinder(
+        lambda: StepFinder(
             calibration.plan,
             configuration.capture,
             configuration.topics.tip_radius_m,
@@ -317,7 +321,7 @@ def _read(
         if block is None:
             found.scans.append(scan)
             continue
-        before, run = run, _run_number(scan, run)
+        before, run = run, run_number(scan.metadata, run)
         if feeder is not None and run != before:
             feeder.begin_run(run)
         found.log_times.look(block)
@@ -328,9 +332,3 @@ def _read(
         if feeder is not None:
             feeder.feed(block, parts)
     return found
-
-
-def _run_number(scan: Scan, before: int) -> int:
-    """Return the run that is being read; ``before`` where the file says none."""
-    number = scan.metadata.get(names.RUN, {}).get("number", "")
-    return int(number) if number.isascii() and number.isdigit() and len(number) < 10 else before

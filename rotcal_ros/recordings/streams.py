@@ -17,7 +17,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.orders import Orders
-from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.capture.stamp_offsets import REFERENCE, StampOffsets
 from rotcal_ros.instruments.conversion import FEEDBACK, READING
 from rotcal_ros.instruments.forms import STAMP, Form, form_of
 from rotcal_ros.instruments.interpreter import Interpreter, table_samples
@@ -67,28 +67,30 @@ class StreamFeeder:
     tolerance, the capture's answer does not depend on it. ``make`` returns a new
     capture for the run with a number. ``joint`` names the table among the joint states; empty
     means the first. ``offset`` says which clocks differ, by more than ``stamp_offset_s``,
-    ``offsets`` what the bag tells of that at each observation.
+    ``doubt`` which seem to by less, ``offsets`` what the bag tells of that at each observation.
     """
 
     def __init__(
         self,
         make: Callable[[int], Capture],
         joint: str = "",
-        finder: StepFinder | None = None,
+        make_finder: Callable[[], StepFinder] | None = None,
         topics: TopicSettings | None = None,
         slice_ns: int = SLICE_NS,
         stamp_offset_s: float = math.inf,
     ) -> None:
         self._clocks = StampOffsets(stamp_offset_s)
         self.observations: list[Observation] = []
-        self.offset, self.offsets = "", list[str]()
+        self.offset, self.doubt, self.offsets = "", "", list[str]()
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
-        self._finder = finder
+        self._make_finder = make_finder
+        self._finder = make_finder() if make_finder is not None else None
         self._finding = False
         self._slice_ns = max(1, slice_ns)
-        self._instruments = Interpreter(topics or TopicSettings(), joint)
+        self._topics = topics or TopicSettings()
+        self._instruments = Interpreter(self._topics, joint)
         self._orders = Orders()
         self._makers: dict[str, Callable[[Any], Any]] = {
             names.TABLE_ANGLE: self._orders.table_angle,
@@ -98,6 +100,11 @@ class StreamFeeder:
     def begin_run(self, run: int) -> None:
         """Start afresh: what was undecided when a run was interrupted stays undecided."""
         self._captures.append(self._make(run))
+        self._instruments = Interpreter(self._topics, self._joint)
+        if self._finder is not None and self._make_finder is not None:
+            ordered = self._finder.ordered
+            self._finder = self._make_finder()
+            self._finder.ordered = ordered
         self._orders.clear()
 
     @property
@@ -120,7 +127,7 @@ class StreamFeeder:
         if self._finder is not None and any(part.role == names.PLAN for part in parts):
             self._finder.ordered = True
         self._finding |= self._finder is not None and any(map(_tells_positions, parts))
-        for part in parts:
+        for part in sorted(parts, key=lambda part: part.role != REFERENCE):
             with part.taken_as_expected():
                 if part.role == names.TRACER_LENGTH:
                     readings = self._readings(block, part)
@@ -140,6 +147,7 @@ class StreamFeeder:
         self._feed_slices(readings, feedback, others)
         offset = self._clocks.in_words()
         self.offset = self.offset or offset
+        self.doubt = self.doubt or self._clocks.doubt_in_words()
         self.offsets += [offset] * (len(self.observations) - len(self.offsets))
 
     def _hold(self, role: str, records: NDArray[np.void], block: Block) -> None:

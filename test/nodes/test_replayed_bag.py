@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -115,13 +116,16 @@ def test_a_pace_that_is_none_is_refused(rate):
     assert "'--rate'" in done.stderr
 
 
-def test_instruments_without_a_stamp_are_known():
-    kinds = {"/leica/length": "std_msgs/msg/Float64", "/cell/air": "std_msgs/msg/Float64",
-             "/cell/probe_point": "geometry_msgs/msg/PoseStamped"}  # fmt: skip
-    channels = {
-        topic: ChannelDefinition(k, topic, kind, "ros2msg", "")
-        for k, (topic, kind) in enumerate(kinds.items())
+def test_topics_that_are_taken_when_they_are_sent_are_named():
+    kinds = {
+        "/etalon": "std_msgs/msg/Float64",
+        "/cell/joint_states": "sensor_msgs/msg/JointState",
+        "/cell/probe_point": "geometry_msgs/msg/PointStamped",
+        "/cell/other": "std_msgs/msg/Float64",
     }
+    channels = {topic: SimpleNamespace(type_name=kind) for topic, kind in kinds.items()}
     bag = ReplayedBag((), channels)
-    bag.called.topics = {names.TRACER_LENGTH: "/leica/length"}
-    assert bag.unstamped() == {"/leica/length": "std_msgs/msg/Float64"}
+    bag.called.topics = {names.TRACER_LENGTH: "/etalon"}
+    assert bag.taken_when_sent() == ["/etalon"]
+    bag.configuration = "/**: {ros__parameters: {method: ball_plate, topics: {probe_clock: sent}}}"
+    assert bag.taken_when_sent() == ["/cell/probe_point", "/etalon"]
