@@ -60,13 +60,8 @@ def read_bag(
         Path(path),
         source,
         configuration=configuration,
-        topics=topics_of(configuration, namespace),
+        topics=Topics.of(configuration, namespace),
     )
-
-
-def topics_of(configuration: Configuration | None, namespace: str = "") -> Topics:
-    """Return what finds the topics of a cell; a ``configuration`` that is given names them."""
-    return Topics(namespace, {} if configuration is None else configuration.topics.renamed())
 
 
 def read_table(

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rotcal_ros.api.reading import Name, topics_of
+from rotcal_ros.api.reading import Name
 from rotcal_ros.arrays import Ints
 from rotcal_ros.bags.reader import bag_files, read_blocks
 from rotcal_ros.catalogue.configuration import Configuration
@@ -22,6 +22,7 @@ from rotcal_ros.observations import (
 )
 from rotcal_ros.recordings.recorded_setup import Decoders, find_configuration
 from rotcal_ros.recordings.streams import StreamFeeder
+from rotcal_ros.recordings.topics import Topics
 
 Rows = NDArray[np.void]
 """A structured array (n,)."""
@@ -111,7 +112,7 @@ def read_streams(
     >>> streams.points["position"].shape, streams.points.dtype.names[:3]
     ((546, 3), ('stamp_ns', 'sequence', 'step'))
     """
-    topics, files = topics_of(configuration, namespace), bag_files(Path(path))
+    topics, files = Topics.of(configuration, namespace), bag_files(Path(path))
     setup = configuration or find_configuration(files, topics)
     topics.follow(setup.topics.renamed())
     kept = _Collector()

@@ -89,15 +89,3 @@ def not_understood(role: str, type_name: str) -> str:
         return ""
     known = ", ".join([OWN[role], *FORMS[role]])
     return f"{role}: {type_name} is no message for it; it may be {known}"
-
-
-def without_simulated_time(role: str, type_name: str) -> str:
-    """Say that messages of a type have no time of ``/clock``; empty: their stamp says it."""
-    form = form_of(role, type_name)
-    if form is None or form.stamped:
-        return ""
-    stamped = [OWN[role], *(name for name, known in FORMS[role].items() if known.stamped)]
-    return (
-        f"{type_name} bears no stamp and so has no time of /clock (use_sim_time), only that of "
-        f"the system: publish {' or '.join(stamped)}"
-    )

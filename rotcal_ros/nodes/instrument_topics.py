@@ -11,7 +11,7 @@ from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import BagError
 from rotcal_ros.instruments.conventions import Conventions
-from rotcal_ros.instruments.forms import not_understood, without_simulated_time
+from rotcal_ros.instruments.forms import not_understood
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.channels import message_type
 from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
@@ -51,7 +51,7 @@ class InstrumentTopics:
         def choose(type_names: Sequence[str]) -> type | None:
             nonlocal chosen
             for chosen in type_names:
-                kind, why = _kind(role, chosen, simulated=self._node.health.sim.used)
+                kind, why = _kind(role, chosen)
                 if kind is not None:
                     self.refused.pop(role, None)
                     self._types[role] = chosen
@@ -121,10 +121,9 @@ class InstrumentTopics:
         self._node.health.beat()
 
 
-def _kind(role: str, type_name: str, *, simulated: bool) -> tuple[type | None, str]:
+def _kind(role: str, type_name: str) -> tuple[type | None, str]:
     """Return the class of a type in its role; None, and why, where it cannot be used."""
-    why = not_understood(role, type_name)
-    if why := why or (without_simulated_time(role, type_name) if simulated else ""):
+    if why := not_understood(role, type_name):
         return None, why
     try:
         return message_type(type_name), ""

@@ -39,10 +39,8 @@ from rotcal_ros.nodes.running import EndRequest, leave_with
 LOOK_AROUND_S: Final = 2.0
 """So long the graph is looked at before anything is published."""
 LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
-GUARD_PERIOD_S: Final = 1.0
-TOLD_PERIOD_S: Final = 0.2
-_AHEAD_S: Final = 5e-4
-"""Nobody waits for less."""
+GUARD_PERIOD_S, TOLD_PERIOD_S = 1.0, 0.2
+_AHEAD_S: Final = 5e-4  # nobody waits for less
 
 
 class Ended(Exception):  # noqa: N818  nothing went wrong
@@ -122,8 +120,8 @@ class Player:
             return not not_yet() or any(self._health.state(n).startswith(REFUSED) for n in nodes)
 
         if not self._wait(settled, PLAN_TAKEN_S) or not_yet():
-            states = (f"{node}: {self._health.state(node)}" for node in nodes)
-            raise ConfigurationError(f"the plan of the bag is not taken ({'; '.join(states)})")
+            states = "; ".join(f"{node}: {self._health.state(node)}" for node in nodes)
+            raise ConfigurationError(f"the plan of the bag is not taken ({states})")
         unheard = partial(self._outcome.unheard, self._publishers, with_plan=True)
         if not self._wait(lambda: not unheard(), LISTENERS_S):
             left = ", ".join(sorted(unheard()))
@@ -150,9 +148,9 @@ class Player:
 
     def _look(self) -> None:
         """Do what is due: the clock, the progress, the look around."""
-        now_s = time.monotonic()
         if self._end:
             raise Ended
+        now_s = time.monotonic()
         self._pace.tick()
         if now_s - self._told_s > TOLD_PERIOD_S:
             self._told_s = now_s

@@ -111,11 +111,4 @@ def unlike_clocks(health: Any, configuration: Configuration) -> list[str]:
             "the configuration says use_sim_time: true, the nodes run without: start them with "
             "--ros-args -p use_sim_time:=true"
         )
-    if own:
-        found += [
-            f"topics.{owner}_clock: sent is the time of the system, not of /clock (use_sim_time): "
-            "take the stamps"
-            for owner in ("length", "table", "probe")
-            if getattr(configuration.topics, f"{owner}_clock") == "sent"
-        ]
     return found

@@ -15,6 +15,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.scan import Scan
+from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import BagError
 
 
@@ -66,6 +67,11 @@ class Topics:
     unreadable: dict[str, str] = field(default_factory=dict)
     _recorded: dict[str, str] = field(default_factory=dict, repr=False)
     _taken: dict[str, str] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, configuration: Configuration | None, namespace: str = "") -> Topics:
+        """Return what finds the topics of a cell; a ``configuration`` that is given names them."""
+        return cls(namespace, {} if configuration is None else configuration.topics.renamed())
 
     def follow(self, planned: Mapping[str, str]) -> None:
         """Take what the configuration says; what was taken before it was known is open again."""

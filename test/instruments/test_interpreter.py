@@ -9,7 +9,7 @@ import pytest
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.instruments.forms import not_understood, without_simulated_time
+from rotcal_ros.instruments.forms import not_understood
 from rotcal_ros.instruments.interpreter import Interpreter
 from rotcal_ros.observations import LengthStatus
 from rotcal_ros.settings import load
@@ -138,10 +138,3 @@ def test_units_that_cannot_be(given, words):
 def test_units_by_name_are_those_by_number():
     assert TopicSettings(angle_unit="deg").angle_rad == np.deg2rad(1.0)
     assert TopicSettings(length_unit="mm").length_m == TopicSettings(length_unit_m=1e-3).length_m
-
-
-def test_a_number_without_stamp_has_no_simulated_time():
-    found = without_simulated_time(names.TRACER_LENGTH, FLOAT)
-    assert found.endswith(f"publish rotcal_msgs/msg/TracerLength or {RANGE}")
-    for type_name in (RANGE, "rotcal_msgs/msg/TracerLength"):
-        assert without_simulated_time(names.TRACER_LENGTH, type_name) == ""

@@ -14,7 +14,6 @@ pytest.importorskip("rotcal_msgs")
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from rotcal_ros.bags import names
-from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.rosbag2_metadata import OfferedQos, qos_text
 from rotcal_ros.bags.writer import BagWriter
 from rotcal_ros.bags.writer_settings import WriterSettings

@@ -19,7 +19,7 @@ from rotcal_ros.catalogue.configuration import (
     read_configuration,
 )
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.nodes.sim_clock import SimClock, unlike_clocks
+from rotcal_ros.nodes.sim_clock import SimClock
 from rotcal_ros.recordings.replay import read_recording
 
 
@@ -67,15 +67,6 @@ def test_pace_and_pause_are_told(pace):
     assert clocks.sim.in_words() == ""
     clocks.live(5.0, 2 * pace)
     assert f"runs at {2 * pace:.2g} of it" in clocks.sim.remark()
-
-
-def test_times_of_sending_are_none_of_a_simulated_clock():
-    configuration = changed(read_configuration(DEMO), ["topics.length_clock=sent"])
-    clocks = Clocks()
-    clocks.live(1.0, 1.0)
-    health = SimpleNamespace(sim=clocks.sim, values=lambda _: clocks.sim.values())
-    (found,) = unlike_clocks(health, configuration)
-    assert found.startswith("topics.length_clock: sent is the time of the system")
 
 
 def test_the_configuration_gives_the_parameter_to_all_nodes():
