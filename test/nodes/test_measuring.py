@@ -76,7 +76,7 @@ def measured(failing, steps=range(STEPS), earlier=()):
         CALIBRATION.configuration.plan_id, run, left[0], (), left, observed
     )
     cell, progress = Cell(failing), Progress(STEPS)
-    watch = Watch(settings=PlannerSettings(), links=cell, progress=progress)
+    watch = Watch(settings=PlannerSettings(), links=cell, progress=progress, owed=None)
     asyncio.run(Measuring(CALIBRATION, continuation, watch).measure_all())
     return cell, progress
 
