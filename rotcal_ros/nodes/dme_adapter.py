@@ -102,8 +102,7 @@ class DmeAdapter(CellNode):
             self._obey(early[1])
 
     def _obey(self, command: Command) -> None:
-        if self._stop.why:
-            self._complain(f"step {command.step}: refused in an emergency stop")
+        if self._stop.refuses(command.step):
             return
         run = self._planners_run()
         if self._plan is None or run not in ("", self._run):

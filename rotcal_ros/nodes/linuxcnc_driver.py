@@ -83,8 +83,7 @@ class LinuxCncDriver(CellNode):
         return self._agent.poll() is not None
 
     def _obey(self, message: TableAngle) -> None:
-        if self._stop.why:
-            self.get_logger().warning(f"step {message.step}: refused in an emergency stop")
+        if self._stop.refuses(message.step):
             return
         order = {
             "angle_deg": message.angle / DEGREE,

@@ -89,8 +89,7 @@ class SimulatedCellNode(CellNode):
 
     def _obey(self, command: Command) -> None:
         """Begin both motions of an order together, unless safety has stopped the machine."""
-        if self._stop.why:
-            self.get_logger().warning(f"step {command.step}: refused in an emergency stop")
+        if self._stop.refuses(command.step):
             return
         self._cell.order_table(command)
         self._cell.order_probe(command)

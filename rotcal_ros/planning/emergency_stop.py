@@ -15,7 +15,8 @@ class StopSources:
     """Keeps what the sources of a stop said last; times are monotonic, in seconds.
 
     ``topic`` is the absolute name of the emergency stop, empty: none. Silence counts from
-    ``now_s`` on, the time of the start.
+    ``now_s`` on, the time of the start. Several that share the end of their name are sources of
+    their own, from the first word of each on: none speaks for another.
     """
 
     def __init__(self, settings: SafetySettings, topic: str, now_s: float) -> None:
@@ -37,7 +38,9 @@ class StopSources:
                 state = _WORDS.get(level, f"level {level}")
                 detail = f" ({words})" if words else ""
                 text = f"{name} is in {state} on /diagnostics{detail}"
-                self._note(known, text if level >= _ERROR else "", now_s)
+                if name != known:
+                    self._heard_s.pop(known, None)
+                self._note(name, text if level >= _ERROR else "", now_s)
 
     def why(self, now_s: float) -> str:
         """Return why nothing may be ordered now, in words; empty: it may."""

@@ -51,6 +51,17 @@ def test_silence_stops_where_it_is_asked_for_from_the_start_on():
     assert found.why(110.0) == f"/safety/estop is true; drive {silent}"
 
 
+def test_sources_that_share_the_end_of_their_name_do_not_speak_for_each_other():
+    found = sources(topic="", silent_s=1.0, stop_on_diagnostics=("drive",))
+    found.diagnose("plc: drive", ERROR, "I2t", 100.5)
+    found.diagnose("spindle: drive", OK, "", 100.5)
+    assert found.why(100.5) == "plc: drive is in ERROR on /diagnostics (I2t)"
+    found.diagnose("plc: drive", OK, "", 100.5)
+    assert found.why(100.5) == ""
+    found.diagnose("spindle: drive", OK, "", 101.6)
+    assert found.why(101.6) == "plc: drive has said nothing for 1 s (safety.silent_s)"
+
+
 def test_a_name_that_no_topic_can_bear_is_refused():
     with pytest.raises(ConfigurationError, match="emergency_stop: 'e stop' is no name in ROS"):
         SafetySettings(emergency_stop="e stop")
