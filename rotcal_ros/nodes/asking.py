@@ -26,7 +26,7 @@ class Asking:
         """
         watch, pauses, stop = self._watch, self._watch.pauses, self._watch.stop
         watch.progress.pause()
-        pauses.begin(self._plan_id, self._run, watch.progress.step)
+        pauses.begin(self._plan_id, self._run, watch.progress.step, stop.count)
         try:
             while pauses.waiting:
                 seen = stop.why, stop.latched
@@ -48,13 +48,15 @@ class Asking:
 def obstacle(watch: GoalWatch) -> str:
     """Return why a goal cannot be resumed yet, in words; empty: it can."""
     health = watch.links.health
+    watch.stop.heed()
     stop = [f"the emergency stop is on: {watch.stop.why}"] if watch.stop.why else []
     blocked = [
         f"node {name} waits for a person: {text}"
         for name in sorted(health.present())
         if (text := health.values(name).get(BLOCKED))
     ]
-    return "; ".join([*stop, *blocked, *watch.silent_streams()])
+    lasting = "; ".join([*stop, *blocked, *watch.silent_streams()])
+    return lasting or watch.pauses.stop_between(watch.stop.count)
 
 
 def stop_text(why: str, latched: str, work: str) -> str:

@@ -32,10 +32,12 @@ class Pauses:
         self._publisher = node.create_publisher(PauseMsg, names.PAUSE, LATCHED)
         node.offer(Trigger, RESUME, self._resume)
         self._latest = PauseMsg()
+        self._stops = 0
         self.waiting = False
 
-    def begin(self, plan_id: str, run: int, step: int) -> None:
-        """Wait from now on, before ``step`` of a run of a plan."""
+    def begin(self, plan_id: str, run: int, step: int, stops: int) -> None:
+        """Wait from now on, before ``step`` of a run of a plan, after so many stops."""
+        self._stops = stops
         self._latest = PauseMsg(plan_id=plan_id, run=run, step=step, waiting=True)
         self.waiting = True
 
@@ -53,6 +55,11 @@ class Pauses:
         latest.instruction = instruction
         latest.resume = self._node.resolve_service_name(RESUME)
         self._publish(place.frame)
+
+    def stop_between(self, stops: int) -> str:
+        """Return, once, that a stop came after the pause began: who resumes may not know of it."""
+        before, self._stops = self._stops, stops
+        return "an emergency stop came in between: look, then resume again" * (stops > before)
 
     def end(self) -> None:
         """Tell that nothing is waited for any more."""

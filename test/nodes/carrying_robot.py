@@ -1,6 +1,7 @@
 """A robot that carries the instrument: reads ``pause``, goes there, calls ``resume``.
 
-What it read stands on standard output, one line of JSON for each place.
+What it read stands on standard output, one line of JSON for each place. Where an emergency stop
+came while it was on its way, ``resume`` is refused: a person looks, and resumes.
 """
 
 import json
@@ -26,7 +27,14 @@ def carry(pause):
     sys.stdout.write(json.dumps({**place, "frame": pause.header.frame_id, "step": pause.step}))
     sys.stdout.write("\n")
     sys.stdout.flush()
-    node.create_client(Trigger, pause.resume).call_async(Trigger.Request())
+    answer = node.create_client(Trigger, pause.resume).call_async(Trigger.Request())
+    answer.add_done_callback(hear)
+
+
+def hear(answer):
+    """Leave it to a person where ``resume`` was refused: never just call it again."""
+    if not answer.result().success:
+        node.get_logger().warning(answer.result().message)
 
 
 node.create_subscription(Pause, "pause", carry, latched)

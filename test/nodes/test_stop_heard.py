@@ -1,4 +1,4 @@
-"""How a node hears an emergency stop: what waits, what is short, what its own stall is; no graph."""
+"""How a node hears an emergency stop: what waits, what is short, its own stall; no graph."""
 
 from types import SimpleNamespace
 
