@@ -51,15 +51,17 @@ class Driver:
         self._jobs: SimpleQueue[_Order | _Clear | None] = SimpleQueue()
         self._wanted: _Order | None = None
         self._stopping = False
-        self._thread = Thread(target=self._work, name="DME", daemon=True)
+        self._thread: Thread | None = None
 
     @property
     def alive(self) -> bool:
         """Whether the thread still works."""
-        return self._thread.is_alive()
+        return self._thread is not None and self._thread.is_alive()
 
-    def begin(self) -> None:
-        """Begin a session."""
+    def begin(self, stopped: str = "") -> None:
+        """Begin a session; where the cell is ``stopped``, with the first :meth:`clear` only."""
+        self.client.blocked = stopped or self.client.blocked
+        self._thread = Thread(target=self._work, args=(not stopped,), name="DME", daemon=True)
         self._thread.start()
 
     def order(self, command: Command, step: Step) -> None:
@@ -94,8 +96,9 @@ class Driver:
             self.abort("the adapter was ended in the middle of a motion")
         self._jobs.put(None)
 
-    def _work(self) -> None:
-        self._move(self.client.start)
+    def _work(self, starts: bool) -> None:
+        if starts:
+            self._move(self.client.start)
         while not self._stopping:
             self.state = self.client.blocked or "ready"
             try:

@@ -82,8 +82,9 @@ class DmeAdapter(CellNode):
         return not self._driver.alive
 
     def _begin(self) -> None:
-        """Begin a session with the machine, and obey."""
-        self._driver.begin()
+        """Obey, in a session that begins now; after a stop a person lets it begin, it may home."""
+        why = self._stop.heed()
+        self._driver.begin(why and f"{NOT_STARTED}: emergency stop: {why}")
         self._orders = self.take_orders(self._obey)
         self.offer(Trigger, "clear_errors", self._clear)
 
@@ -126,7 +127,7 @@ class DmeAdapter(CellNode):
 
     def _watch(self) -> None:
         """Begin when nobody else holds the machine; then look who is served, and what is wrong."""
-        if self._looks < LOOKS_FIRST and not (self.health.refused or self._stop.why):
+        if self._looks < LOOKS_FIRST and not self.health.refused:
             self._looks += 1
             if self._looks == LOOKS_FIRST:
                 self._begin()

@@ -37,8 +37,8 @@ class JointController(Protocol):
     def heard(self) -> bool:
         """Return whether anybody listens to it."""
 
-    def setpoint(self) -> float | None:
-        """Return where the joint was sent last (rad) on a way that it is still on, if known."""
+    def setpoint(self) -> tuple[float, float] | None:
+        """Return where (rad) and how fast (rad/s) it was sent last on its way, if known."""
 
     def send(self, way: Way) -> None:
         """Let the joint go that way from now on."""
@@ -46,8 +46,8 @@ class JointController(Protocol):
     def forget(self) -> None:
         """Send nothing more of the way under way."""
 
-    def hold(self, way: Way) -> None:
-        """Let the joint come to rest by ``way``, and stay there."""
+    def halt(self) -> str:
+        """End the way under way though nobody knows where it is; return what was done."""
 
     def word(self) -> Word:
         """Return what the controller says of the latest way."""
@@ -110,9 +110,9 @@ class TrajectoryController:
     def forget(self) -> None:
         """Do nothing: the controller has the whole trajectory, and ends it by itself."""
 
-    def hold(self, way: Way) -> None:
-        """Publish a trajectory that takes the place of the one under way."""
-        self.send(way)
+    def halt(self) -> str:
+        """Do nothing: only a place takes that of the way, an empty trajectory is refused."""
+        return "a trajectory sent by topic cannot be taken back, it goes on to its end"
 
 
 class PositionController:
@@ -128,9 +128,9 @@ class PositionController:
         """Return whether anybody listens to it."""
         return bool(self._publisher.get_subscription_count())
 
-    def setpoint(self) -> float | None:
+    def setpoint(self) -> tuple[float, float] | None:
         """Return where the joint was sent last: a new way begins there, not where it lags."""
-        return None if self._way is None else self._way.position(self._elapsed_s)
+        return None if self._way is None else self._way.at(self._elapsed_s)
 
     def send(self, way: Way) -> None:
         """Begin to go that way."""
@@ -140,10 +140,10 @@ class PositionController:
         """Leave the joint where it was sent last."""
         self._way = None
 
-    def hold(self, way: Way) -> None:
-        """Send the place of rest at once: the joint is to lag behind nothing further."""
-        self._way = None
-        self._publisher.publish(Float64MultiArray(data=[way.goal]))
+    def halt(self) -> str:
+        """Leave the joint where it was sent last."""
+        self.forget()
+        return "it is sent no more positions"
 
     def word(self) -> Word:
         """Return nothing: a topic has no answer."""
@@ -155,7 +155,7 @@ class PositionController:
             return
         before, self._stepped_s = self._stepped_s, time.monotonic()
         self._elapsed_s += min(self._stepped_s - before, LATEST_S)
-        self._publisher.publish(Float64MultiArray(data=[self._way.position(self._elapsed_s)]))
+        self._publisher.publish(Float64MultiArray(data=[self._way.at(self._elapsed_s)[0]]))
         if self._elapsed_s >= self._way.times_s[-1]:
             self._way = None
 

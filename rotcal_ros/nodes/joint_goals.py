@@ -37,6 +37,7 @@ class GoalController:
             node, FollowJointTrajectory, f"{controller}/follow_joint_trajectory"
         )
         self._latest: Way | None = None
+        self._handle: Any = None
         self._word = Word()
 
     def heard(self) -> bool:
@@ -48,17 +49,20 @@ class GoalController:
 
     def send(self, way: Way) -> None:
         """Send a goal; the controller gives the one before it up by itself."""
-        self._latest, self._word = way, Word()
+        self._latest, self._handle, self._word = way, None, Word()
         goal = FollowJointTrajectory.Goal(trajectory=trajectory_message(self._joint, way))
         answer = self._client.send_goal_async(goal)
         answer.add_done_callback(self._guarded(partial(self._answered, way)))
 
-    def hold(self, way: Way) -> None:
-        """Send a goal that takes the place of the one under way."""
-        self.send(way)
-
     def forget(self) -> None:
         """Do nothing: the controller has the whole goal, and ends it by itself."""
+
+    def halt(self) -> str:
+        """Cancel the goal, also one that is not accepted yet: the controller holds the joint."""
+        if self._handle is not None:
+            self._handle.cancel_goal_async()
+        self._latest = self._handle = None
+        return "its goal is canceled"
 
     def word(self) -> Word:
         """Return what the controller says of the latest goal."""
@@ -67,11 +71,14 @@ class GoalController:
     def _answered(self, way: Way, answer: Any) -> None:
         """Hear whether a goal was accepted."""
         handle = answer.result()
+        if self._latest is None and handle.accepted:
+            handle.cancel_goal_async()
         if way is not self._latest:
             return
         if not handle.accepted:
             self._say("rejected the goal", "is it active, and does it move this joint?")
             return
+        self._handle = handle
         handle.get_result_async().add_done_callback(self._guarded(partial(self._ended, way)))
 
     def _ended(self, way: Way, ending: Any) -> None:

@@ -20,7 +20,7 @@ ANSWER_S: Final = 30.0
 class LengthTrigger:
     """Calls the service ``name`` whenever ``wanted`` tells a new number of readings wanted.
 
-    ``complaint`` says what the instrument answered when it could not measure.
+    ``complaint`` says what the instrument answered when it could not measure, or that it does not.
     """
 
     def __init__(self, node: CellNode) -> None:
@@ -56,7 +56,13 @@ class LengthTrigger:
         if self._call is None:
             return True
         if not self._call.done():
-            return time.monotonic() - self._since_s > ANSWER_S
+            if time.monotonic() - self._since_s <= ANSWER_S:
+                return False
+            silent = f"no answer to {self._client.srv_name} in {ANSWER_S:g} s"
+            self.complaint = f"the instrument took no length: {silent} (length_trigger)"
+            self._client.remove_pending_request(self._call)
+            self._call = None
+            return True
         answer, self._call = self._call.result(), None
         self._since_s = time.monotonic()
         self.complaint = (

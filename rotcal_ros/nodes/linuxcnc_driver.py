@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import json
 import subprocess
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from threading import Thread
 from typing import Any, Final
 
@@ -31,6 +33,7 @@ from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.units import DEGREE, NANOSECOND
 
 END_TIMEOUT_S: Final = 15.0
+"""So long the agent may take to end by itself: less than a node may."""
 SIDES: Final = {Approach.POSITIVE: 1, Approach.NEGATIVE: -1}
 
 
@@ -56,6 +59,7 @@ class LinuxCncDriver(CellNode):
             command = agent_command(ini, cell.axis, number)
         self._state = "starting LinuxCNC's agent"
         self._complaints = 0
+        self._ending_s: float | None = None
         self._last: TableSample | None = None
         self._motor_deg = 0.0
         self._positions = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
@@ -70,13 +74,18 @@ class LinuxCncDriver(CellNode):
         self.listen(TableAngle, names.TABLE_ANGLE, self._obey, EVENT)
 
     def begin_stop(self) -> None:
-        """End the agent; LinuxCNC goes on, unless the agent's command started it."""
+        """Have the agent end; LinuxCNC goes on, unless the agent's command started it."""
         assert self._agent.stdin is not None
-        self._agent.stdin.close()
-        try:
-            self._agent.wait(END_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
+        self._ending_s = time.monotonic()
+        with suppress(BrokenPipeError):
+            self._agent.stdin.close()
+
+    def stopped(self) -> bool:
+        """Return whether the agent has ended; one that does not is terminated in the end."""
+        late_s = 0.0 if self._ending_s is None else time.monotonic() - self._ending_s
+        if late_s > END_TIMEOUT_S and self._agent.poll() is None:
             self._agent.terminate()
+        return self._agent.poll() is not None
 
     def finished(self) -> bool:
         """Return whether the agent has ended by itself: then nobody moves the table."""

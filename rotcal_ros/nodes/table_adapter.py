@@ -60,8 +60,7 @@ class TableAdapter(CellNode):
         )
         self._waiting: TableAngle | None = None
         self._waiting_s = 0.0
-        self._refused = self._kind = ""
-        self._held = False
+        self._refused, self._kind, self._held = "", "", False
         self._others: tuple[str, ...] = ()
         self._state = "waiting for feedback"
         self._feedback = self.create_publisher(JointState, names.JOINT_STATES, STREAM)
@@ -74,31 +73,34 @@ class TableAdapter(CellNode):
         self.every(LOOK_PERIOD_S, self._look)
 
     def deactivated(self) -> None:
-        """Command nothing more."""
+        """Command nothing more, neither in an emergency stop."""
         self._waiting = None
         self._controller.forget()
+        self._watch.leave()
 
     def _obey(self, message: TableAngle) -> None:
         """Take an order; it takes the place of one that is under way."""
-        if self._stop.why:
-            self.get_logger().warning(f"step {message.step}: refused in an emergency stop")
+        if self._stop.refuses(message.step):
             return
         self._waiting, self._waiting_s, self._refused = message, time.monotonic(), ""
         self._held = False
         self._send()
 
     def _halt(self, _why: str) -> None:
-        """Forget the order that waits, and bring a joint that has had one to rest."""
-        self._waiting, self._held, self._state = None, True, "held: emergency stop"
-        if self._watch.order is None:
+        """Forget the order that waits, and bring a joint that moves by another to rest."""
+        self._waiting, self._state = None, "waiting for an order"
+        if not self._watch.under_way(now_s := time.monotonic()):
             return
-        here = self._watch.here(time.monotonic())
-        if here is None:
-            self.get_logger().error("the table cannot be held: where it is nobody tells")
+        sent = self._controller.setpoint() or self._watch.motion(now_s)
+        self._held = sent is not None
+        if sent is None:
+            self._watch.leave()
+            how = f"where it is nobody tells; {self._controller.halt()}"
+            self.get_logger().error(f"the table cannot be held: {how}")
             return
-        way = way_to_rest(here, self._watch.velocity, self._settings)
-        self._controller.hold(way)
-        self._watch.begin(way, time.monotonic())
+        way = way_to_rest(*sent, self._settings)
+        self._controller.send(way)
+        self._watch.begin(way, now_s)
 
     def _send(self) -> None:
         """Send what waits, as soon as it is known where the joint stands and who listens."""
@@ -107,9 +109,8 @@ class TableAdapter(CellNode):
             return
         self._waiting = None
         self._state = f"step {order.step}, attempt {order.attempt}"
-        begin = self._controller.setpoint()
+        begin, _ = self._controller.setpoint() or (here, 0.0)
         try:
-            begin = here if begin is None else begin
             way = way_to(order.angle, Approach(order.approach), begin, self._settings)
         except DataError as error:
             self._refused = str(error)
@@ -152,8 +153,6 @@ class TableAdapter(CellNode):
 
     def _wrong(self) -> str:
         """Say what is wrong with the table; empty: nothing is, or it was stopped."""
-        if self._held:
-            return ""
         if self._refused:
             return self._refused
         if self._watch.latest is None and self._others:
@@ -163,8 +162,9 @@ class TableAdapter(CellNode):
             )
         if self._waiting is not None:
             return self._why_waiting()
-        text, word = self._watch.complaint(time.monotonic()), self._controller.word()
-        if word.trouble and not self._watch.arrived():
+        word = self._controller.word()
+        text = "" if self._held else self._watch.complaint(time.monotonic())
+        if word.trouble and (self._held or not self._watch.arrived()):
             text = word.trouble
         if text and word.done:
             text += ", and the controller calls this succeeded"
@@ -188,7 +188,7 @@ class TableAdapter(CellNode):
     def _report(self) -> tuple[str, dict[str, Any]]:
         latest = self._watch.latest
         angle = {} if latest is None else {"angle_deg": f"{latest.angle / DEGREE:.5f}"}
-        return self._state, angle
+        return "held: emergency stop" if self._held and self._stop.why else self._state, angle
 
 
 def main() -> None:

@@ -21,11 +21,15 @@ _FAR = 2 * TURN
 
 @dataclass
 class ObeyedOrder:
-    """An order under way: how far its joint has come. Times are monotonic, in seconds."""
+    """An order under way: how far its joint has come. Times are monotonic, in seconds.
+
+    ``over``: it has arrived, or was left; what the joint does then is no matter of this order.
+    """
 
     way: Way
     begun_s: float
     moved: bool = False
+    over: bool = False
 
 
 class JointWatch:
@@ -62,9 +66,24 @@ class JointWatch:
             return None
         return self.latest.angle if isfinite(self.latest.angle) else None
 
+    def motion(self, now_s: float) -> tuple[float, float] | None:
+        """Return where the joint is (rad) and its velocity (rad/s); None where nobody tells."""
+        here = self.here(now_s)
+        return None if here is None else (here, self.velocity)
+
     def begin(self, way: Way, now_s: float) -> None:
         """Note an order that was just sent."""
         self.order, self._moved_s = ObeyedOrder(way, now_s), now_s
+
+    def leave(self) -> None:
+        """Let the order be over."""
+        if self.order is not None:
+            self.order.over = True
+
+    def under_way(self, now_s: float) -> bool:
+        """Return whether the joint may be moving as ordered: not there yet, nor stopped short."""
+        order = self.order
+        return order is not None and not order.over and not self._has_stopped(order, now_s)
 
     def hear(self, sample: TableSample, now_s: float) -> TableSample | None:
         """Return ``sample`` as the cell shall hear it, with a velocity; None: not to be told.
@@ -81,7 +100,14 @@ class JointWatch:
         by_angles = self._speed.feed(sample.stamp_ns, sample.angle)
         feedback = by_angles if isnan(sample.velocity) else sample
         self.velocity = nan if feedback is None else feedback.velocity
-        return feedback if self._begun(sample.angle) else replace(sample, velocity=nan)
+        begun, order = self._begun(sample.angle), self.order
+        if order is not None and now_s - order.begun_s > order.way.times_s[-1] and self.arrived():
+            self.leave()
+        return feedback if begun else replace(sample, velocity=nan)
+
+    def _has_stopped(self, order: ObeyedOrder, now_s: float) -> bool:
+        late_s = now_s - order.begun_s - _LATE * order.way.times_s[-1]
+        return min(late_s, now_s - self._moved_s) > self._settings.silence_s
 
     def _begun(self, angle: float) -> bool:
         """Return whether the joint has begun to obey, or has nothing to do."""
@@ -126,8 +152,7 @@ class JointWatch:
                 f"{goal / DEGREE:.4f} deg: is {self._settings.controller} active, and did it "
                 "accept the order?"
             )
-        late_s = now_s - order.begun_s - _LATE * order.way.times_s[-1]
-        if late_s > patience and still_s > patience:
+        if self._has_stopped(order, now_s):
             return (
                 f"the table stopped at {angle / DEGREE:.4f} deg, "
                 f"{self._off(order.way) / ARCSEC:.4g} arcsec from where it was sent "

@@ -27,28 +27,34 @@ SHORTEST_S = 0.1
 class Way:
     """The ``angles`` (rad) that a joint is sent to one after the other, at rest in each.
 
-    ``start`` is where it stands, ``times_s`` when it shall be at each angle. In between it moves
-    as a cubic in time, as joint_trajectory_controller does it from positions and velocities.
+    ``start`` is where it stands, ``times_s`` when it shall be at each angle, ``velocity`` (rad/s)
+    how fast it moves at the start. In between it moves as a cubic in time, as
+    joint_trajectory_controller does it from positions and velocities.
     """
 
     start: float
     angles: tuple[float, ...]
     times_s: tuple[float, ...]
+    velocity: float = 0.0
 
     @property
     def goal(self) -> float:
         """Where it ends."""
         return self.angles[-1]
 
-    def position(self, time_s: float) -> float:
-        """Return where the joint shall be ``time_s`` after the start."""
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Return where (rad) and how fast (rad/s) it shall be ``time_s`` after the start."""
         if time_s >= self.times_s[-1]:
-            return self.goal
+            return self.goal, 0.0
         stops, times = (self.start, *self.angles), (0.0, *self.times_s)
         time_s = max(time_s, 0.0)
         leg = bisect_right(times, time_s) - 1
-        part = (time_s - times[leg]) / (times[leg + 1] - times[leg])
-        return stops[leg] + (stops[leg + 1] - stops[leg]) * part * part * (3 - 2 * part)
+        way, lasting_s = stops[leg + 1] - stops[leg], times[leg + 1] - times[leg]
+        part = (time_s - times[leg]) / lasting_s
+        begun = 0.0 if leg else self.velocity
+        angle = way * part * part * (3 - 2 * part) + begun * lasting_s * part * (1 - part) ** 2
+        speed = 6 * way / lasting_s * part * (1 - part) + begun * (1 - part) * (1 - 3 * part)
+        return stops[leg] + angle, speed
 
 
 def way_to(angle: float, approach: Approach, start: float, settings: TableAdapterSettings) -> Way:
@@ -81,7 +87,7 @@ def way_to_rest(angle: float, velocity: float, settings: TableAdapterSettings) -
     """
     velocity = velocity if isfinite(velocity) else 0.0
     time_s = max(abs(velocity) / (settings.acceleration_deg_s2 * DEGREE), SHORTEST_S)
-    return Way(angle, (angle + velocity * time_s / 2,), (time_s,))
+    return Way(angle, (angle + velocity * time_s / 2,), (time_s,), velocity)
 
 
 def _turns(angle: float, start: float, settings: TableAdapterSettings) -> Iterator[float]:

@@ -37,8 +37,8 @@ class Driver:
         self.busy, self.client = False, SimpleNamespace(blocked="")
         self.told, self.aborted = [], []
 
-    def begin(self):
-        self.told.append("begin")
+    def begin(self, stopped=""):
+        self.told.append(stopped or "begin")
 
     def order(self, command, step):
         self.told.append((command.step, step))
@@ -64,7 +64,9 @@ class Adapter(DmeAdapter):
             beat=lambda: None,
         )
         self._driver, self._orders = Driver(), Orders()
-        self._stop = SimpleNamespace(why="")
+        self._stop = SimpleNamespace(
+            why="", heed=lambda: "", refuses=lambda _step: bool(self._stop.why)
+        )
         self._plan = self._early = None
         self._run = self._served = ""
         self._looks = 0
@@ -255,6 +257,21 @@ def test_the_machine_is_spoken_to_only_when_no_older_adapter_was_heard(made):
     made._watch()
     assert made._driver.told == ["begin"]
     assert made.listening == {"orders": 1, "clear_errors": 1}
+
+
+def test_after_a_stop_no_session_begins_and_no_machine_homes_by_itself(made):
+    made._stop.why = "/safety/estop is true"
+    made._stop.heed = lambda: "/safety/estop is true"
+    for _ in range(LOOKS_FIRST):
+        made._watch()
+    made._stop.why = ""
+    made._watch()
+    told = "no session was started: emergency stop: /safety/estop is true"
+    assert made._driver.told == [told]
+    assert made.listening == {"orders": 1, "clear_errors": 1}
+    made._driver.client.blocked = told
+    made._watch()
+    assert made.health.concerns["blocked"].startswith(f"{told}; once that is put right")
 
 
 def test_an_adapter_that_is_refused_never_speaks_to_the_machine(made):

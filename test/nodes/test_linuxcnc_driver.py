@@ -6,6 +6,7 @@ import pytest
 
 pytest.importorskip("rotcal_msgs")
 
+from rotcal_ros.nodes import linuxcnc_driver
 from rotcal_ros.nodes.linuxcnc_driver import LinuxCncDriver
 
 
@@ -30,3 +31,31 @@ def test_a_table_that_has_an_order_and_has_not_begun_to_move_is_not_told_to_be_a
         number * 10_000_000 for number in (1, 4, 5, 6)
     ]
     assert [speed == 0.0 for speed in speeds] == [True, False, False, True]
+
+
+class Agent(SimpleNamespace):
+    """An agent that ends when it is told to, or never by itself."""
+
+    def poll(self):
+        return self.code
+
+    def wait(self, timeout):
+        raise AssertionError(f"the node would not beat for {timeout} s")
+
+    def terminate(self):
+        self.code = -15
+
+
+@pytest.mark.parametrize("obeys", [True, False])
+def test_the_end_of_the_agent_is_waited_for_in_turns_and_brought_about_at_last(monkeypatch, obeys):
+    now = [100.0]
+    monkeypatch.setattr(linuxcnc_driver, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    agent = Agent(code=None)
+    agent.stdin = SimpleNamespace(close=lambda: setattr(agent, "code", 0 if obeys else None))
+    driver = SimpleNamespace(_agent=agent, _ending_s=None)
+    assert not LinuxCncDriver.stopped(driver)
+    LinuxCncDriver.begin_stop(driver)
+    assert LinuxCncDriver.stopped(driver) == obeys
+    now[0] += linuxcnc_driver.END_TIMEOUT_S + 0.1
+    assert LinuxCncDriver.stopped(driver)
+    assert agent.code == (0 if obeys else -15)

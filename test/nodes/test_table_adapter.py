@@ -3,9 +3,7 @@
 import json
 import os
 import sys
-import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,13 +18,6 @@ from rotcal_ros.simulation import SimulatedCell
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 
-from rotcal_msgs.msg import TableAngle
-
-from rotcal_ros.nodes.table_adapter import TableAdapter
-from rotcal_ros.observations import Approach, TableSample
-from rotcal_ros.ros2_control.obeyed import JointWatch
-from rotcal_ros.ros2_control.settings import TableAdapterSettings
-from rotcal_ros.ros2_control.travel import way_to
 
 pytestmark = pytest.mark.ros
 
@@ -114,24 +105,3 @@ def test_without_a_joint_it_does_not_start(cell):
     process = live.processes.children["table_adapter"]
     wait_until(lambda: process.poll() is not None, "the adapter ends")
     assert "cell.joint is not set" in live.log("table_adapter")
-
-
-def test_in_an_emergency_stop_the_joint_is_braked_and_what_waits_is_forgotten():
-    """At 10 deg/s it brakes with 20 deg/s^2: half a second, 2.5 deg."""
-    settings = TableAdapterSettings(acceleration_deg_s2=20.0)
-    watch, sent, logged = JointWatch(settings), [], []
-    adapter = SimpleNamespace(
-        _watch=watch, _settings=settings, _controller=SimpleNamespace(hold=sent.append),
-        _waiting="an order", _stop=SimpleNamespace(why="estop"),
-        get_logger=lambda: SimpleNamespace(warning=logged.append, error=logged.append),
-    )  # fmt: skip
-    TableAdapter._halt(adapter, "estop")
-    assert (sent, adapter._waiting) == ([], None)  # without an order there is nothing to stop
-    watch.begin(way_to(np.deg2rad(90.0), Approach.UNKNOWN, 0.0, settings), time.monotonic())
-    watch.hear(TableSample(1, np.deg2rad(30.0), np.deg2rad(10.0)), time.monotonic())
-    TableAdapter._halt(adapter, "estop")
-    assert np.rad2deg(sent[0].angles) == pytest.approx([32.5])
-    assert sent[0].times_s == pytest.approx([0.5])
-    TableAdapter._obey(adapter, TableAngle(step=7))
-    assert (adapter._waiting, logged) == (None, ["step 7: refused in an emergency stop"])
-    assert TableAdapter._wrong(adapter) == ""  # it stands where it was stopped, and that is right

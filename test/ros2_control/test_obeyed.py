@@ -44,7 +44,7 @@ class Joint:
     def go(self, seconds=None):
         begun = self.now_s
         for number in range(1, round((seconds or self.way.times_s[-1] + 0.1) / 0.01) + 1):
-            self.angle = self.way.position(number * 0.01)
+            self.angle = self.way.at(number * 0.01)[0]
             self.read()
         assert self.now_s > begun
 

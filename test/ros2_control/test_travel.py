@@ -40,14 +40,14 @@ def test_neither_speed_nor_acceleration_is_exceeded_and_it_rests_at_every_stop(
     way = way_to(angle, approach, start, ENDLESS)
     step = 1e-2
     times = np.arange(-0.05, way.times_s[-1] + 0.05, step)
-    positions = np.array([way.position(t) for t in times])
+    positions = np.array([way.at(t)[0] for t in times])
     velocity = np.diff(positions) / step
     assert np.abs(velocity).max() <= 12.0 * DEG * (1 + 1e-6)
     assert np.abs(np.diff(velocity)).max() / step <= 30.0 * DEG * (1 + 1e-6)
     assert positions[0] == pytest.approx(start)
     assert positions[-1] == way.goal
     for stop, time in zip(way.angles, way.times_s, strict=True):
-        assert way.position(time) == pytest.approx(stop)
+        assert way.at(time)[0] == pytest.approx(stop)
 
 
 def test_by_hand():
