@@ -89,7 +89,7 @@ class LinuxCncDriver(CellNode):
 
     def finished(self) -> bool:
         """Return whether the agent has ended by itself: then nobody moves the table."""
-        return self._agent.poll() is not None
+        return self._ending_s is None and self._agent.poll() is not None
 
     def _obey(self, message: TableAngle) -> None:
         if self._stop.refuses(message.step):

@@ -28,7 +28,7 @@ from rotcal_ros.nodes.peer import Peer
 from rotcal_ros.nodes.plans import REFUSED, RUN, run_name
 from rotcal_ros.nodes.player_arguments import read_arguments
 from rotcal_ros.nodes.recorded_qos import offered_qos
-from rotcal_ros.nodes.replay_guard import conflicts
+from rotcal_ros.nodes.replay_guard import ORDERS, conflicts
 from rotcal_ros.nodes.replay_outcome import ReplayOutcome
 from rotcal_ros.nodes.replay_pace import CLOCK_PERIOD_S, ReplayPace
 from rotcal_ros.nodes.replayed_bag import ReplayedBag, run_number
@@ -54,8 +54,7 @@ class Player:
         self._peer, self._bag, self._given, self._end = peer, bag, given, end
         self._node = peer.node
         self._health = Health(self._node, None)
-        everything = given.everything
-        self._outcome = ReplayOutcome(peer, bag, self._health, end, everything=everything)
+        self._outcome = ReplayOutcome(peer, bag, self._health, end, everything=given.everything)
         self._guarded_s = self._told_s = 0.0
         self._pace = ReplayPace(self._node, bag.start_ns, given.rate, clock=given.clock)
         self._publishers: dict[str, tuple[Publisher, Converter]] = {}
@@ -66,7 +65,7 @@ class Player:
         missing = partial(self._health.missing, self._given.nodes)
         if not self._wait(lambda: not missing(), NODES_S):
             raise ConfigurationError(f"not here within {NODES_S:g} s: {', '.join(missing())}")
-        self._guard()
+        self._guard(*self._bag.channels)
         self._make_publishers()
         unheard = partial(self._outcome.unheard, self._publishers, with_plan=False)
         self._wait(lambda: not unheard(), LISTENERS_S)
@@ -86,8 +85,11 @@ class Player:
         publisher, convert = self._publishers[channel.topic]
         if (converted := convert(data, run)) is None:
             return
+        role = self._bag.called.role(channel.topic)
+        if role in ORDERS:  # a machine may have come since the last look around
+            self._guard(channel.topic)
         publisher.publish(converted)
-        if self._bag.called.role(channel.topic) == names.PLAN:
+        if role == names.PLAN:
             self._have_taken(deserialize_message(converted, CalibrationPlan))
 
     def _make_publishers(self) -> None:
@@ -120,11 +122,10 @@ class Player:
         if not self._wait(settled, PLAN_TAKEN_S) or not_yet():
             states = (f"{node}: {self._health.state(node)}" for node in nodes)
             raise ConfigurationError(f"the plan of the bag is not taken ({'; '.join(states)})")
-        if not self._wait(
-            lambda: not self._outcome.unheard(self._publishers, with_plan=True), LISTENERS_S
-        ):
-            unheard = ", ".join(sorted(self._outcome.unheard(self._publishers, with_plan=True)))
-            say("note", text=f"warning: {' and '.join(nodes)} do not listen to all of {unheard}")
+        unheard = partial(self._outcome.unheard, self._publishers, with_plan=True)
+        if not self._wait(lambda: not unheard(), LISTENERS_S):
+            left = ", ".join(sorted(unheard()))
+            say("note", text=f"warning: {' and '.join(nodes)} do not listen to all of {left}")
         self._pace.stood_still(time.monotonic() - waited_s)
 
     def _wait_until(self, log_time_ns: int) -> None:
@@ -157,12 +158,11 @@ class Player:
             done_s = min(self._pace.passed_s(), self._bag.seconds)
             say("playing", done_s=done_s, total_s=self._bag.seconds)
         if now_s - self._guarded_s > GUARD_PERIOD_S:
-            self._guard()
+            self._guarded_s = now_s
+            self._guard(*self._publishers)
 
-    def _guard(self) -> None:
-        """Raise ConfigurationError when a machine or another source is there."""
-        self._guarded_s = time.monotonic()
-        topics = self._publishers or self._bag.channels
+    def _guard(self, *topics: str) -> None:
+        """Raise ConfigurationError when a machine, or another source, of ``topics`` is there."""
         if found := conflicts(self._node, self._health, self._bag, topics, self._given):
             raise ConfigurationError("; ".join(found))
 

@@ -18,6 +18,8 @@ WATCHERS: Final = frozenset({
     "rosbag2_recorder", "rviz", "rviz2", "rqt_gui_py_node",
 })  # fmt: skip
 """Nodes that listen to orders without obeying them."""
+ORDERS: Final = (names.TABLE_ANGLE, names.PROBE_TARGET)
+"""Roles that move machines."""
 _COMMAND_LINE: Final = "_ros2cli"
 _OF_THE_PLANNER: Final = (
     names.PLAN, names.TABLE_ANGLE, names.PROBE_TARGET, names.STEP_CHOICE
@@ -43,7 +45,7 @@ def _moved(
     """Yield which machines would obey the recorded orders."""
     harmless = WATCHERS | {*watchers}
     for topic in topics:
-        if bag.called.role(topic) not in (names.TABLE_ANGLE, names.PROBE_TARGET):
+        if bag.called.role(topic) not in ORDERS:
             continue
         listening = {info.node_name for info in node.get_subscriptions_info_by_topic(topic)}
         for name in sorted(listening - harmless):
