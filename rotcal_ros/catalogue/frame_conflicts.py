@@ -42,7 +42,7 @@ def solved_axis(details: Mapping[str, Any]) -> Axis | None:
             point, direction = details["axis"]["origin"], details["axis"]["direction"]
         else:
             point, direction = details["circle"]["centre"], details["plane"]["normal"]
-    except (KeyError, TypeError):
+    except (IndexError, KeyError, TypeError):
         return None
     unit = np.asarray(direction, dtype=np.float64)
     unit = unit / np.linalg.norm(unit)

@@ -49,6 +49,19 @@ def test_an_order_is_refused_before_a_person_clears(serve):
     assert server.names()[-1] == "EndSession"
 
 
+def test_behind_a_stop_no_session_begins_before_a_person_clears(serve):
+    server = serve()
+    driver, points, _ = driver_of(server, begin=False)
+    driver.begin("no session was started: emergency stop")
+    wait_for(lambda: driver.state == "no session was started: emergency stop")
+    assert server.names() == []
+    driver.clear().result(DEADLINE_S)
+    assert "StartSession" in server.names()
+    wait_for(lambda: points)
+    driver.stop()
+    wait_for(lambda: not driver.alive)
+
+
 def test_a_cancel_aborts_what_moves_and_only_a_person_goes_on(serve):
     server = serve("GoTo", "accepted, never done")
     driver, points, _complaints = driver_of(server)
