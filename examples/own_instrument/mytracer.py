@@ -7,12 +7,14 @@ second::
     1234.570 UNSTABLE  one that is not to be used
     0.000 NOBEAM       the beam is broken; lengths behind it count from another zero
 
-``WHERE x y z`` (m, where the reflector should be) is answered by ``PLACE x y z`` in metres, or by
-``NONE``. ``ERROR text`` may come at any time.
+``WHERE x y z`` (m, where the reflector should be) is answered, among the lengths, by
+``PLACE x y z`` in metres or by ``NONE``. ``ERROR text`` may come at any time.
 """
 
 import socket
+import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.instrument_plugins.instrument import Instrument, InstrumentError, Length, Place
@@ -31,27 +33,40 @@ class MyTracer(Instrument):
         self._address, self._rate_hz = (host, port), rate_hz
         self._socket: socket.socket | None = None
         self._text = b""
+        self._kept: list[Length] = []  # came while a place was measured
 
     def connect(self) -> None:
         """Connect, and let it send lengths."""
-        self._text = b""
+        self._text, self._kept = b"", []
         self._socket = socket.create_connection(self._address, CONNECT_TIMEOUT_S)
         self._socket.sendall(f"START {self._rate_hz}\n".encode())
 
     def read(self, timeout_s: float) -> Sequence[Length]:
         """Return what came; a line that is no length is an error, never a wrong number."""
-        return [self._length(line) for line in self._lines(timeout_s)]
+        kept, self._kept = self._kept, []
+        return kept or [self._length(line) for line in self._lines(timeout_s)]
 
     def measure(self, near: tuple[float, float, float], timeout_s: float) -> Place:
         """Ask where the reflector is, and wait for the answer among the lengths."""
         assert self._socket is not None
         self._socket.sendall("WHERE {} {} {}\n".format(*near).encode())
-        for line in self._lines(timeout_s):
-            word, *numbers = line.split()
-            if word == "PLACE":
-                x, y, z = map(float, numbers)
-                return Place((x, y, z))
-        raise InstrumentError(f"no reflector near {near}")
+        place, deadline_s = None, time.monotonic() + timeout_s
+        while place is None and (left_s := deadline_s - time.monotonic()) > 0:
+            for line in self._lines(left_s):
+                word, _, rest = line.partition(" ")
+                if word in ("PLACE", "NONE"):
+                    place = rest
+                else:
+                    self._kept.append(replace(self._length(line), stamp_ns=time.time_ns()))
+        if place is None:  # begin anew: a late answer is not one to the next question
+            raise TimeoutError(f"no answer to WHERE within {timeout_s:g} s")
+        if not place:
+            raise InstrumentError(f"no reflector near {near}")
+        try:
+            x, y, z = map(float, place.split())
+        except ValueError as error:
+            raise InstrumentError(f"not a place: {place!r:.60}") from error
+        return Place((x, y, z))
 
     def close(self) -> None:
         """Let go of the connection."""
@@ -64,9 +79,10 @@ class MyTracer(Instrument):
         if number == "ERROR":
             raise InstrumentError(f"the tracer says: {state}")
         try:
-            return Length(float(number) * MICROMETRE, valid=state == "OK")
+            length = float(number) * MICROMETRE
         except ValueError as error:
             raise InstrumentError(f"not a length: {line!r:.60}") from error
+        return Length(length, valid=state != "NOBEAM", stable=state == "OK")
 
     def _lines(self, timeout_s: float) -> list[str]:
         """Return the whole lines that came; the rest waits for its end."""
@@ -77,7 +93,7 @@ class MyTracer(Instrument):
         except TimeoutError:
             return []
         if not received:
-            raise InstrumentError("the tracer has closed the connection")
+            raise ConnectionError("the tracer has closed the connection")
         *whole, self._text = (self._text + received).split(b"\n")
         return [line.decode("ascii", "replace").strip() for line in whole]
 

@@ -114,7 +114,9 @@ class InstrumentDriver:
     def _serve(self) -> None:
         heard_s = time.monotonic()
         while not self._end.is_set():
+            before_s = time.monotonic()
             self._measure()
+            heard_s += time.monotonic() - before_s  # no silence: nobody listened
             if not self._instrument.streams_lengths:
                 self._end.wait(READ_TIMEOUT_S / 10)
                 continue
@@ -127,15 +129,15 @@ class InstrumentDriver:
                 raise InstrumentError(f"no reading for {self._settings.silence_s:g} s")
 
     def _pass_on(self, reading: Length) -> None:
-        ok = reading.valid and isfinite(reading.length)
-        status = LengthStatus.OK if ok else LengthStatus.BEAM_BROKEN
+        whole = reading.valid and isfinite(reading.length)
+        status = LengthStatus.OK if reading.stable else LengthStatus.UNSTABLE
         self._tell.length(
             TracerSample(
                 stamp_ns=self._now_ns() if reading.stamp_ns is None else reading.stamp_ns,
                 sequence=self._lengths,
-                length=reading.length if ok else 0.0,
+                length=reading.length if whole else 0.0,
                 length_std=reading.std,
-                status=status,
+                status=status if whole else LengthStatus.BEAM_BROKEN,
             )
         )
         self._lengths += 1

@@ -22,14 +22,16 @@ class Length:
     """One reading of a tracer, m, longer the farther the reflector is; any constant zero.
 
     ``std`` is its standard deviation, 0: not told. ``valid`` is false while the beam is broken,
-    and for the first reading behind a loss of the zero. ``stamp_ns`` is when it was true, in ns
-    since 1970; None: when it was read.
+    and for the first reading behind a loss of the zero: lengths behind it count from another one.
+    ``stable`` is false for a reading that is not to be used, while the zero holds. ``stamp_ns`` is
+    when it was true, in ns since 1970; None: when it was read.
     """
 
     length: float
     std: float = 0.0
     valid: bool = True
     stamp_ns: int | None = None
+    stable: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +49,8 @@ class Place:
 class Instrument(ABC):
     """One instrument; all of it is called by one thread.
 
-    A connection that is lost raises InstrumentError or OSError from whatever is called; then
-    :meth:`close` and, after a while, :meth:`connect` follow.
+    A connection that is lost raises OSError from whatever is called, or InstrumentError from all
+    but :meth:`measure`; then :meth:`close` and, after a while, :meth:`connect` follow.
     """
 
     streams_lengths = False
@@ -71,7 +73,7 @@ class Instrument(ABC):
     def measure(self, near: Point, timeout_s: float) -> Place:
         """Measure the reflector ``near`` a nominal place (m, machine frame), once.
 
-        Raises InstrumentError where there is none.
+        Raises InstrumentError where there is none, which ends the attempt, not the connection.
         """
         raise NotImplementedError
 

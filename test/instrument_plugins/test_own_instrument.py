@@ -3,6 +3,7 @@
 import importlib.util
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
@@ -10,7 +11,12 @@ import pytest
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
-from rotcal_ros.instrument_plugins.instrument import Instrument, InstrumentError, Place
+from rotcal_ros.instrument_plugins.instrument import (
+    Instrument,
+    InstrumentError,
+    Length,
+    Place,
+)
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.instrument_plugins.table_rest import TableRest
 from rotcal_ros.observations import Approach, Command, LengthStatus, PointKind, TableSample
@@ -79,10 +85,11 @@ def test_lengths_arrive_in_metres_whatever_the_pieces_and_a_broken_beam_is_told(
     assert fake.asked == ["START 200\n"]
     assert [s.length for s in heard.lengths[:2]] == pytest.approx([1.234567e-3, 1.2346e-3])
     assert [s.status for s in heard.lengths[:4]] == [
-        *[LengthStatus.OK] * 2, *[LengthStatus.BEAM_BROKEN] * 2
+        *[LengthStatus.OK] * 2, LengthStatus.BEAM_BROKEN, LengthStatus.UNSTABLE
     ]  # fmt: skip
     assert [s.sequence for s in heard.lengths[:4]] == [0, 1, 2, 3]
     assert heard.lengths[0].stamp_ns == 7
+    assert heard.lengths[3].length == pytest.approx(5e-6)
 
 
 @pytest.mark.parametrize(
@@ -167,6 +174,80 @@ def test_a_place_without_reflector_is_told_and_the_next_attempt_measured():
     heard.driver.order(ORDER)
     heard.until(lambda h: h.places)
     assert heard.driver.connections == 1
+
+
+class Asked(Fake):
+    """A MyTracer at 200 Hz, which answers each WHERE 50 ms later by the next of ``talks``."""
+
+    def _serve(self):
+        connection, _ = self._listener.accept()
+        connection.settimeout(0.005)
+        answers, due_s, sent = list(self._talks), [], 0
+        with connection, suppress(OSError):
+            while True:
+                with suppress(TimeoutError):
+                    self.asked.append(connection.recv(100).decode())
+                    if "WHERE" in self.asked[-1]:
+                        due_s.append(time.monotonic() + 0.05)
+                answer = b""
+                if due_s and time.monotonic() > due_s[0]:
+                    due_s.pop()
+                    answer = answers.pop(0)
+                connection.sendall(b"%d.0 OK\n" % sent + answer)
+                sent += 1
+
+
+def asked(*answers):
+    """Return a fake, and a MyTracer that it answers."""
+    fake = Asked(*answers)
+    tracer = mytracer.make(fake.address, {"rate_hz": "200"})
+    tracer.connect()
+    return fake, tracer
+
+
+def test_a_place_is_awaited_among_the_lengths_and_none_of_these_is_lost():
+    _, tracer = asked(b"PLACE 1.0 2.0 3.001\n", b"NONE\n")
+    place = tracer.measure((1.0, 2.0, 3.0), DEADLINE_S)
+    assert place.position == (1.0, 2.0, 3.001)
+    with pytest.raises(InstrumentError, match="no reflector near"):
+        tracer.measure((1.0, 2.0, 3.0), DEADLINE_S)
+    before = time.time_ns()
+    lengths = [*tracer.read(DEADLINE_S), *tracer.read(DEADLINE_S)]
+    tracer.close()
+    assert [round(length.length * 1e6) for length in lengths] == [*range(len(lengths))]
+    stamps = [length.stamp_ns for length in lengths if length.stamp_ns is not None]
+    assert len(stamps) >= 2 and stamps == sorted(stamps)
+    assert all(stamp < before for stamp in stamps)  # not those of the reading, later
+
+
+def test_no_answer_ends_the_connection_so_that_a_late_one_is_not_that_of_the_next_question():
+    _, tracer = asked(b"")
+    with pytest.raises(TimeoutError, match=r"no answer to WHERE within 0\.2 s"):
+        tracer.measure((1.0, 2.0, 3.0), 0.2)
+    tracer.close()
+
+
+class Both(Tracker):
+    """A slow tracer: a place takes longer than silence may last, and a length comes behind it."""
+
+    streams_lengths, measured, reads = True, False, 0
+
+    def read(self, timeout_s):
+        time.sleep(0.01)
+        self.reads += self.measured
+        return [Length(1.0)] if self.reads == 3 else []
+
+    def measure(self, near, timeout_s):
+        time.sleep(0.4)
+        self.measured = True
+        return super().measure(near, timeout_s)
+
+
+def test_the_time_of_a_measurement_is_no_silence():
+    heard = Heard(Both(), settings("here"))
+    heard.driver.order(ORDER)
+    heard.until(lambda h: h.lengths)
+    assert not heard.complaints
 
 
 class Wrong(Tracker):
