@@ -11,12 +11,13 @@ FURTHER_NODES: Final[Mapping[str, str]] = {
     "bridge": "bridge",
     "table_adapter": "table_adapter",
     "dme": "dme_adapter",
+    "instrument": "instrument_driver",
     "simulation": "simulated_cell",
 }
 """Nodes that are started when the configuration has a group: group -> node."""
 VIEWERS: Final[Mapping[str, str]] = {"page": "operator_page", "scene": "scene"}
 """Nodes for people: how they are asked for -> node. No calibration needs one or ends with it."""
-DRIVERS: Final = ("instrument_driver", "linuxcnc_driver")
+DRIVERS: Final = ("linuxcnc_driver",)
 """Nodes that are started by hand, for the machine that the user has."""
 EXECUTABLES: Final = (*NODES, *FURTHER_NODES.values(), *VIEWERS.values(), *DRIVERS)
 """All nodes, each a module of rotcal_ros.nodes and a command of the package."""

@@ -22,6 +22,8 @@ from rotcal_ros.observations import Command, LengthStatus, ProbeSample, TracerSa
 from rotcal_ros.plugins import INSTRUMENTS, load
 
 READ_TIMEOUT_S: Final = 0.1
+PATIENCE_S: Final = 10.0
+"""An order may wait for the table so long before people are told why it does."""
 
 
 def instrument_of(settings: InstrumentSettings) -> Instrument:
@@ -42,9 +44,9 @@ class Listeners:
 class InstrumentDriver:
     """Drives one instrument from :meth:`begin` to :meth:`stop`.
 
-    ``may_measure(order)`` says whether a place may be measured now: the table is at rest.
-    ``state`` says what is done, ``trouble`` why nothing comes (empty: it does), ``connections``
-    counts.
+    ``why_not(order)`` says why a place may not be measured now (the table is not at rest), empty:
+    it may. ``state`` says what is done, ``trouble`` why nothing comes (empty: it does), ``waits``
+    what an order has been waiting for longer than usual, ``connections`` counts.
     """
 
     def __init__(
@@ -52,13 +54,14 @@ class InstrumentDriver:
         instrument: Instrument,
         settings: InstrumentSettings,
         listeners: Listeners,
-        may_measure: Callable[[Command], bool] = lambda _: True,
+        why_not: Callable[[Command], str] = lambda _: "",
         now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self.state, self.trouble, self.connections = "starting", "", 0
+        self.state, self.trouble, self.waits, self.connections = "starting", "", "", 0
         self._instrument, self._settings, self._tell = instrument, settings, listeners
-        self._may_measure, self._now_ns = may_measure, now_ns
+        self._why_not, self._now_ns = why_not, now_ns
         self._order: Command | None = None
+        self._ordered_s = 0.0
         self._lengths = self._places = 0
         self._end = Event()
         self._thread = Thread(target=self._work, name="instrument", daemon=True)
@@ -78,7 +81,7 @@ class InstrumentDriver:
 
     def order(self, command: Command) -> None:
         """Measure the place of ``command`` as soon as that may be; it replaces one that waits."""
-        self._order = command
+        self._order, self._ordered_s = command, time.monotonic()
 
     def forget(self) -> None:
         """Measure no place that was ordered and waits."""
@@ -145,7 +148,10 @@ class InstrumentDriver:
     def _measure(self) -> None:
         """Measure the place that was ordered, if it may be; none there is told, not an end."""
         order = self._order
-        if order is None or not self._may_measure(order):
+        why = "" if order is None else self._why_not(order)
+        late = time.monotonic() - self._ordered_s > PATIENCE_S
+        self.waits = f"step {order.step} is not measured: {why}" if order and why and late else ""
+        if order is None or why:
             return
         self._order = None
         try:

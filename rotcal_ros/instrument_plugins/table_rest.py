@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import pi, remainder
+from math import isnan, pi, remainder
 
 from rotcal_ros.observations import Command, TableSample
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -28,12 +28,24 @@ class TableRest:
             self._since = sample if rests else None
         self._latest = sample
 
-    def at(self, order: Command) -> bool:
-        """Return whether the table rests where ``order`` has it."""
+    def forget(self) -> None:
+        """Know nothing: the feedback is another one from now on."""
+        self._since = self._latest = None
+
+    def why_not(self, order: Command) -> str:
+        """Return why the table does not rest where ``order`` has it; empty: it does."""
         since, latest = self._since, self._latest
-        if since is None or latest is None or self._off(latest, order.table_angle):
-            return False
-        return latest.stamp_ns - since.stamp_ns >= self._settle_ns
+        if latest is None:
+            return "no feedback of the table has come"
+        if isnan(latest.velocity):
+            return "the feedback tells no velocity"
+        if since is None:
+            return "the table moves"
+        if self._off(latest, order.table_angle):
+            here, there = latest.angle / DEGREE, order.table_angle / DEGREE
+            return f"the table rests at {here:.4f}° and is ordered to {there:.4f}°"
+        settled = latest.stamp_ns - since.stamp_ns >= self._settle_ns
+        return "" if settled else "the table has just come to rest"
 
     def _off(self, sample: TableSample, angle: float) -> bool:
         return not abs(remainder(sample.angle - angle, 2 * pi)) <= self._tolerance

@@ -9,9 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from rotcal_msgs.msg import ProbePoint, TracerLength
-from sensor_msgs.msg import JointState
 
-from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
@@ -21,10 +19,10 @@ from rotcal_ros.instrument_plugins.table_rest import TableRest
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import COMPLAINT, show
-from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
 from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.running import run
-from rotcal_ros.observations import ProbeSample, TracerSample
+from rotcal_ros.nodes.table_hearing import TableHearing
+from rotcal_ros.observations import Command, ProbeSample, TracerSample
 from rotcal_ros.planning.cell_settings import CellSettings
 
 LOOK_PERIOD_S = 0.2
@@ -40,10 +38,8 @@ class InstrumentDriverNode(CellNode):
         """Find the plug-in; the instrument is spoken to while the node is active."""
         self._settings = self.settings("instrument", InstrumentSettings)
         rest = self.settings("capture", CaptureSettings)
-        self._joint = self.settings("cell", CellSettings).joint
-        self._rest = TableRest(
-            rest.position_tolerance_arcsec, rest.velocity_tolerance_deg_s, rest.settle_time_s
-        )
+        joint = self.settings("cell", CellSettings).joint
+        self._table: TableHearing | None = None
         self._instrument = instrument_of(self._settings)
         if self._instrument.streams_lengths:
             self._lengths = self.create_publisher(TracerLength, names.TRACER_LENGTH, STREAM)
@@ -52,8 +48,9 @@ class InstrumentDriverNode(CellNode):
         self._driver = self._new_driver()
         if self._instrument.measures_places:
             self.take_orders(lambda command: self._driver.order(command))
-            hear = self.health.guarded(self._hear)
-            InstrumentSubscription(self, JointState, names.JOINT_STATES, hear)
+            tolerance, speed = rest.position_tolerance_arcsec, rest.velocity_tolerance_deg_s
+            table_rest = TableRest(tolerance, speed, rest.settle_time_s)
+            self._table = TableHearing(self, joint, table_rest)
         self.every(LOOK_PERIOD_S, self._look)
 
     def activated(self) -> None:
@@ -74,21 +71,21 @@ class InstrumentDriverNode(CellNode):
     def _new_driver(self) -> InstrumentDriver:
         listeners = Listeners(self._tell_length, self._tell_place, self._complain)
         return InstrumentDriver(
-            self._instrument, self._settings, listeners, self._rest.at, self.now_ns
+            self._instrument, self._settings, listeners, self._why_not, self.now_ns
         )
+
+    def _why_not(self, order: Command) -> str:
+        """Return why the place of ``order`` may not be measured now; empty: it may."""
+        return self._table.why_not(order) if self._table is not None else ""
 
     def _node_lost(self, name: str) -> None:
         """Measure nothing for a planner that is lost."""
         if name == "planner":
             self._driver.forget()
 
-    def _hear(self, batch: Batch) -> None:
-        for message, _ in batch:
-            if (sample := messages.table_sample(message, self._joint)) is not None:
-                self._rest.hear(sample)
-
     def _look(self) -> None:
-        show(self.health, COMPLAINT, self._driver.trouble, alarm=True)
+        trouble = self._driver.trouble
+        show(self.health, COMPLAINT, trouble or self._driver.waits, alarm=bool(trouble))
 
     def _tell_length(self, sample: TracerSample) -> None:
         self._lengths.publish(conversions.tracer_message(sample))

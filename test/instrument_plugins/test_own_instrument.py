@@ -1,6 +1,7 @@
 """An instrument from a package of somebody else, driven against a fake of it behind TCP."""
 
 import importlib.util
+import math
 import socket
 import time
 from contextlib import suppress
@@ -55,12 +56,10 @@ class Fake:
 class Heard:
     """What a driver told, until its end."""
 
-    def __init__(self, instrument, settings, may_measure=lambda _: True):
+    def __init__(self, instrument, settings, why_not=lambda _: ""):
         self.lengths, self.places, self.complaints = [], [], []
         listeners = Listeners(self.lengths.append, self.places.append, self.complaints.append)
-        self.driver = InstrumentDriver(
-            instrument, settings, listeners, may_measure, now_ns=lambda: 7
-        )
+        self.driver = InstrumentDriver(instrument, settings, listeners, why_not, now_ns=lambda: 7)
         self.driver.begin()
 
     def until(self, condition):
@@ -150,11 +149,18 @@ class Tracker(Instrument):
 
 def test_an_order_is_measured_when_the_table_rests_and_echoed():
     rest = TableRest(tolerance_arcsec=20.0, speed_deg_s=0.02, settle_s=0.5)
-    heard = Heard(Tracker(), settings("here"), rest.at)
+    heard = Heard(Tracker(), settings("here"), rest.why_not)
     heard.driver.order(ORDER)
-    for stamp_s, angle, velocity in ((0, 0.4, 0.1), (1, 0.5, 0.0), (1.4, 0.5, 0.0)):
+    assert rest.why_not(ORDER) == "no feedback of the table has come"
+    for stamp_s, angle, velocity, why in (
+        (0.0, 0.4, 0.1, "the table moves"),
+        (0.1, 0.5, math.nan, "the feedback tells no velocity"),
+        (0.2, 0.4, 0.0, "the table rests at 22.9183° and is ordered to 28.6479°"),
+        (1.0, 0.5, 0.0, "the table has just come to rest"),
+        (1.4, 0.5, 0.0, "the table has just come to rest"),
+    ):
         rest.hear(TableSample(round(stamp_s * 1e9), angle, velocity))
-        assert not rest.at(ORDER)
+        assert rest.why_not(ORDER) == why
     rest.hear(TableSample(1_500_000_000, 0.5 + 2 * 3.141592653589793, 0.0))  # a turn further
     (place,) = heard.until(lambda h: h.places).places
     assert (place.step, place.attempt, place.kind, place.target, place.station) == (
@@ -162,6 +168,15 @@ def test_an_order_is_measured_when_the_table_rests_and_echoed():
     )  # fmt: skip
     assert place.position == pytest.approx((1.0, 2.0, 3.001))
     assert (place.position_std, place.stamp_ns) == ((1e-6, 1e-6, 2e-6), 11)
+
+
+def test_an_order_that_waits_too_long_says_for_what(monkeypatch):
+    monkeypatch.setattr("rotcal_ros.instrument_plugins.driver.PATIENCE_S", 0.05)
+    heard = Heard(Tracker(), settings("here"), lambda _: "the table moves")
+    heard.driver.order(ORDER)
+    heard.until(lambda h: h.driver.waits)
+    assert heard.driver.waits == "step 3 is not measured: the table moves"
+    assert not heard.driver.trouble
 
 
 def test_a_place_without_reflector_is_told_and_the_next_attempt_measured():
@@ -216,7 +231,8 @@ def test_a_place_is_awaited_among_the_lengths_and_none_of_these_is_lost():
     tracer.close()
     assert [round(length.length * 1e6) for length in lengths] == [*range(len(lengths))]
     stamps = [length.stamp_ns for length in lengths if length.stamp_ns is not None]
-    assert len(stamps) >= 2 and stamps == sorted(stamps)
+    assert len(stamps) >= 2
+    assert stamps == sorted(stamps)
     assert all(stamp < before for stamp in stamps)  # not those of the reading, later
 
 

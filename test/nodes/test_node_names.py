@@ -88,6 +88,7 @@ def test_a_simulated_machine_behind_dme_is_no_node():
     assert further_nodes({"simulation", "bridge"}) == ["bridge", "simulated_cell"]
     assert further_nodes({"simulation", "dme", "cell"}) == ["dme_adapter"]
     assert further_nodes({"dme", "table_adapter"}) == ["table_adapter", "dme_adapter"]
+    assert further_nodes({"instrument", "cell"}) == ["instrument_driver"]
 
 
 def test_the_names_are_known_without_numpy():
