@@ -113,7 +113,7 @@ def read_streams(
     """
     topics, files = topics_of(configuration, namespace), bag_files(Path(path))
     setup = configuration or find_configuration(files, topics)
-    topics.planned = setup.topics.renamed()
+    topics.follow(setup.topics.renamed())
     kept = _Collector()
     feeder = StreamFeeder(lambda _run: kept, setup.cell.joint, topics=setup.topics)
     decoders: Decoders = {}

@@ -16,6 +16,8 @@ ANGLE_UNITS: Final = {"rad": 1.0, "deg": DEGREE, "arcsec": ARCSEC, "urad": MICRO
 Length = Literal["m", "mm", "um", "nm"]
 Clock = Literal["stamp", "sent"]
 
+_MAX_OFFSET_S: Final = 4e9
+"""A clock that counts from its start is behind by the time since 1970."""
 _OFFSET_DOC: Final = "the clock of {} is ahead by so much (behind: negative): it is taken off"
 _CLOCK_DOC: Final = (
     "when {} was taken: what its header says, or when its message was sent (a device whose clock "
@@ -74,9 +76,24 @@ class TopicSettings:
     length_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a length"))
     table_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("an angle"))
     probe_clock: Clock = setting("stamp", doc=_CLOCK_DOC.format("a point"))
-    length_clock_offset_s: float = setting(0.0, doc=f"s, {_OFFSET_DOC.format('the lengths')}")
-    table_clock_offset_s: float = setting(0.0, doc=f"s, {_OFFSET_DOC.format('the table')}")
-    probe_clock_offset_s: float = setting(0.0, doc=f"s, {_OFFSET_DOC.format('the probe')}")
+    length_clock_offset_s: float = setting(
+        0.0,
+        doc=f"s, {_OFFSET_DOC.format('the lengths')}",
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
+    )
+    table_clock_offset_s: float = setting(
+        0.0,
+        doc=f"s, {_OFFSET_DOC.format('the table')}",
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
+    )
+    probe_clock_offset_s: float = setting(
+        0.0,
+        doc=f"s, {_OFFSET_DOC.format('the probe')}",
+        minimum=-_MAX_OFFSET_S,
+        maximum=_MAX_OFFSET_S,
+    )
 
     def __post_init__(self) -> None:
         """Refuse names that no topic can bear, units that are none, and two for one."""

@@ -29,6 +29,8 @@ _BUCKETS: Final = 3
 _SPREAD_NS: Final = 200_000_000
 _EVENTS: Final = 4
 """Of a stream that comes now and then, so many messages must agree."""
+_NEWEST: Final = max(_BUCKETS + 1, _EVENTS)
+"""So many intervals of many messages matter."""
 
 
 class StampOffsets:
@@ -42,15 +44,9 @@ class StampOffsets:
 
     def note(self, stream: str, stamp_ns: int, received_ns: int) -> None:
         """Take a message; both times in ns since the same instant."""
-        self._keep(stream, received_ns // _BUCKET_NS, stamp_ns - received_ns)
-        events = self._events.setdefault(stream, {})
-        if stream == REFERENCE or received_ns // _BUCKET_NS in events:
-            return
-        reference_ns = self._offset_ns(REFERENCE)
-        if reference_ns is not None:
-            events[received_ns // _BUCKET_NS] = stamp_ns - received_ns - reference_ns
-            while len(events) > _EVENTS:
-                del events[next(iter(events))]
+        bucket, ahead_ns = received_ns // _BUCKET_NS, stamp_ns - received_ns
+        self._keep(stream, bucket, ahead_ns)
+        self._keep_event(stream, bucket, ahead_ns)
 
     def forget(self, stream: str) -> None:
         """Begin anew with a stream: it is another, or stamped by another clock."""
@@ -59,11 +55,12 @@ class StampOffsets:
         self._first.clear()
 
     def note_many(self, stream: str, stamps: NDArray[Any], received: NDArray[Any]) -> None:
-        """Take many messages of a stream that never pauses, arrays (n,) of int64 ns."""
+        """Take many messages of a stream, arrays (n,) of int64 ns."""
         buckets = received // _BUCKET_NS
-        for bucket in np.unique(buckets)[-_BUCKETS - 1 :].tolist():
-            here = buckets == bucket
-            self._keep(stream, bucket, int((stamps[here] - received[here]).max()))
+        for bucket in np.unique(buckets)[-_NEWEST:].tolist():
+            ahead = (stamps - received)[buckets == bucket]
+            self._keep(stream, bucket, int(ahead.max()))
+            self._keep_event(stream, bucket, int(ahead[0]))
 
     def in_words(self) -> str:
         """Return which stream differs from the table's by how much; empty: none is known to."""
@@ -96,7 +93,7 @@ class StampOffsets:
         owner = _OWNERS.get(far, "length")
         which += (
             f"; where it stays so, add {off_ns * NANOSECOND:.2f} to "
-            f"topics.{owner}_clock_offset_s{self._drift(stream, difference_ns, owner)}"
+            f"topics.{owner}_clock_offset_s{self._drift(stream, difference_ns, far)}"
         )
         return (
             f"{_OPENING}{stream} are constantly {off} those of "
@@ -104,17 +101,28 @@ class StampOffsets:
             f"two clocks, set them alike{which}"
         )
 
-    def _drift(self, stream: str, difference_ns: int, owner: str) -> str:
-        """Say that the difference of two clocks grows, and what to do; empty: it is constant."""
+    def _drift(self, stream: str, difference_ns: int, far: str) -> str:
+        """Say at what rate the clock of ``far`` drifts, and what to do; empty: it does not."""
         bucket, first_ns = self._first.get(stream, (0, difference_ns))
         seconds = (max(self._ahead[stream]) - bucket) * _BUCKET_NS * NANOSECOND
         if abs(difference_ns - first_ns) < _SPREAD_NS or seconds <= 0.0:
             return ""
-        rate = (difference_ns - first_ns) * NANOSECOND / seconds
+        rate = (difference_ns - first_ns) * NANOSECOND / seconds * (-1.0 if far != stream else 1.0)
         return (
             f"; but it drifts, by {1e3 * rate:+.3g} ms in a second: take the times of sending "
-            f"(topics.{owner}_clock: sent)"
+            f"(topics.{_OWNERS.get(far, 'length')}_clock: sent)"
         )
+
+    def _keep_event(self, stream: str, bucket: int, ahead_ns: int) -> None:
+        """Keep the first message of an interval, for a stream that comes now and then."""
+        events = self._events.setdefault(stream, {})
+        if stream == REFERENCE or bucket in events:
+            return
+        reference_ns = self._offset_ns(REFERENCE)
+        if reference_ns is not None:
+            events[bucket] = ahead_ns - reference_ns
+            while len(events) > _EVENTS:
+                del events[next(iter(events))]
 
     def _keep(self, stream: str, bucket: int, ahead_ns: int) -> None:
         known = self._ahead.setdefault(stream, {})

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import BagError
@@ -24,7 +25,8 @@ class InstrumentTopics:
     """Subscribes to instruments, and elsewhere when a goal names other topics.
 
     ``settings`` are the group ``topics`` in force: what a goal gives, told by the planner's beat
-    before the preflight, else by the plan, goes before the parameters of the node. ``switched`` is
+    before the preflight, else by the plan. Units and clocks are then the goal's alone, as for
+    everybody who reads the bag; of the node's own parameters only names stay. ``switched`` is
     called with the role of a stream that comes from elsewhere now, or is understood otherwise.
     ``refused`` says by role which types cannot be used.
     """
@@ -82,8 +84,17 @@ class InstrumentTopics:
             self._take(json.loads(goals))
 
     def _take(self, given: dict[str, Any]) -> None:
-        settings = load(TopicSettings, {**self._own, **given}, "the goal's configuration: topics")
-        self._goals = json.dumps(given, sort_keys=True)
+        told = json.dumps(given, sort_keys=True)
+        others = {key: value for key, value in self._own.items() if key not in names.ROLES}
+        if told != self._goals and (ours := others.items() - given.items()):
+            self._node.get_logger().warning(
+                f"parameters of this node that the goal's configuration does not say: "
+                f"{', '.join(f'topics.{key}' for key, _ in sorted(ours))}; they do not count, "
+                "for a bag would not tell them: put them into the configuration"
+            )
+        called = {key: value for key, value in self._own.items() if key in names.ROLES}
+        settings = load(TopicSettings, {**called, **given}, "the goal's configuration: topics")
+        self._goals = told
         if settings == self.settings:
             return
         nameless = Conventions(settings).nameless != Conventions(self.settings).nameless

@@ -20,7 +20,9 @@ from rotcal_msgs.msg import CalibrationPlan
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
+from rotcal_ros.bags.run_number import run_number
 from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.middleware import LOCALHOST
 from rotcal_ros.nodes.earlier_messages import Converter, publishable
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.json_lines import say
@@ -31,7 +33,7 @@ from rotcal_ros.nodes.recorded_qos import offered_qos
 from rotcal_ros.nodes.replay_guard import conflicts
 from rotcal_ros.nodes.replay_outcome import ReplayOutcome
 from rotcal_ros.nodes.replay_pace import CLOCK_PERIOD_S, ReplayPace
-from rotcal_ros.nodes.replayed_bag import ReplayedBag, run_number
+from rotcal_ros.nodes.replayed_bag import ReplayedBag
 from rotcal_ros.nodes.running import EndRequest, leave_with
 
 LOOK_AROUND_S: Final = 2.0
@@ -193,7 +195,7 @@ def _work() -> None:
 
 def main() -> None:
     """Play a bag until its end."""
-    leave_with(_work)
+    leave_with(_work, LOCALHOST)
 
 
 if __name__ == "__main__":

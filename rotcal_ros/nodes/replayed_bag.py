@@ -143,12 +143,6 @@ class ReplayedBag:
             self.channels.pop(topic, None)
 
 
-def run_number(metadata: Mapping[str, Mapping[str, str]]) -> int:
-    """Return which run of a plan a file says that it belongs to."""
-    number = metadata.get(names.RUN, {}).get("number", "")
-    return int(number) if number.isascii() and number.isdigit() and len(number) < 10 else 0
-
-
 @dataclass
 class _Found:
     """What one pass over the files of a bag finds."""

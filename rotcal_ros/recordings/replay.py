@@ -14,6 +14,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.run_number import run_number
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
@@ -220,7 +221,7 @@ def read_recording(
     topics = topics or Topics()
     if configuration is None:
         configuration = find_configuration(files, topics, limits)
-    topics.planned = configuration.topics.renamed()
+    topics.follow(configuration.topics.renamed())
     calibration = as_planned(configuration, files, topics, limits)
     feeder = _feeder(calibration, configuration)
     blocks = read_blocks(files, progress, limits)
@@ -261,7 +262,9 @@ def _feeder(calibration: catalogue.Calibration, configuration: Configuration) ->
     return StreamFeeder(
         calibration.capture,
         configuration.cell.joint,
-        StepFinder(calibration.plan, configuration.capture, configuration.topics.tip_radius_m),
+        lambda: StepFinder(
+            calibration.plan, configuration.capture, configuration.topics.tip_radius_m
+        ),
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
         configuration.capture.stamp_offset_s,
@@ -312,7 +315,7 @@ def _read(
         if block is None:
             found.scans.append(scan)
             continue
-        before, run = run, _run_number(scan, run)
+        before, run = run, run_number(scan.metadata, run)
         if feeder is not None and run != before:
             feeder.begin_run(run)
         found.log_times.look(block)
@@ -323,9 +326,3 @@ def _read(
         if feeder is not None:
             feeder.feed(block, parts)
     return found
-
-
-def _run_number(scan: Scan, before: int) -> int:
-    """Return the run that is being read; ``before`` where the file says none."""
-    number = scan.metadata.get(names.RUN, {}).get("number", "")
-    return int(number) if number.isascii() and number.isdigit() and len(number) < 10 else before

@@ -17,7 +17,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.orders import Orders
-from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.capture.stamp_offsets import REFERENCE, StampOffsets
 from rotcal_ros.instruments.conversion import FEEDBACK, READING
 from rotcal_ros.instruments.forms import STAMP, Form, form_of
 from rotcal_ros.instruments.interpreter import Interpreter, table_samples
@@ -74,7 +74,7 @@ class StreamFeeder:
         self,
         make: Callable[[int], Capture],
         joint: str = "",
-        finder: StepFinder | None = None,
+        make_finder: Callable[[], StepFinder] | None = None,
         topics: TopicSettings | None = None,
         slice_ns: int = SLICE_NS,
         stamp_offset_s: float = math.inf,
@@ -85,10 +85,12 @@ class StreamFeeder:
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
-        self._finder = finder
+        self._make_finder = make_finder
+        self._finder = make_finder() if make_finder is not None else None
         self._finding = False
         self._slice_ns = max(1, slice_ns)
-        self._instruments = Interpreter(topics or TopicSettings(), joint)
+        self._topics = topics or TopicSettings()
+        self._instruments = Interpreter(self._topics, joint)
         self._orders = Orders()
         self._makers: dict[str, Callable[[Any], Any]] = {
             names.TABLE_ANGLE: self._orders.table_angle,
@@ -98,6 +100,11 @@ class StreamFeeder:
     def begin_run(self, run: int) -> None:
         """Start afresh: what was undecided when a run was interrupted stays undecided."""
         self._captures.append(self._make(run))
+        self._instruments = Interpreter(self._topics, self._joint)
+        if self._finder is not None and self._make_finder is not None:
+            ordered = self._finder.ordered
+            self._finder = self._make_finder()
+            self._finder.ordered = ordered
         self._orders.clear()
 
     @property
@@ -120,7 +127,7 @@ class StreamFeeder:
         if self._finder is not None and any(part.role == names.PLAN for part in parts):
             self._finder.ordered = True
         self._finding |= self._finder is not None and any(map(_tells_positions, parts))
-        for part in parts:
+        for part in sorted(parts, key=lambda part: part.role != REFERENCE):
             with part.taken_as_expected():
                 if part.role == names.TRACER_LENGTH:
                     readings = self._readings(block, part)

@@ -67,13 +67,18 @@ class Topics:
     _recorded: dict[str, str] = field(default_factory=dict, repr=False)
     _taken: dict[str, str] = field(default_factory=dict, repr=False)
 
+    def follow(self, planned: Mapping[str, str]) -> None:
+        """Take what the configuration says; what was taken before it was known is open again."""
+        self.planned = planned
+        self._taken.clear()
+
     def role(self, topic: str) -> str | None:
         """Return the role of ``topic``; raises BagError when two topics want the same one."""
         if topic == names.TF_STATIC:
             return names.TF_STATIC
         others = {**self.planned, **self._recorded, **self.renamed}
         for role, other in others.items():
-            if _is_called(topic, other):
+            if _is_called(topic, other, self.namespace):
                 return self._only(role, topic)
         namespace, _, role = topic.strip("/").rpartition("/")
         wanted = self.namespace.strip("/")
@@ -121,8 +126,11 @@ class Topics:
             return None
 
 
-def _is_called(topic: str, name: str) -> bool:
+def _is_called(topic: str, name: str, namespace: str) -> bool:
     """Return whether ``topic`` is meant by ``name``, which may leave out the namespace."""
-    return topic.strip("/") == name.strip("/") or (
-        not name.startswith("/") and topic.endswith(f"/{name}")
-    )
+    if topic.strip("/") == name.strip("/"):
+        return True
+    if name.startswith("/"):
+        return False
+    wanted = namespace.strip("/")
+    return topic.strip("/") == f"{wanted}/{name}" if wanted else topic.endswith(f"/{name}")

@@ -121,3 +121,25 @@ def test_of_streams_that_are_all_off_every_process_names_the_same(others):
             offsets.note(stream, now + 3 * SECOND, now)
     first = min(["probe_point", *others])
     assert f"stamps of {first} are constantly 3.0 s ahead" in offsets.in_words()
+
+
+def test_a_table_whose_clock_drifts_is_told_the_rate_of_its_own_clock():
+    """The table's stamps run 2 % slow: its clock falls behind by 20 ms in a second."""
+    offsets, text = StampOffsets(1.0), ""
+    for k in range(60 * 50):
+        now = START + k * 20 * MS
+        offsets.note("joint_states", now - round((now - START) * 0.02), now)
+        offsets.note("tracer_length", now, now)
+        text = offsets.in_words() if k % 25 == 0 else text
+    assert "it is joint_states whose stamps" in text
+    assert "it drifts, by -20 ms in a second" in text
+    assert "topics.table_clock: sent" in text
+
+
+def test_single_shots_of_a_bag_are_held_against_the_table_as_live_ones():
+    offsets = StampOffsets(1.0)
+    for second in range(10):
+        now = START + second * SECOND + np.arange(0, 1000, 20) * MS
+        offsets.note_many("joint_states", now, now)
+        offsets.note_many("tracer_length", now[40:41] - 4 * SECOND, now[40:41])
+    assert "stamps of tracer_length are constantly 4.0 s behind" in offsets.in_words()

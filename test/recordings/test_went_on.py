@@ -35,3 +35,8 @@ def test_a_resumed_run_went_on_from_the_streams_and_all_of_them_count():
 
 def test_a_bag_of_another_recorder_notes_no_runs():
     assert known_then([FIRST], [], [SimpleNamespace(metadata={})]) == (FIRST,)
+
+
+def test_a_number_that_no_recorder_writes_is_no_run():
+    scans = [noted(number="9" * 5000, earlier=names.RECORDED)]
+    assert known_then([FIRST, UNTOLD], [FIRST], scans) == (FIRST, UNTOLD)
