@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import LENGTH_UNITS, TopicSettings
+from rotcal_ros.instruments.forms import form_of
 from rotcal_ros.observations import (
     HumiditySample,
     PressureSample,
@@ -82,6 +83,14 @@ class Conventions:
         by_stamp = getattr(self.settings, f"{owner}_clock") == "stamp"
         offset_s = getattr(self.settings, f"{owner}_clock_offset_s")
         return (stamp_ns if by_stamp else sent_ns) - round(offset_s / NANOSECOND)
+
+    def by_sending(self, role: str, type_name: str) -> bool:
+        """Return whether messages of this type were taken when they were sent."""
+        form = form_of(role, type_name)
+        if form is not None and not form.stamped:
+            return True
+        owner = _OWNERS.get(role)
+        return owner is not None and getattr(self.settings, f"{owner}_clock") == "sent"
 
     def record(self, role: str, record: Any, sent_ns: int) -> Any:
         """Return a record of a message of the role's own type, in SI and by the common clock."""

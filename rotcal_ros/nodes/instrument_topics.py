@@ -38,6 +38,7 @@ class InstrumentTopics:
         self.settings = node.settings("topics", TopicSettings)
         self._streams: dict[str, InstrumentSubscription] = {}
         self.refused: dict[str, str] = {}
+        self._types: dict[str, str] = {}
         node.every(BEAT_PERIOD_S, self._follow)
 
     def listen(self, role: str, handle: Callable[[str, Batch], None]) -> None:
@@ -53,6 +54,7 @@ class InstrumentTopics:
                 kind, why = _kind(role, chosen)
                 if kind is not None:
                     self.refused.pop(role, None)
+                    self._types[role] = chosen
                     return kind
                 self.refused[role] = f"{self.name(role)}: {why}"
             return None
@@ -73,9 +75,22 @@ class InstrumentTopics:
 
     def values(self) -> dict[str, str]:
         """Return what the beat tells of names."""
-        refused = {REFUSED + role: text for role, text in self.refused.items()}
+        refused = {REFUSED + r: text for r, text in (self._by_sending() | self.refused).items()}
         named = other_names(self._node.get_namespace(), self.name)
         return {**named, **refused, TOPICS: self._goals}
+
+    def _by_sending(self) -> dict[str, str]:
+        """Say by role what bears the time of the computer while the cell follows ``/clock``."""
+        if not self._node.health.sim.used:
+            return {}
+        conventions = Conventions(self.settings)
+        return {
+            role: f"{self.name(role)}: {kind} is taken when it is sent, by the computer's clock, "
+            "and the cell follows /clock (use_sim_time): publish a type with a header that is "
+            "stamped by /clock (topics.*_clock: stamp), or leave use_sim_time out"
+            for role, kind in self._types.items()
+            if conventions.by_sending(role, kind)
+        }
 
     def _follow(self) -> None:
         """Listen where the goal of the planner says."""

@@ -88,6 +88,12 @@ class ReplayOutcome:
                 "some topics were called otherwise; nodes hear them with the configuration in the "
                 f"bag, or --ros-args {' '.join(remappings)}"
             )
+        if anew := self._bag.taken_when_sent():
+            yield (
+                f"warning: {', '.join(anew)}: taken when they are sent (no header, or "
+                "topics.*_clock: sent), which is now; observations are not the recorded ones, and "
+                "beside streams with stamps of then there are none: rotcal solve reads the bag"
+            )
         if clock:
             yield "nodes follow /clock where they have use_sim_time: true"
 

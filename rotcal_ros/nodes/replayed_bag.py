@@ -18,7 +18,9 @@ from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_identity import require_one_session
+from rotcal_ros.catalogue.configuration import read_topics
 from rotcal_ros.errors import BagError
+from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.nodes.topic_names import CalledOtherwise
 from rotcal_ros.observations import Observation
 from rotcal_ros.units import NANOSECOND
@@ -38,9 +40,9 @@ Attempt = tuple[int, int, int]
 class ReplayedBag:
     """A bag that is published again: its channels by topic, and what is not published, and why.
 
-    ``outputs`` are the topics that our own nodes had published.
-    ``accepted`` are the observations that the recorded capture had accepted, ``steps`` those of
-    the last run, ``plan_id`` that of the plan; empty where the bag has none. Times in ns.
+    ``outputs`` are the topics that our own nodes had published, ``accepted`` the observations that
+    the recorded capture had accepted, ``steps`` those of the last run, ``plan_id`` and
+    ``configuration`` those of the plan; empty where the bag has none. Times in ns.
     """
 
     files: tuple[Path, ...]
@@ -52,6 +54,7 @@ class ReplayedBag:
     namespace: str = "/cell"
     plan_id: str = ""
     runs: int = 0
+    configuration: str = ""
     accepted: dict[Attempt, Observation] = field(default_factory=dict)
     start_ns: int = 0
     end_ns: int = 0
@@ -98,6 +101,11 @@ class ReplayedBag:
         """Return the published topics of some roles."""
         return [topic for topic in self.channels if self.called.role(topic) in wanted]
 
+    def taken_when_sent(self) -> list[str]:
+        """Return the published topics whose messages bear the time of sending: that of now."""
+        sent, role = Conventions(read_topics(self.configuration)).by_sending, self.called.role
+        return sorted(t for t, c in self.channels.items() if sent(role(t), c.type_name))
+
     def remappings(self) -> list[str]:
         """Return the remappings without which the nodes hear not all of it."""
         return [f"-r {role}:={topic}" for role, topic in sorted(self.called.topics.items())]
@@ -118,15 +126,14 @@ class ReplayedBag:
         otherwise, self.called = self.called.topics, CalledOtherwise(self.namespace)
         self.called.topics = otherwise
         for topic in plans:
-            self.plan_id, self.runs = found.plan_id(topic)
+            self.plan_id, self.runs, self.configuration = found.plan(topic)
         for topic in self.channels:
             if self.called.role(topic) == names.OBSERVATION:
                 self.accepted = found.accepted(topic)
 
     def _leave_out(self, everything: bool) -> None:
         for topic, channel in sorted(self.channels.items()):
-            own = topic in OF_ROS or self.called.role(topic) in OUTPUTS
-            if own:
+            if own := topic in OF_ROS or self.called.role(topic) in OUTPUTS:
                 self.outputs.add(topic)
             if topic == CLOCK or "/_" in topic:
                 self.left_out[topic] = "it belongs to those who ran then"
@@ -170,10 +177,11 @@ class _Found:
                 rows = np.flatnonzero(block.headers["channel"] == number).tolist()
                 self._kept.setdefault(channel.topic, []).extend(map(block.payload, rows))
 
-    def plan_id(self, topic: str) -> tuple[str, int]:
-        """Return the identity of the last plan on ``topic`` and how many were announced."""
-        plans = [message.plan_id for message in self._messages(topic)]
-        return (plans[-1] if plans else ""), len(plans)
+    def plan(self, topic: str) -> tuple[str, int, str]:
+        """Return the last plan's identity, how many were announced, its configuration's text."""
+        plans = list(self._messages(topic))
+        last = plans[-1] if plans else None
+        return getattr(last, "plan_id", ""), len(plans), getattr(last, "configuration", "")
 
     def accepted(self, topic: str) -> dict[Attempt, Observation]:
         """Return the accepted observations on ``topic``."""

@@ -3,8 +3,16 @@
 import json
 from types import SimpleNamespace
 
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+
+from rotcal_ros.bags import names
 from rotcal_ros.bags.topic_settings import TopicSettings
+from rotcal_ros.nodes import instrument_topics
 from rotcal_ros.nodes.instrument_topics import InstrumentTopics
+from rotcal_ros.nodes.latest import REFUSED
 from rotcal_ros.nodes.topic_names import TOPICS
 
 
@@ -44,3 +52,34 @@ def test_what_both_say_alike_is_worth_no_word():
     settings, told = heard({"length_unit": "mm"}, {"length_unit": "mm"})
     assert settings == TopicSettings(length_unit="mm")
     assert told == []
+
+
+@pytest.mark.parametrize(("kind", "clock", "refused"), [
+    ("std_msgs/msg/Float64", "stamp", True),
+    ("sensor_msgs/msg/Range", "stamp", False),
+    ("sensor_msgs/msg/Range", "sent", True),
+])  # fmt: skip
+@pytest.mark.parametrize("simulated", [True, False])
+def test_the_time_of_sending_is_refused_under_a_simulated_clock(
+    monkeypatch, kind, clock, refused, simulated
+):
+    chosen = []
+
+    def subscription(_node, choose, _name, _take):
+        chosen.append(choose)
+
+    monkeypatch.setattr(instrument_topics, "InstrumentSubscription", subscription)
+    node = SimpleNamespace(
+        given={},
+        settings=lambda _, kind: kind(length_clock=clock),
+        every=lambda *_: None,
+        health=SimpleNamespace(sim=SimpleNamespace(used=simulated)),
+        get_namespace=lambda: "/cell",
+        resolve_topic_name=lambda name: f"/cell/{name}",
+    )
+    topics = InstrumentTopics(node, lambda _: None)
+    topics.listen(names.TRACER_LENGTH, lambda *_: None)
+    assert chosen[0]([kind]) is not None
+    text = topics.values().get(f"{REFUSED}{names.TRACER_LENGTH}", "")
+    assert bool(text) == (refused and simulated)
+    assert not text or ("/cell/tracer_length" in text and "use_sim_time" in text)

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -112,3 +113,18 @@ def test_a_pace_that_is_none_is_refused(rate):
     )  # fmt: skip
     assert done.returncode == 2
     assert "'--rate'" in done.stderr
+
+
+def test_topics_that_are_taken_when_they_are_sent_are_named():
+    kinds = {
+        "/etalon": "std_msgs/msg/Float64",
+        "/cell/joint_states": "sensor_msgs/msg/JointState",
+        "/cell/probe_point": "geometry_msgs/msg/PointStamped",
+        "/cell/other": "std_msgs/msg/Float64",
+    }
+    channels = {topic: SimpleNamespace(type_name=kind) for topic, kind in kinds.items()}
+    bag = ReplayedBag((), channels)
+    bag.called.topics = {names.TRACER_LENGTH: "/etalon"}
+    assert bag.taken_when_sent() == ["/etalon"]
+    bag.configuration = "/**: {ros__parameters: {method: ball_plate, topics: {probe_clock: sent}}}"
+    assert bag.taken_when_sent() == ["/cell/probe_point", "/etalon"]
