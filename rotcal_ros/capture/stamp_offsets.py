@@ -29,12 +29,15 @@ _BUCKETS: Final = 3
 _SPREAD_NS: Final = 200_000_000
 _EVENTS: Final = 4
 """Of a stream that comes now and then, so many messages must agree."""
-_NEWEST: Final = max(_BUCKETS + 1, _EVENTS)
+DOUBT_S: Final = 0.2
+"""So much is told, though nothing is rejected for it, when it lasts for ``_LASTING`` intervals."""
+_LASTING: Final = 8
+_NEWEST: Final = _LASTING + 1
 """So many intervals of many messages matter."""
 
 
 class StampOffsets:
-    """Estimates constant offsets between streams; more than ``limit_s`` is told."""
+    """Estimates constant offsets between streams; more than ``limit_s`` spoils observations."""
 
     def __init__(self, limit_s: float) -> None:
         self.limit_s = limit_s
@@ -73,32 +76,49 @@ class StampOffsets:
             else:
                 difference = _agreed(self._events.get(stream, {}).values()) or 0
             if abs(difference) * NANOSECOND > self.limit_s:
-                return self._sentence(stream, difference, reference_ns)
+                return (
+                    f"{_OPENING}{_constantly(stream, difference, 1)}, allowed {self.limit_s:g} s "
+                    "(capture.stamp_offset_s): two clocks, set them alike"
+                    f"{self._advice(stream, difference, reference_ns)}"
+                )
+        return ""
+
+    def doubt_in_words(self) -> str:
+        """Return which stream differs by more than ``DOUBT_S`` and is accepted; empty: none."""
+        reference_ns = self._offset_ns(REFERENCE, _LASTING)
+        if reference_ns is None or self.in_words():
+            return ""
+        for stream in sorted(self._ahead.keys() - {REFERENCE}):
+            offset_ns, events = self._offset_ns(stream, _LASTING), self._events.get(stream, {})
+            if offset_ns is not None:
+                difference = offset_ns - reference_ns
+            else:
+                difference = _agreed(events.values(), _EVENTS) or 0
+            if abs(difference) * NANOSECOND > DOUBT_S:
+                return (
+                    f"stamps of {_constantly(stream, difference, 2)} by the times of arrival: a "
+                    f"clock is off, or a stream comes late; up to {self.limit_s:g} s "
+                    "(capture.stamp_offset_s) is accepted, but may be of another moment than it "
+                    f"seems{self._advice(stream, difference, reference_ns)}"
+                )
         return ""
 
     def judged(self, observation: Observation) -> Observation:
         """Return an observation, rejected where the clocks of its streams differ."""
         return rejected_for(self.in_words(), observation)
 
-    def _sentence(self, stream: str, difference_ns: int, reference_ns: int | None) -> str:
-        far, off_ns = stream, difference_ns
-        way = "ahead of" if difference_ns > 0 else "behind"
-        off = f"{abs(difference_ns) * NANOSECOND:.1f} s {way}"
-        which = ""
+    def _advice(self, stream: str, difference_ns: int, reference_ns: int | None) -> str:
+        """Say whose clock it is, as far as that is known, and what to do."""
+        far, off_ns, which = stream, difference_ns, ""
         if reference_ns is not None:
             own_ns = difference_ns + reference_ns
             if abs(own_ns) <= abs(reference_ns):
                 far, off_ns = REFERENCE, -difference_ns
             which = f"; it is {far} whose stamps are not the time of arrival"
         owner = _OWNERS.get(far, "length")
-        which += (
-            f"; where it stays so, add {off_ns * NANOSECOND:.2f} to "
-            f"topics.{owner}_clock_offset_s{self._drift(stream, difference_ns, far)}"
-        )
         return (
-            f"{_OPENING}{stream} are constantly {off} those of "
-            f"{REFERENCE}, allowed {self.limit_s:g} s (capture.stamp_offset_s): "
-            f"two clocks, set them alike{which}"
+            f"{which}; where it stays so, add {off_ns * NANOSECOND:.2f} to "
+            f"topics.{owner}_clock_offset_s{self._drift(stream, difference_ns, far)}"
         )
 
     def _drift(self, stream: str, difference_ns: int, far: str) -> str:
@@ -127,16 +147,16 @@ class StampOffsets:
     def _keep(self, stream: str, bucket: int, ahead_ns: int) -> None:
         known = self._ahead.setdefault(stream, {})
         known[bucket] = max(ahead_ns, known.get(bucket, ahead_ns))
-        for old in [b for b in known if b < bucket - _BUCKETS]:
+        for old in [b for b in known if b < bucket - _LASTING]:
             del known[old]
 
-    def _offset_ns(self, stream: str) -> int | None:
+    def _offset_ns(self, stream: str, intervals: int = _BUCKETS) -> int | None:
         """Return how far the stamps of a stream are ahead of their arrival; None: not constant."""
         known = self._ahead.get(stream)
         if not known:
             return None
         newest = max(bucket for ahead in self._ahead.values() for bucket in ahead)
-        wanted = range(newest - _BUCKETS, newest)  # the newest one is not at its end
+        wanted = range(newest - intervals, newest)  # the newest one is not at its end
         if not all(bucket in known for bucket in wanted):
             return None
         return _agreed([known[bucket] for bucket in wanted])
@@ -154,8 +174,14 @@ def is_of_clocks(reason: str) -> bool:
     return reason.startswith(_OPENING)
 
 
-def _agreed(values: Collection[int]) -> int | None:
+def _constantly(stream: str, difference_ns: int, digits: int) -> str:
+    way = "ahead of" if difference_ns > 0 else "behind"
+    off = f"{abs(difference_ns) * NANOSECOND:.{digits}f} s {way}"
+    return f"{stream} are constantly {off} those of {REFERENCE}"
+
+
+def _agreed(values: Collection[int], least: int = _BUCKETS) -> int | None:
     """Return the largest of values (ns) that are about the same: the least delayed one."""
-    if len(values) < _BUCKETS or max(values) - min(values) > _SPREAD_NS:
+    if len(values) < least or max(values) - min(values) > _SPREAD_NS:
         return None
     return int(max(values))

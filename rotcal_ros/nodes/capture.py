@@ -102,7 +102,7 @@ class CaptureNode(CellNode):
     def _report(self) -> tuple[str, dict[str, Any]]:
         values: dict[str, Any] = {RUN: self._run, **self._verdicts}
         values |= self._instruments.values(self._needed)
-        self._news.offset(self._instruments.offsets.in_words())
+        self._news.offset(self._instruments.offsets)
         if self._capture is not None:
             for stream, counts in self._capture.counts.items():
                 values |= {f"{stream}.{name}": n for name, n in counts.items()}

@@ -6,7 +6,8 @@ import time
 from typing import Any
 
 from rotcal_ros.capture.rejections import Rejections, kind_of
-from rotcal_ros.nodes.concerns import COMPLAINT, OFFSET, REJECTED, show
+from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.nodes.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
 from rotcal_ros.observations import Observation
 
 
@@ -34,9 +35,10 @@ class CaptureNews:
         """Take what is wrong with the present order; empty: nothing."""
         self._tell(COMPLAINT, text)
 
-    def offset(self, text: str) -> None:
-        """Take which clocks differ; empty: none does."""
-        self._tell(OFFSET, text)
+    def offset(self, offsets: StampOffsets) -> None:
+        """Take which clocks differ, beyond what is rejected or less."""
+        self._tell(OFFSET, offsets.in_words())
+        self._tell(CLOCK_DOUBT, offsets.doubt_in_words())
 
     def _tell(self, key: str, text: str) -> None:
         """Show a text as long as it lasts; each kind is one line."""

@@ -12,7 +12,7 @@ from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.instruments.interpreter import FAST
 from rotcal_ros.nodes.check_heard import Heard
 from rotcal_ros.nodes.check_neighbours import namesakes
-from rotcal_ros.nodes.concerns import OFFSET
+from rotcal_ros.nodes.concerns import CLOCK_DOUBT, OFFSET
 from rotcal_ros.nodes.header_watch import HeaderWatch
 from rotcal_ros.nodes.instrument_streams import TIMED
 from rotcal_ros.nodes.latest import NOW, REFUSED
@@ -63,6 +63,8 @@ def clock_line(heard: Heard) -> CheckLine:
     limit_s = heard.configuration.capture.stamp_offset_s
     if OFFSET in heard.values:
         return CheckLine("clocks", "stamps", "missing", heard.values[OFFSET], _CLOCKS)
+    if doubt := heard.values.get(CLOCK_DOUBT):
+        return CheckLine("clocks", "stamps", "doubt", doubt, _CLOCKS)
     timed = [t for t in TIMED if t in heard.headers and heard.headers[t].ahead_s is not None]
     if len(timed) < 2:
         return CheckLine("clocks", "stamps", "note", "too few stamped streams to compare")

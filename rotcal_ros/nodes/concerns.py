@@ -13,6 +13,8 @@ PREFLIGHT: Final = "preflight"
 """What looks wrong about the instruments before anything moves."""
 OFFSET: Final = "clock_offset"
 """Streams whose clocks differ, and by how much."""
+CLOCK_DOUBT: Final = "clock_doubt"
+"""Streams whose clocks seem to differ by less than what is rejected."""
 FOREIGN_PLAN: Final = "foreign_plan"
 """A plan that is not of the planner."""
 SIM_CLOCK: Final = "sim_clock"
@@ -21,7 +23,9 @@ EMERGENCY: Final = "emergency_stop"
 """Who stops the cell, and what this node does meanwhile."""
 BLOCKED: Final = "blocked"
 """Why a machine does nothing before a person has cleared it."""
-FOR_PEOPLE: Final = (REJECTED, COMPLAINT, PREFLIGHT, OFFSET, FOREIGN_PLAN, SIM_CLOCK, BLOCKED)
+FOR_PEOPLE: Final = (
+    REJECTED, COMPLAINT, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, SIM_CLOCK, BLOCKED,
+)  # fmt: skip
 """Values in a beat that the person who runs a calibration is told."""
 OF_MACHINES: Final = (BLOCKED, COMPLAINT)
 """Values in a beat that may be why a calibration cannot go on."""

@@ -251,7 +251,10 @@ def read_recording(
         announced=frozenset(found.announced),
         frames=tuple(found.frames.values()),
         unreadable=dict(topics.unreadable),
-        clock=(*clock_in_words(found.scans, found.log_times), *filter(None, [feeder.offset])),
+        clock=(
+            *clock_in_words(found.scans, found.log_times),
+            *filter(None, [feeder.offset or feeder.doubt]),
+        ),
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
     )

@@ -67,7 +67,7 @@ class StreamFeeder:
     tolerance, the capture's answer does not depend on it. ``make`` returns a new
     capture for the run with a number. ``joint`` names the table among the joint states; empty
     means the first. ``offset`` says which clocks differ, by more than ``stamp_offset_s``,
-    ``offsets`` what the bag tells of that at each observation.
+    ``doubt`` which seem to by less, ``offsets`` what the bag tells of that at each observation.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class StreamFeeder:
     ) -> None:
         self._clocks = StampOffsets(stamp_offset_s)
         self.observations: list[Observation] = []
-        self.offset, self.offsets = "", list[str]()
+        self.offset, self.doubt, self.offsets = "", "", list[str]()
         self._make = make
         self._captures = [make(0)]
         self._joint = joint
@@ -147,6 +147,7 @@ class StreamFeeder:
         self._feed_slices(readings, feedback, others)
         offset = self._clocks.in_words()
         self.offset = self.offset or offset
+        self.doubt = self.doubt or self._clocks.doubt_in_words()
         self.offsets += [offset] * (len(self.observations) - len(self.offsets))
 
     def _hold(self, role: str, records: NDArray[np.void], block: Block) -> None:

@@ -143,3 +143,31 @@ def test_single_shots_of_a_bag_are_held_against_the_table_as_live_ones():
         offsets.note_many("joint_states", now, now)
         offsets.note_many("tracer_length", now[40:41] - 4 * SECOND, now[40:41])
     assert "stamps of tracer_length are constantly 4.0 s behind" in offsets.in_words()
+
+
+def doubted(off_s, *, seconds, many, scale=1.0):
+    offsets = StampOffsets(2.0)
+    for second in range(seconds):
+        now = START + second * SECOND + np.arange(0, 1000, 20) * MS
+        stamps = START + ((now - START) * scale).astype(np.int64)
+        for stream, at in (
+            ("joint_states", stamps), ("tracer_length", stamps + round(off_s * SECOND))
+        ):  # fmt: skip
+            if many:
+                offsets.note_many(stream, at, now)
+            else:
+                for pair in zip(at.tolist(), now.tolist(), strict=True):
+                    offsets.note(stream, *pair)
+    assert offsets.in_words() == ""
+    return offsets.doubt_in_words()
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_a_lasting_offset_below_the_limit_is_told_with_what_to_state(many):
+    text = doubted(1.5, seconds=4, many=many)
+    assert "tracer_length are constantly 1.50 s ahead of those of joint_states" in text
+    assert "up to 2 s (capture.stamp_offset_s) is accepted" in text
+    assert text.endswith("add 1.50 to topics.length_clock_offset_s")
+    assert doubted(0.19, seconds=4, many=many) == ""
+    assert doubted(1.5, seconds=1, many=many) == ""  # it may be over in a moment
+    assert doubted(1.5, seconds=4, many=many, scale=20.0) == ""
