@@ -29,8 +29,9 @@ FEEDBACK: Final = np.dtype(
     [("row", np.int64), ("stamp_ns", np.int64), ("angle", np.float64), ("velocity", np.float64)]
 )
 _WRAP: Final = 1 << 32
-_SPAN_S: Final = 0.02
-"""An angle's velocity is taken over so long: longer, and the rest begins as much later."""
+_SPAN_S: Final = 0.1
+"""An angle's velocity is taken over so long: longer, and the rest begins as much later; shorter,
+and the noise of angles that stand (1 arcsec) is a speed."""
 
 
 class BareLengths:

@@ -74,13 +74,16 @@ def frame_doubts(values: Values, configuration: Configuration) -> Iterator[str]:
     """
     frame = values.get(FRAME + names.PROBE_POINT, "")
     ours = configuration.cell.machine_frame
-    of_the_machine = not configuration.method.capture.decide.keys() & _OF_AN_INSTRUMENT
-    if frame and of_the_machine and frame.lstrip("/") != ours.lstrip("/"):
+    if frame and _in_the_machine_frame(configuration) and frame.lstrip("/") != ours.lstrip("/"):
         yield (
             f"{name_in(values, names.PROBE_POINT)} is stamped with the frame {printable(frame)}, "
             f"the targets of the plan are in {ours} (cell.machine_frame); points are taken as "
             "they come, nothing transforms them"
         )
+
+
+def _in_the_machine_frame(configuration: Configuration) -> bool:
+    return not configuration.method.capture.decide.keys() & _OF_AN_INSTRUMENT
 
 
 def expected_air(calibration: Calibration) -> tuple[list[str], list[str]]:
@@ -119,9 +122,12 @@ def length_faults(values: Values, configuration: Configuration) -> Iterator[str]
 
 
 def probe_faults(values: Values, configuration: Configuration, plan: Plan) -> Iterator[str]:
-    """Yield that the probe's positions are in another unit than stated."""
+    """Yield that the probe's positions are in another unit than stated.
+
+    A tracker's own points say nothing of that: they are not where the plan's targets are.
+    """
     words = values.get(NOW + names.PROBE_POINT, "").split()
-    if len(words) != 3:
+    if len(words) != 3 or not _in_the_machine_frame(configuration):
         return
     x, y, z = map(float, words)
     text = position_in_words((x, y, z), plan, configuration.topics)

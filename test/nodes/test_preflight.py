@@ -118,3 +118,11 @@ def test_points_of_another_frame_than_the_machine_s_are_a_doubt():
         assert doubts(GOOD | {"frame.probe_point": good}, TRACER) == []
     mirror = read_configuration(CONFIG / "plane_mirror_demo.yaml")
     assert doubts({"frame.probe_point": "tracker"}, mirror) == []  # a tracker's own
+
+
+def test_the_points_of_a_tracker_are_in_its_own_frame_and_no_unit_is_read_from_them():
+    mirror = read_configuration(CONFIG / "plane_mirror.yaml")
+    plan = prepare(mirror).plan
+    far = max(abs(x) for step in plan.steps for x in step.position)
+    values = {"now.probe_point": f"{1000.0 * max(far, 1.0)} 0.0 0.0"}
+    assert faults(values, mirror, plan) == []
