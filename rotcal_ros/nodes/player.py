@@ -41,8 +41,7 @@ LOOK_AROUND_S: Final = 2.0
 LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
 GUARD_PERIOD_S: Final = 1.0
 TOLD_PERIOD_S: Final = 0.2
-_AHEAD_S: Final = 5e-4
-"""Nobody waits for less."""
+_AHEAD_S: Final = 5e-4  # nobody waits for less
 
 
 class Ended(Exception):  # noqa: N818  nothing went wrong
@@ -56,8 +55,7 @@ class Player:
         self._peer, self._bag, self._given, self._end = peer, bag, given, end
         self._node = peer.node
         self._health = Health(self._node, None)
-        everything = given.everything
-        self._outcome = ReplayOutcome(peer, bag, self._health, end, everything=everything)
+        self._outcome = ReplayOutcome(peer, bag, self._health, end, everything=given.everything)
         self._guarded_s = self._told_s = 0.0
         self._pace = ReplayPace(self._node, bag.start_ns, given.rate, clock=given.clock)
         self._publishers: dict[str, tuple[Publisher, Converter]] = {}
