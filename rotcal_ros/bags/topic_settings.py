@@ -49,6 +49,13 @@ class TopicSettings:
         doc="rad, unit of the angles where it has no name; negative where the table counts "
         "clockwise",
     )
+    angle_span_s: float = setting(
+        0.1,
+        doc="s, the speed of angles without velocity is taken over so long: longer, and rest "
+        "begins as much later; shorter, and noise is a motion",
+        minimum=1e-3,
+        maximum=10.0,
+    )
     position_unit: Length = setting("m", doc="unit of the probe's positions")
     temperature_unit: Literal["degC", "K", "degF"] = setting(
         "degC", doc="unit of the temperatures"

@@ -29,9 +29,6 @@ FEEDBACK: Final = np.dtype(
     [("row", np.int64), ("stamp_ns", np.int64), ("angle", np.float64), ("velocity", np.float64)]
 )
 _WRAP: Final = 1 << 32
-_SPAN_S: Final = 0.1
-"""An angle's velocity is taken over so long: longer, and the rest begins as much later; shorter,
-and the noise of angles that stand (1 arcsec) is a speed."""
 
 
 class BareLengths:
@@ -66,7 +63,7 @@ class BareAngles:
 
     def __init__(self, settings: TopicSettings) -> None:
         self._unit = settings.angle_rad
-        self._speed = TableSpeed(_SPAN_S)
+        self._speed = TableSpeed(settings.angle_span_s)
         self._unwrapped: float | None = None
 
     def feedback(self, rows: Ints, stamps: Ints, values: Floats) -> NDArray[np.void]:

@@ -84,7 +84,8 @@ def test_a_range_beyond_its_own_limits_is_no_length():
 def test_bare_angles_have_the_speed_of_their_motion_and_a_turn_is_none():
     degrees = [359.0, 359.5, 0.0, 0.5, 1.0, 1.0, 1.0, 1.0]  # 50 deg/s, then rest
     sent = [(Message(data=a), k * SECOND // 100) for k, a in enumerate(degrees)]
-    found = Interpreter(TopicSettings(angle_unit="deg")).records(names.JOINT_STATES, FLOAT, sent)
+    settings = TopicSettings(angle_unit="deg", angle_span_s=0.02)
+    found = Interpreter(settings).records(names.JOINT_STATES, FLOAT, sent)
     assert [s.stamp_ns for s in found] == [k * SECOND // 100 for k in range(2, 8)]
     assert found[0].velocity == pytest.approx(math.radians(50.0))
     assert found[-1].velocity == 0.0

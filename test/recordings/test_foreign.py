@@ -17,6 +17,7 @@ NAMES = {
     "joint_states": "/rotary/angle_deg",
     "probe_point": "/cmm/position",
     "length_unit_m": 1e-3,
+    "angle_span_s": 0.02,  # the cell stands for hardly longer than a window takes
     "angle_unit_rad": math.pi / 180.0,
 }
 GROUPS = yaml.safe_load(CONFIGURATION)["/**"]["ros__parameters"]
