@@ -87,7 +87,7 @@ class Interpreter:
 
     def _fast(self, role: str, form: Form, sent: Sequence[Sent]) -> list[Any]:
         values = np.array([form.row(message) for message, _ in sent], np.float64)
-        stamps = np.array([form.stamp_ns(*one) for one in sent], np.int64)
+        stamps = np.array([form.stamp_ns(*pair) for pair in sent], np.int64)
         sent_ns = np.array([time_ns for _, time_ns in sent], np.int64)
         found = self.bare(role, np.arange(len(sent)), stamps, sent_ns, values)
         if role == names.TRACER_LENGTH:

@@ -27,7 +27,7 @@ PATIENCE_NS: Final = 3_000_000_000
 _KEPT: Final = 4096
 _SILENT_NS: Final = 1_000_000_000
 """A position after which nothing came for so long is where the probe stands."""
-_STILL: Final = 0.01
+_ARRIVED_SHARE: Final = 0.01
 """A probe stands that went no further than this share of its tolerance since it last spoke."""
 _FACTORS: Final = (1e-3, 1e3, 1e-6, 1e6)
 """Between the units of lengths."""
@@ -93,7 +93,7 @@ class StepFinder:
         self._angle: float | None = None
         self._position: Position | None = None
         self._single_shot, self._stands = single_shot, True
-        self._told: TableSample | None = None
+        self._feedback: TableSample | None = None
         self._stood: dict[type, Position | TableSample] = {}
         self._moved_ns = 0
 
@@ -153,7 +153,7 @@ class StepFinder:
         )
 
     def _table_in_words(self, step: Step) -> str:
-        table = self._told
+        table = self._feedback
         if table is None:
             return "no table feedback since the order"
         return off_in_words(table.angle, table.velocity, step.table_angle, self._settings)
@@ -183,7 +183,7 @@ class StepFinder:
         self._note_motion(stamp_ns, event)
         if isinstance(event, TableSample):
             resting = abs(event.velocity) <= self._speed_limit
-            self._told, self._angle = event, event.angle if resting else None
+            self._feedback, self._angle = event, event.angle if resting else None
         elif all(map(isfinite, event.position)):
             self._stands = self._single_shot or self._stays(event)
             self._position = event
@@ -219,7 +219,7 @@ class StepFinder:
         if self._position is None:
             return True
         moved = dist(event.position, self._position.position)
-        return moved <= _STILL * self._settings.probe_tolerance_m
+        return moved <= _ARRIVED_SHARE * self._settings.probe_tolerance_m
 
     def _waited_for(self, stamp_ns: int) -> _Awaited | None:
         """Return what is waited for at a time, if table and probe are there."""

@@ -65,7 +65,7 @@ class EarlierObservations:
         if self._is_foreign(message, now_s - since_s):
             self._answer(take, ())
         elif self._asked is not None and self._asked.done():
-            self._answer(take, self._told(message))
+            self._answer(take, self._recorded(message))
         elif self._asked is None and self._client.service_is_ready():
             self._asked_s, self._asked = now_s, self._client.call_async(Trigger.Request())
             self._asked.add_done_callback(self._node.health.guarded(lambda _: self._look()))
@@ -82,7 +82,7 @@ class EarlierObservations:
         goals_run = health.values("planner").get(RUN, "")
         return goals_run != run_name(message) if goals_run else waited_s > NO_GOAL_S
 
-    def _told(self, message: CalibrationPlan) -> tuple[Observation, ...]:
+    def _recorded(self, message: CalibrationPlan) -> tuple[Observation, ...]:
         """Return what the recorder told, if it is of this plan."""
         try:
             known = Recorded.from_json(self._asked.result().message)
@@ -92,9 +92,9 @@ class EarlierObservations:
         same = (known.plan_id, known.run) == (message.plan_id, message.run)
         return known.observations if same else ()
 
-    def _answer(self, take: Callable[[Known], None], told: tuple[Observation, ...]) -> None:
+    def _answer(self, take: Callable[[Known], None], recorded: tuple[Observation, ...]) -> None:
         assert self._plan is not None
         self._wanted = self._asked = None
-        known: Known = last_accepted(told)
+        known: Known = last_accepted(recorded)
         now = self._plan.run
         take(known if any(run < now for run, _ in known) else {**self._kept, **known})

@@ -99,9 +99,9 @@ class InstrumentTopics:
             self._take(json.loads(goals))
 
     def _take(self, given: dict[str, Any]) -> None:
-        told = json.dumps(given, sort_keys=True)
+        goals = json.dumps(given, sort_keys=True)
         others = {key: value for key, value in self._own.items() if key not in names.ROLES}
-        if told != self._goals and (ours := others.items() - given.items()):
+        if goals != self._goals and (ours := others.items() - given.items()):
             self._node.get_logger().warning(
                 f"parameters of this node that the goal's configuration does not say: "
                 f"{', '.join(f'topics.{key}' for key, _ in sorted(ours))}; they do not count, "
@@ -109,7 +109,7 @@ class InstrumentTopics:
             )
         called = {key: value for key, value in self._own.items() if key in names.ROLES}
         settings = load(TopicSettings, {**called, **given}, "the goal's configuration: topics")
-        self._goals = told
+        self._goals = goals
         if settings == self.settings:
             return
         nameless = Conventions(settings).nameless != Conventions(self.settings).nameless

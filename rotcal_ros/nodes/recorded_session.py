@@ -37,8 +37,8 @@ class RecordedSession:
 
     def tell(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Answer with all of it, as JSON."""
-        told = Recorded(self._plan_id, self._run, tuple(self._observations))
-        response.success, response.message = bool(self._plan_id), told.to_json()
+        recorded = Recorded(self._plan_id, self._run, tuple(self._observations))
+        response.success, response.message = bool(self._plan_id), recorded.to_json()
         return response
 
 
