@@ -131,8 +131,10 @@ def _wrongly_told(angle: float, velocity: float, commanded: float) -> str:
             f"; it says {angle:.6g} where {commanded:.6g} rad = {commanded / DEGREE:.6g} deg was "
             "commanded: degrees? Publish radians, or say topics.angle_unit: deg"
         )
-    in_degrees = angle / DEGREE
-    same = abs(remainder(in_degrees - commanded, 2.0 * pi)) <= _SAME
+    angle_deg = angle / DEGREE
+    same = abs(remainder(angle_deg - commanded, 2.0 * pi)) <= _SAME
     if same and abs(angle - commanded) > DEGREE:
-        return f"; in position if its {in_degrees:.6g} are radians, not degrees: see topics.angle_unit"
+        return (
+            f"; in position if its {angle_deg:.6g} are radians, not degrees: see topics.angle_unit"
+        )
     return ""
