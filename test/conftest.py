@@ -1,5 +1,6 @@
 """Fixtures for all tests."""
 
+import os
 import signal
 
 import pytest
@@ -30,6 +31,12 @@ def pytest_ignore_collect(collection_path, config):
         return None
     text = collection_path.read_text(encoding="utf-8")
     return None if any(f"mark.{name}" in text for name in LIVE) else True
+
+
+def pytest_runtest_setup(item):
+    """Leave long tests to those who ask for them."""
+    if item.get_closest_marker("long") and not os.environ.get("ROTCAL_LONG_TESTS"):
+        pytest.skip("long: ROTCAL_LONG_TESTS=1 runs it")
 
 
 def pytest_collection_modifyitems(config, items):

@@ -150,6 +150,7 @@ def test_controllers_take_the_result(session, rotcal, tmp_path, controller):
         assert len(list(out.iterdir())) >= 2
 
 
+@pytest.mark.long
 @pytest.mark.ros
 def test_an_interrupted_plan_goes_on_in_the_same_mounting(rotcal, environment, tmp_path):
     pytest.importorskip("rclpy")

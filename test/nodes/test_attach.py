@@ -158,6 +158,7 @@ def test_viewers_come_and_go_and_one_of_them_stops_it(tmp_path, terminal):
     assert "it was interrupted; go on with" in rotcal("attach", folder, code=2).stderr
 
 
+@pytest.mark.long
 def test_in_the_background_from_the_start(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cell.yaml").write_text(changed(read_configuration(DEMO), SHORT).text)
@@ -174,6 +175,7 @@ def test_in_the_background_from_the_start(tmp_path, monkeypatch):
         subprocess.run([*ROTCAL, "attach", folder, "--stop"], capture_output=True, check=False)
 
 
+@pytest.mark.long
 def test_an_ignored_hangup_stays_ignored_and_the_dead_terminal_kills_nothing(tmp_path, terminal):
     folder = tmp_path / "out"
     run = terminal(

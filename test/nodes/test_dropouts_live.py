@@ -1,6 +1,5 @@
 """A recorder that is held up misses messages, and the bag says when and how many."""
 
-import os
 import signal
 
 import numpy as np
@@ -67,10 +66,7 @@ def held_up(recorders, name):
     return recorders.file(name).parent
 
 
-@pytest.mark.skipif(
-    not os.environ.get("ROTCAL_LONG_TESTS"),
-    reason="by hand: where a loss falls depends on the buffers and the load of the machine",
-)
+@pytest.mark.long  # where a loss falls depends on the buffers and the load of the machine
 def test_what_a_held_up_recorder_missed_stands_in_its_bag(recorders):
     bag = held_up(recorders, "held")
     numbers, times = readings(bag)

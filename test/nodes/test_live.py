@@ -142,7 +142,9 @@ def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
     )
 
 
-@pytest.mark.parametrize("victim", ["capture", "recorder", "simulated_cell"])
+@pytest.mark.parametrize(
+    "victim", [pytest.param("capture", marks=pytest.mark.long), "recorder", "simulated_cell"]
+)
 def test_a_killed_node_ends_the_calibration_and_is_named_by_all_others(cell, victim):
     live = cell("simulation.time_scale=4.0")
     live.start(*SUITE, "simulated_cell")

@@ -96,6 +96,7 @@ def test_a_whole_calibration_with_its_pauses(six, opened):
     expect(page.locator("#lost")).to_contain_text("Switched off at")
 
 
+@pytest.mark.long
 def test_stop_asks_first_and_works_without_a_mouse(cell, opened):
     live = cell(SLOW)
     live.start(*SUITE, "simulated_cell", "operator_page")

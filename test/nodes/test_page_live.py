@@ -69,6 +69,7 @@ def test_resume_is_refused_in_words_when_nothing_waits(cell):
     assert "nothing waits for resume" in answer["message"]
 
 
+@pytest.mark.long
 def test_a_calibration_outlives_its_page(cell):
     live = cell(SLOW)
     live.start(*SUITE, "simulated_cell", "operator_page")
@@ -81,6 +82,7 @@ def test_a_calibration_outlives_its_page(cell):
     assert outcome["error_code"] == 0, outcome
 
 
+@pytest.mark.long
 def test_a_lost_node_is_shown_with_the_end_of_the_calibration(cell):
     live = cell(SLOW)
     live.start(*SUITE, "simulated_cell", "operator_page")

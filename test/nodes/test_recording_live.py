@@ -107,6 +107,7 @@ def test_a_stream_that_falls_silent_is_counted(cell):
     assert "/cell/temperature fell silent (1 times)" in recording.warnings()
 
 
+@pytest.mark.long
 def test_pressure_and_humidity_are_captured_live_as_offline(cell):
     live = cell(
         "simulation.air.published=true",

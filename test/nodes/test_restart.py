@@ -19,7 +19,6 @@ pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
 
 NODE_LOST = 603
-LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 PLATE = (
     "plan.plate.grid=12", "plan.plate.ball_steps=[0, 1, 3, 5, 8, 9]", "plan.rounds=1",
     "simulation.plate.grid=12", "simulation.plate.ball_steps=[0, 1, 3, 5, 8, 9]",
@@ -94,7 +93,7 @@ def followed(client, live, name, accepted=float("inf")):
             return event
 
 
-@pytest.mark.skipif(not LONG, reason="ROTCAL_LONG_TESTS")
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("file", "changes"),
     [("ball_plate_demo", PLATE), ("tracer_six_demo", SIX), ("plane_mirror_demo", ())],

@@ -79,6 +79,7 @@ def test_a_calibration_is_drawn_and_does_not_end_with_its_scene(cell, monkeypatc
     assert all((end.x, end.y, end.z) in places for _, end in beams)
 
 
+@pytest.mark.long
 def test_every_topic_of_the_foxglove_layout_is_published(rotcal, tmp_path):
     folder = tmp_path / "out"
     run = rotcal("--output", folder, "--scene", "--no-report", "--no-export", log=tmp_path / "log")

@@ -21,7 +21,6 @@ pytest.importorskip("rotcal_msgs")
 
 pytestmark = pytest.mark.ros
 
-LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))
 MACHINE = Path(__file__).parent / "joint_controller.py"
 CHANGES = (
     "cell.joint=rotary",
@@ -56,7 +55,7 @@ def adapted(cell):
     return make
 
 
-@pytest.mark.skipif(not LONG, reason="ROTCAL_LONG_TESTS: test_two_cells.py has the trajectory")
+@pytest.mark.long  # test_two_cells.py has the trajectory
 @pytest.mark.parametrize("interface", ["trajectory", "positions"])
 def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface):
     live = adapted(
@@ -90,7 +89,7 @@ def test_what_the_controller_does_wrong_is_named(tmp_path, monkeypatch):
     expect(tmp_path, "joint_controller.py", WRONG, {})
 
 
-@pytest.mark.skipif(not LONG, reason="ROTCAL_LONG_TESTS: test_dme_live.py tells a person, too")
+@pytest.mark.long  # test_dme_live.py tells a person, too
 def test_the_person_at_a_calibration_is_told_too(adapted):
     live = adapted("table_adapter.silence_s=0.5", "capture.step_timeout_s=5.0", wrong="stalls",
                    since=1, nodes=(*SUITE, "simulated_cell", "table_adapter"))  # fmt: skip

@@ -40,12 +40,9 @@ def verify():
             child.wait()
 
 
-KILLED_AFTER = [(signal.SIGKILL, "after")]
-BOTH = [(signal.SIGINT, "before"), *KILLED_AFTER]
-
-
 @pytest.mark.parametrize(
-    ("interrupt", "half"), BOTH if os.environ.get("ROTCAL_LONG_TESTS") else KILLED_AFTER
+    ("interrupt", "half"),
+    [pytest.param(signal.SIGINT, "before", marks=pytest.mark.long), (signal.SIGKILL, "after")],
 )
 def test_an_interrupted_verification_ends_with_everything(verify, tmp_path, interrupt, half):
     folder, log = tmp_path / "demo", tmp_path / "first.log"
