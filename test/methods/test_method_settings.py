@@ -21,7 +21,7 @@ CHORD = 2 * 0.2 * math.sin(math.pi / 12)
     [
         (Plate, "plan.plate", "ball_plate", 7),
         (MirrorSolverSettings, "solver", "plane_mirror", 8),
-        (TracerSolverSettings, "solver", "tracer_multistation", 15),
+        (TracerSolverSettings, "solver", "tracer_multistation", 16),
     ],
 )
 def test_defaults_and_ranges_are_those_of_the_page(cls, group, method, count):
