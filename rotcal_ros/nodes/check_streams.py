@@ -127,7 +127,7 @@ def _problem(heard: Heard, topic: str, offers: list[Any], watch: HeaderWatch) ->
         return wrong, f"publish {name} as expected, or set what its line names"
     if watch.unstamped and watch.unstamped == watch.count:
         return "its messages bear no stamp", f"fill header.stamp of {name}: when it was measured"
-    silence_s = time.time() - watch.latest_s
+    silence_s = time.monotonic() - watch.heard_s
     steady = topic in FAST and topic not in single_shots(heard.configuration.topics)
     if steady and silence_s > limit_s:
         todo = f"let {name} stream without a pause, or raise planner.stream_timeout_s"

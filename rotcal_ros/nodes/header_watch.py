@@ -24,11 +24,15 @@ _KEPT = 5000
 
 @dataclass
 class HeaderWatch:
-    """The headers of the messages since the beginning; times of arrival are of this machine."""
+    """The headers of the messages since the beginning; times of arrival are of this machine.
+
+    ``heard_s`` is the monotonic time of the latest one: a clock that is set is no silence.
+    """
 
     count: int = 0
     first_s: float = 0.0
     latest_s: float = 0.0
+    heard_s: float = 0.0
     unstamped: int = 0
     set_back: int = 0
     frames: list[str] = field(default_factory=list)
@@ -52,6 +56,7 @@ class HeaderWatch:
         now_s = received_ns * NANOSECOND
         self.first_s = self.first_s or now_s
         self.latest_s, self.count = now_s, self.count + 1
+        self.heard_s = time.monotonic()
         if not self.has_header:
             return 0
         stamp_ns, frame = read_header(data)

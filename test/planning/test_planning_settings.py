@@ -13,7 +13,7 @@ from rotcal_ros.settings import load
 @pytest.mark.parametrize(
     ("cls", "group", "method", "count"),
     [
-        (CellSettings, "cell", "", 4),
+        (CellSettings, "cell", "", 11),
         (PlannerSettings, "planner", "", 13),
         (TableAngleSettings, "plan", "plane_mirror", 4),
         (TableAngleSettings, "plan", "tracer_multistation", 4),
