@@ -70,7 +70,7 @@ def test_what_could_not_be_configured_leaves_nothing_and_is_tried_again(node):
     before = parts(node)
     node.trouble = "configure"
     assert node.trigger_configure() == FAILURE
-    assert (parts(node), node._in_the_beat()[0].partition(":")[0]) == (before, "unconfigured")
+    assert (parts(node), node._beat_values()[0].partition(":")[0]) == (before, "unconfigured")
     node.trouble = ""
     assert node.trigger_configure() == SUCCESS
     assert parts(node) == [n + more for n, more in zip(before, (2, 2, 1, 1), strict=True)]
@@ -80,7 +80,7 @@ def test_what_could_not_be_configured_leaves_nothing_and_is_tried_again(node):
     assert node.why_not()
     node.trouble = ""
     assert node.trigger_activate() == SUCCESS
-    assert node._in_the_beat()[0] == "at work"
+    assert node._beat_values()[0] == "at work"
     node.trouble = "deactivate"  # it must be off, whatever happens
     assert node.trigger_deactivate() == SUCCESS
     assert (node.given_up, node.active) == (1, False)

@@ -16,7 +16,14 @@ def test_timers_are_those_of_the_steady_clock():
     assert found == {"steady.py"}
 
 
-@pytest.mark.parametrize(("error", "code"), [("MemoryError()", 71), ("ValueError()", 0)])
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        ("MemoryError()", 71),
+        ("RuntimeError('cannot compress: Allocation error : not enough memory')", 71),
+        ("ValueError()", 0),
+    ],
+)
 def test_a_process_without_memory_ends_with_the_reason(error, code):
     program = f"from rotcal_ros.nodes.memory import *; end_without_memory({error}, 'capture')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
