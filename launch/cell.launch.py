@@ -80,67 +80,76 @@ def argument(name, default, description, **more):
     return DeclareLaunchArgument(name, default_value=default, description=description, **more)
 
 
+def cell_arguments():
+    """Return the arguments that say which cell it is, and how its nodes are started."""
+    demo = PathJoinSubstitution([FindPackageShare("rotcal_ros"), "config", "tracer_demo.yaml"])
+    return [
+        argument(
+            "configuration",
+            demo,
+            "Configuration of the calibration: one YAML file; every group in it becomes "
+            "parameters of the nodes.",
+        ),
+        argument("namespace", "/cell", "Namespace of the cell's topics, services and nodes."),
+        argument(
+            "simulated",
+            "false",
+            "Simulate machine and instruments, as the group simulation says.",
+            choices=YES_NO,
+        ),
+        argument(
+            "parameters",
+            "",
+            "A further parameter file, which wins over the configuration; such as what 'ros2 "
+            "param dump' wrote.",
+        ),
+        argument(
+            "autostart",
+            "true",
+            "Nodes configure and activate themselves; false: they wait for 'ros2 lifecycle "
+            "set' or for a manager of yours.",
+            choices=YES_NO,
+        ),
+        argument(
+            "page",
+            "false",
+            "Serve the operator's page; its address is logged.",
+            choices=YES_NO,
+        ),
+        argument("scene", "false", "Publish markers for RViz and Foxglove.", choices=YES_NO),
+    ]
+
+
+def machine_arguments():
+    """Return the arguments that say which nodes play the machine."""
+    return [
+        argument(
+            "table",
+            AS_CONFIGURED,
+            "Which node turns the table. as_configured: table_adapter or dme_adapter where "
+            "the configuration has the group table_adapter or dme, else none; own: a node of "
+            "yours; table_adapter: a joint of ros2_control; dme_adapter: a measuring machine "
+            "behind I++ DME; linuxcnc_driver: a rotary axis of LinuxCNC.",
+            choices=[AS_CONFIGURED, OWN, *TABLES],
+        ),
+        argument(
+            "probe",
+            AS_CONFIGURED,
+            "Which node moves the probe or reflector. as_configured: dme_adapter where the "
+            "configuration has the group dme, else none; own: a node of yours; dme_adapter: "
+            "a measuring machine behind I++ DME.",
+            choices=[AS_CONFIGURED, OWN, *PROBES],
+        ),
+        argument("linuxcnc_ini", "", "linuxcnc_driver: ini file of LinuxCNC."),
+        argument(
+            "linuxcnc_joint",
+            "0",
+            "linuxcnc_driver: number of the table's joint where the ini file does not say it.",
+        ),
+    ]
+
+
 def generate_launch_description():
     """Return the arguments and the nodes."""
-    demo = PathJoinSubstitution([FindPackageShare("rotcal_ros"), "config", "tracer_demo.yaml"])
-    return LaunchDescription(
-        [
-            argument(
-                "configuration",
-                demo,
-                "Configuration of the calibration: one YAML file; every group in it becomes "
-                "parameters of the nodes.",
-            ),
-            argument("namespace", "/cell", "Namespace of the cell's topics, services and nodes."),
-            argument(
-                "table",
-                AS_CONFIGURED,
-                "Which node turns the table. as_configured: table_adapter or dme_adapter where "
-                "the configuration has the group table_adapter or dme, else none; own: a node of "
-                "yours; table_adapter: a joint of ros2_control; dme_adapter: a measuring machine "
-                "behind I++ DME; linuxcnc_driver: a rotary axis of LinuxCNC.",
-                choices=[AS_CONFIGURED, OWN, *TABLES],
-            ),
-            argument(
-                "probe",
-                AS_CONFIGURED,
-                "Which node moves the probe or reflector. as_configured: dme_adapter where the "
-                "configuration has the group dme, else none; own: a node of yours; dme_adapter: "
-                "a measuring machine behind I++ DME.",
-                choices=[AS_CONFIGURED, OWN, *PROBES],
-            ),
-            argument("linuxcnc_ini", "", "linuxcnc_driver: ini file of LinuxCNC."),
-            argument(
-                "linuxcnc_joint",
-                "0",
-                "linuxcnc_driver: number of the table's joint where the ini file does not say it.",
-            ),
-            argument(
-                "simulated",
-                "false",
-                "Simulate machine and instruments, as the group simulation says.",
-                choices=YES_NO,
-            ),
-            argument(
-                "parameters",
-                "",
-                "A further parameter file, which wins over the configuration; such as what 'ros2 "
-                "param dump' wrote.",
-            ),
-            argument(
-                "autostart",
-                "true",
-                "Nodes configure and activate themselves; false: they wait for 'ros2 lifecycle "
-                "set' or for a manager of yours.",
-                choices=YES_NO,
-            ),
-            argument(
-                "page",
-                "false",
-                "Serve the operator's page; its address is logged.",
-                choices=YES_NO,
-            ),
-            argument("scene", "false", "Publish markers for RViz and Foxglove.", choices=YES_NO),
-            OpaqueFunction(function=cell),
-        ]
-    )
+    nodes = OpaqueFunction(function=cell)
+    return LaunchDescription([*cell_arguments(), *machine_arguments(), nodes])

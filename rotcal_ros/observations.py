@@ -131,6 +131,30 @@ class Command:
     position: tuple[float, float, float]
     station: int = 0
 
+    def answered(
+        self,
+        stamp_ns: int,
+        sequence: int,
+        position: tuple[float, float, float],
+        position_std: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        point: int = 0,
+        tip_radius: float = 0.0,
+    ) -> ProbeSample:
+        """Return the point that answers this order: it echoes step, attempt and target."""
+        return ProbeSample(
+            stamp_ns=stamp_ns,
+            sequence=sequence,
+            step=self.step,
+            attempt=self.attempt,
+            kind=self.kind,
+            target=self.target,
+            station=self.station,
+            point=point,
+            position=position,
+            position_std=position_std,
+            tip_radius=tip_radius,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Observation:

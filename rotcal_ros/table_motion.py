@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from math import isfinite, remainder
+from math import isfinite, pi, remainder
 from typing import Final
 
 from rotcal_ros.observations import Approach, TableSample
@@ -31,6 +31,11 @@ def approached(here: float, goal: float, approach: Approach, run_up: float) -> t
     if not towards or towards * (goal - here) >= run_up:
         return (goal,)
     return (goal - towards * run_up, goal)
+
+
+def is_near(angle: float, commanded: float, tolerance: float) -> bool:
+    """Tell whether ``angle`` is within ``tolerance`` (rad); full turns do not count."""
+    return isfinite(angle) and abs(remainder(angle - commanded, 2.0 * pi)) <= tolerance
 
 
 def in_degrees(angle: float, commanded: float) -> bool:

@@ -17,17 +17,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from rotcal_ros.errors import ConfigurationError
-from rotcal_ros.instrument_plugins.instrument import Instrument, InstrumentError, Length, Place
+from rotcal_ros.instrument_plugins.instrument import InstrumentError, Length, Place, Tracer
 
 MICROMETRE = 1e-6
 CONNECT_TIMEOUT_S = 3.0
 
 
-class MyTracer(Instrument):
+class MyTracer(Tracer):  # (Tracer, Tracker): it answers orders on probe_target too
     """One MyTracer; ``rate_hz`` readings a second."""
-
-    streams_lengths = True
-    measures_places = False  # True: it then answers orders on probe_target too
 
     def __init__(self, host: str, port: int, rate_hz: int) -> None:
         self._address, self._rate_hz = (host, port), rate_hz

@@ -91,16 +91,6 @@ class Measuring:
         tip_radius: float = 0.0,
     ) -> ProbeSample:
         std = self._client.settings.point_std_um * MICROMETRE
-        return ProbeSample(
-            stamp_ns=stamp_ns,
-            sequence=next(self._numbers),
-            step=order.step,
-            attempt=order.attempt,
-            kind=order.kind,
-            target=order.target,
-            station=order.station,
-            point=number,
-            position=position,
-            position_std=(std, std, std),
-            tip_radius=tip_radius,
+        return order.answered(
+            stamp_ns, next(self._numbers), position, (std, std, std), number, tip_radius
         )

@@ -10,12 +10,15 @@ from math import isfinite
 from threading import Event, Thread
 from typing import Final
 
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.instrument_plugins.instrument import (
     Instrument,
     InstrumentError,
     Length,
     Make,
     Place,
+    Tracer,
+    Tracker,
 )
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.observations import Command, LengthStatus, ProbeSample, TracerSample
@@ -29,7 +32,13 @@ PATIENCE_S: Final = 10.0
 def instrument_of(settings: InstrumentSettings) -> Instrument:
     """Return the instrument that the settings name; ConfigurationError when there is none."""
     make: Make = load(INSTRUMENTS, settings.plugin, "instrument (instrument.plugin)")
-    return make(settings.address, settings.by_name())
+    instrument = make(settings.address, settings.by_name())
+    if not isinstance(instrument, Tracer | Tracker):
+        raise ConfigurationError(
+            f"instrument.plugin: {settings.plugin} makes neither a Tracer nor a Tracker of "
+            "rotcal_ros.instrument_plugins.instrument"
+        )
+    return instrument
 
 
 @dataclass(frozen=True)
@@ -59,6 +68,8 @@ class InstrumentDriver:
     ) -> None:
         self.state, self.trouble, self.waits, self.connections = "starting", "", "", 0
         self._instrument, self._settings, self._tell = instrument, settings, listeners
+        self._tracer = instrument if isinstance(instrument, Tracer) else None
+        self._tracker = instrument if isinstance(instrument, Tracker) else None
         self._why_not, self._now_ns = why_not, now_ns
         self._order: Command | None = None
         self._ordered_s = 0.0
@@ -110,7 +121,7 @@ class InstrumentDriver:
         text = f"instrument {self._settings.plugin} at {self._settings.address}: {words}"
         if text != self.trouble:
             self._tell.complain(f"{text}; tried again every {self._settings.reconnect_s:g} s")
-        if self.state == "measuring" and self._instrument.streams_lengths:
+        if self.state == "measuring" and self._tracer is not None:
             self._pass_on(Length(0.0, valid=False))
         self.state, self.trouble = "connection lost", text
 
@@ -120,10 +131,10 @@ class InstrumentDriver:
             before_s = time.monotonic()
             self._measure()
             heard_s += time.monotonic() - before_s  # no silence: nobody listened
-            if not self._instrument.streams_lengths:
+            if self._tracer is None:
                 self._end.wait(READ_TIMEOUT_S / 10)
                 continue
-            readings = self._instrument.read(READ_TIMEOUT_S)
+            readings = self._tracer.read(READ_TIMEOUT_S)
             for reading in readings:
                 self._pass_on(reading)
             now_s = time.monotonic()
@@ -151,11 +162,11 @@ class InstrumentDriver:
         why = "" if order is None else self._why_not(order)
         late = time.monotonic() - self._ordered_s > PATIENCE_S
         self.waits = f"step {order.step} is not measured: {why}" if order and why and late else ""
-        if order is None or why:
+        if order is None or why or self._tracker is None:
             return
         self._order = None
         try:
-            place = self._instrument.measure(order.position, self._settings.measure_timeout_s)
+            place = self._tracker.measure(order.position, self._settings.measure_timeout_s)
         except InstrumentError as error:
             self._tell.complain(f"step {order.step}, attempt {order.attempt}: {error}")
             return
@@ -163,16 +174,5 @@ class InstrumentDriver:
 
     def _sample(self, order: Command, place: Place) -> ProbeSample:
         self._places += 1
-        return ProbeSample(
-            stamp_ns=self._now_ns() if place.stamp_ns is None else place.stamp_ns,
-            sequence=self._places - 1,
-            step=order.step,
-            attempt=order.attempt,
-            kind=order.kind,
-            target=order.target,
-            station=order.station,
-            point=0,
-            position=place.position,
-            position_std=place.std,
-            tip_radius=0.0,
-        )
+        stamp_ns = self._now_ns() if place.stamp_ns is None else place.stamp_ns
+        return order.answered(stamp_ns, self._places - 1, place.position, place.std)

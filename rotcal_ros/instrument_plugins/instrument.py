@@ -47,39 +47,43 @@ class Place:
 
 
 class Instrument(ABC):
-    """One instrument; all of it is called by one thread.
+    """A connection to one instrument; all of it is called by one thread.
 
-    A connection that is lost raises OSError from whatever is called, or InstrumentError from all
-    but :meth:`measure`; then :meth:`close` and, after a while, :meth:`connect` follow.
+    What it measures is said by :class:`Tracer` and :class:`Tracker`: one of them, or both. A
+    connection that is lost raises OSError from whatever is called, or InstrumentError from all but
+    :meth:`Tracker.measure`; then :meth:`close` and, after a while, :meth:`connect` follow.
     """
-
-    streams_lengths = False
-    """Whether :meth:`read` brings lengths."""
-    measures_places = False
-    """Whether :meth:`measure` finds a reflector."""
 
     @abstractmethod
     def connect(self) -> None:
         """Connect and make ready to measure; InstrumentError says what a person has to do."""
 
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the connection, if there is one; called after every error too."""
+
+
+class Tracer(Instrument):
+    """An instrument that tells lengths."""
+
+    @abstractmethod
     def read(self, timeout_s: float) -> Sequence[Length]:
         """Return the lengths that came since the last call, oldest first, or wait for one.
 
         None within ``timeout_s`` is an empty sequence. A slow or single-shot instrument takes
         one reading here.
         """
-        raise NotImplementedError
 
+
+class Tracker(Instrument):
+    """An instrument that finds where a reflector is."""
+
+    @abstractmethod
     def measure(self, near: Point, timeout_s: float) -> Place:
         """Measure the reflector ``near`` a nominal place (m, machine frame), once.
 
         Raises InstrumentError where there is none, which ends the attempt, not the connection.
         """
-        raise NotImplementedError
-
-    @abstractmethod
-    def close(self) -> None:
-        """Let go of the connection, if there is one; called after every error too."""
 
 
 Make = Callable[[str, Mapping[str, str]], Instrument]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from math import isnan, pi, remainder
+from math import isnan
 
 from rotcal_ros.observations import Command, TableSample
+from rotcal_ros.table_motion import is_near
 from rotcal_ros.units import ARCSEC, DEGREE
 
 
@@ -48,4 +49,4 @@ class TableRest:
         return "" if settled else "the table has just come to rest"
 
     def _off(self, sample: TableSample, angle: float) -> bool:
-        return not abs(remainder(sample.angle - angle, 2 * pi)) <= self._tolerance
+        return not is_near(sample.angle, angle, self._tolerance)

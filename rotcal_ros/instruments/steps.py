@@ -11,13 +11,14 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import dist, isfinite, pi
+from math import dist, isfinite
 from typing import Any, Final
 
 from rotcal_ros.capture import CaptureSettings
 from rotcal_ros.capture.table import off_in_words
 from rotcal_ros.observations import Command, PointKind, ProbeSample, TableSample
 from rotcal_ros.planning.plan import Plan, Point, Step
+from rotcal_ros.table_motion import is_near
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
 HELD_NS: Final = 200_000_000
@@ -239,17 +240,12 @@ class StepFinder:
         assert self._position is not None
         step, point = waited.step, waited.points
         waited.points, self._found = point + 1, self._found + 1
-        return ProbeSample(
-            stamp_ns=stamp_ns,
-            sequence=self._found - 1,
-            step=step.index,
-            attempt=waited.attempt,
-            kind=step.kind,
-            target=step.target,
-            station=step.station,
+        order = step.command(waited.attempt)
+        return order.answered(
+            stamp_ns,
+            self._found - 1,
+            self._position.position,
             point=point,
-            position=self._position.position,
-            position_std=(0.0, 0.0, 0.0),
             tip_radius=self._tip_radius,
         )
 
@@ -261,10 +257,8 @@ class StepFinder:
 
     def _is_at(self, step: Step) -> bool:
         """Return whether the table rests at the angle of a step."""
-        if self._angle is None:
-            return False
-        away = (self._angle - step.table_angle + pi) % (2 * pi) - pi
-        return abs(away) <= self._angle_tolerance
+        here = self._angle
+        return here is not None and is_near(here, step.table_angle, self._angle_tolerance)
 
     def _reach(self, step: Step) -> float:
         """Return how far (m) a position may be from that of its step."""

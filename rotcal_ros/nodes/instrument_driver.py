@@ -13,7 +13,7 @@ from rotcal_msgs.msg import ProbePoint, TracerLength
 from rotcal_ros.bags import names
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
-from rotcal_ros.instrument_plugins.instrument import InstrumentError
+from rotcal_ros.instrument_plugins.instrument import InstrumentError, Tracer, Tracker
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.instrument_plugins.table_rest import TableRest
 from rotcal_ros.nodes import conversions
@@ -41,12 +41,11 @@ class InstrumentDriverNode(CellNode):
         joint = self.settings("cell", CellSettings).joint
         self._table: TableHearing | None = None
         self._instrument = instrument_of(self._settings)
-        if self._instrument.streams_lengths:
+        if isinstance(self._instrument, Tracer):
             self._lengths = self.create_publisher(TracerLength, names.TRACER_LENGTH, STREAM)
-        if self._instrument.measures_places:
-            self._places = self.create_publisher(ProbePoint, names.PROBE_POINT, EVENT)
         self._driver = self._new_driver()
-        if self._instrument.measures_places:
+        if isinstance(self._instrument, Tracker):
+            self._places = self.create_publisher(ProbePoint, names.PROBE_POINT, EVENT)
             self.take_orders(lambda command: self._driver.order(command))
             tolerance, speed = rest.position_tolerance_arcsec, rest.velocity_tolerance_deg_s
             table_rest = TableRest(tolerance, speed, rest.settle_time_s)

@@ -84,16 +84,6 @@ class Instrument(ABC):
         x, y, z = position.tolist()
         sx, sy, sz = np.broadcast_to(std, 3).tolist()
         self._sequence += 1
-        return ProbeSample(
-            stamp_ns=stamp_ns,
-            sequence=self._sequence - 1,
-            step=order.step,
-            attempt=order.attempt,
-            kind=order.kind,
-            target=order.target,
-            station=order.station,
-            point=number,
-            position=(x, y, z),
-            position_std=(sx, sy, sz),
-            tip_radius=tip_radius,
+        return order.answered(
+            stamp_ns, self._sequence - 1, (x, y, z), (sx, sy, sz), number, tip_radius
         )

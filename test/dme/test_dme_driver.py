@@ -113,8 +113,10 @@ def test_the_end_while_a_machine_is_homed_aborts_that_too(serve, cleared):
         driver.clear()
     wait_for(lambda: "Home" in server.names())
     driver.stop()
-    wait_for(lambda: server.names()[-1] == "AbortE")
     wait_for(lambda: not driver.alive)  # the answer to Home never comes
+    wait_for(lambda: "AbortE" in server.names())
+    assert server.names()[-2:] == ["Home", "AbortE"]
+    assert (server.names().count("Home"), driver.alive) == (1, False)
 
 
 def turns(server):

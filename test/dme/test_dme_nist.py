@@ -104,3 +104,5 @@ def test_commands_that_nist_gives_as_examples_end_with_an_answer(parsers):
                 heard = b""
                 while end not in heard:
                     heard += connection.recv(4096) or pytest.fail(f"{command}: {heard!r}")
+                assert heard.count(end) == 1
+                assert parsers("ParserRes", heard.decode().split("\r\n")[:-1]) == "", command

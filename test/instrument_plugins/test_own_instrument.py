@@ -13,10 +13,11 @@ import pytest
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
 from rotcal_ros.instrument_plugins.instrument import (
-    Instrument,
     InstrumentError,
     Length,
     Place,
+    Tracer,
+    Tracker,
 )
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.instrument_plugins.table_rest import TableRest
@@ -125,10 +126,8 @@ def test_an_instrument_that_is_not_there_is_named_once_and_waited_for():
     assert heard.driver.state == "connection lost"
 
 
-class Tracker(Instrument):
+class Finder(Tracker):
     """Finds the reflector 1 mm above where it should be, unless it is told not to."""
-
-    measures_places = True
 
     def __init__(self, failing=0):
         self.failing = failing
@@ -149,7 +148,7 @@ class Tracker(Instrument):
 
 def test_an_order_is_measured_when_the_table_rests_and_echoed():
     rest = TableRest(tolerance_arcsec=20.0, speed_deg_s=0.02, settle_s=0.5)
-    heard = Heard(Tracker(), settings("here"), rest.why_not)
+    heard = Heard(Finder(), settings("here"), rest.why_not)
     heard.driver.order(ORDER)
     assert rest.why_not(ORDER) == "no feedback of the table has come"
     for stamp_s, angle, velocity, why in (
@@ -172,7 +171,7 @@ def test_an_order_is_measured_when_the_table_rests_and_echoed():
 
 def test_an_order_that_waits_too_long_says_for_what(monkeypatch):
     monkeypatch.setattr("rotcal_ros.instrument_plugins.driver.PATIENCE_S", 0.05)
-    heard = Heard(Tracker(), settings("here"), lambda _: "the table moves")
+    heard = Heard(Finder(), settings("here"), lambda _: "the table moves")
     heard.driver.order(ORDER)
     heard.until(lambda h: h.driver.waits)
     assert heard.driver.waits == "step 3 is not measured: the table moves"
@@ -180,7 +179,7 @@ def test_an_order_that_waits_too_long_says_for_what(monkeypatch):
 
 
 def test_a_place_without_reflector_is_told_and_the_next_attempt_measured():
-    heard = Heard(Tracker(failing=1), settings("here"))
+    heard = Heard(Finder(failing=1), settings("here"))
     heard.driver.order(ORDER)
     deadline = time.monotonic() + DEADLINE_S
     while not heard.complaints and time.monotonic() < deadline:
@@ -243,10 +242,10 @@ def test_no_answer_ends_the_connection_so_that_a_late_one_is_not_that_of_the_nex
     tracer.close()
 
 
-class Both(Tracker):
+class Both(Tracer, Finder):
     """A slow tracer: a place takes longer than silence may last, and a length comes behind it."""
 
-    streams_lengths, measured, reads = True, False, 0
+    measured, reads = False, 0
 
     def read(self, timeout_s):
         time.sleep(0.01)
@@ -266,7 +265,7 @@ def test_the_time_of_a_measurement_is_no_silence():
     assert not heard.complaints
 
 
-class Wrong(Tracker):
+class Wrong(Finder):
     def connect(self):
         raise KeyError("x")
 

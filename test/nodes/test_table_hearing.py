@@ -8,7 +8,7 @@ pytest.importorskip("rotcal_msgs")
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
-from rotcal_ros.instrument_plugins.instrument import Instrument, Place  # noqa: E402
+from rotcal_ros.instrument_plugins.instrument import Place, Tracker  # noqa: E402
 from rotcal_ros.nodes import instrument_driver  # noqa: E402
 from rotcal_ros.observations import Approach, Command, PointKind  # noqa: E402
 from rotcal_ros.units import DEGREE  # noqa: E402
@@ -23,9 +23,7 @@ GIVEN = {
 }
 
 
-class Tracker(Instrument):
-    measures_places = True
-
+class Finder(Tracker):
     def connect(self):
         """Be there."""
 
@@ -38,7 +36,7 @@ class Tracker(Instrument):
 
 @pytest.fixture
 def table(monkeypatch):
-    monkeypatch.setattr(instrument_driver, "instrument_of", lambda _: Tracker())
+    monkeypatch.setattr(instrument_driver, "instrument_of", lambda _: Finder())
     given = [word for name, value in GIVEN.items() for word in ("-p", f"{name}:={value}")]
     rclpy.init(args=["--ros-args", "-r", "__ns:=/cell", *given])
     node = instrument_driver.InstrumentDriverNode()
