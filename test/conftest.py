@@ -40,7 +40,7 @@ def pytest_runtest_setup(item):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Keep the half that ``--live`` asks for."""
+    """Keep the half that ``--live`` asks for; slow files first, or one core waits at the end."""
     wanted = config.getoption("--live")
     if wanted is None:
         return
@@ -48,7 +48,8 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         live = any(item.get_closest_marker(name) for name in LIVE)
         halves["only" if live else "never"].append(item)
-    items[:] = halves.pop(wanted)
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items[:] = sorted(halves.pop(wanted), key=lambda item: item.path not in slow)
     config.hook.pytest_deselected(items=next(iter(halves.values())))
 
 

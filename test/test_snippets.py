@@ -15,6 +15,8 @@ import rotcal_ros as rc
 from rotcal_ros.catalogue.configuration import GROUPS
 from rotcal_ros.catalogue.settings_reference import all_sections
 
+pytestmark = pytest.mark.slow
+
 DATA = ROOT / "examples" / "data"
 GOLDEN = ROOT / "test" / "golden"
 DEADLINE_S = 120.0

@@ -63,16 +63,23 @@ class AirStreams:
         self.by_name = {q.name: Stream(1, clock_tolerance_ns) for q in QUANTITIES.values()}
         self._belated: Sequence[tuple[int, int]] = ()
 
-    def begin_anew(self, belated: Sequence[tuple[int, int]]) -> None:
+    def begin_anew(self, belated: Sequence[tuple[int, int]], *, follows: bool) -> None:
         """Forget what was read before a clock was set back; what was counted stays.
 
         What is stamped within ``belated`` may have been read before that and is left out: by its
-        stamp alone, so that it does not matter when it comes.
+        stamp alone, so that it does not matter when it comes. What the new clock has stamped
+        stays: where a second stream ``follows`` the first one all of it, else what came behind
+        the latest.
         """
         self._belated = belated
         for name, stream in self.by_name.items():
+            stays = stream.samples() if follows else stream.take_behind()
             self.by_name[name] = anew = Stream(1, self._tolerance_ns)
             anew.counts = stream.counts
+            anew.take_over([sample for sample in stays if not self._is_belated(sample[0])])
+
+    def _is_belated(self, stamp_ns: int) -> bool:
+        return any(first <= stamp_ns <= last for first, last in self._belated)
 
     def stage(self, sample: AirSample) -> bool:
         """Take a sample; return whether a decision may be due."""
@@ -82,7 +89,7 @@ class AirStreams:
             stream.counts.received += 1
             stream.counts.non_finite += 1
             return False
-        if any(first <= sample.stamp_ns <= last for first, last in self._belated):
+        if self._is_belated(sample.stamp_ns):
             stream.counts.received += 1
             stream.counts.foreign_clock += 1
             return False

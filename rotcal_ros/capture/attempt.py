@@ -48,6 +48,7 @@ class Streams:
     counted_from: tuple[int, int] | None = None
     settled_ns: int = 0
     _belated: tuple[tuple[int, int], ...] = ()
+    _times_set_back: int = 0
 
     def begin(self, stamp_ns: int) -> None:
         """Take a probe sample that begins an attempt."""
@@ -63,7 +64,9 @@ class Streams:
         newest = max(s.forgotten for s in set_back if s.forgotten is not None)
         self.since_ns = self.settled_ns = newest + settling_ns
         self._belated = tuple(belated_stamps(s, settling_ns) for s in set_back)
-        self.air.begin_anew(self._belated)
+        times = max(s.counts.set_back for s in set_back)
+        self.air.begin_anew(self._belated, follows=times == self._times_set_back)
+        self._times_set_back = times
 
     def before_set_back(self, stamp_ns: int) -> bool:
         """Return whether what has come just now was stamped before the clock was set back."""

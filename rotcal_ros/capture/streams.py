@@ -21,6 +21,9 @@ _SET_BACK_AFTER_NS = 100_000_000
 _STAGE = 4096
 NEVER = 1 << 63
 
+Sample = tuple[int, Floats]
+"""A stamp and its values (width,)."""
+
 
 @dataclass
 class StreamCounts:
@@ -71,7 +74,7 @@ class Stream:
         self.set_back_ns = 0  # how far the clock was set back when it was last,
         self.set_back_at: int | None = None  # and the latest stamp before that
         self._ahead = 0
-        self._behind: list[tuple[int, Floats]] = []
+        self._behind: list[Sample] = []
         self._staged_to = -NEVER
         self._newest: Floats | None = None
         self._size = 0
@@ -142,6 +145,22 @@ class Stream:
         for begin in range(0, len(stamps), CAPACITY):
             self._admit(stamps[begin : begin + CAPACITY], values[begin : begin + CAPACITY])
 
+    def samples(self) -> list[Sample]:
+        """Return the remembered samples."""
+        return list(zip(self.stamps.tolist(), self.values, strict=True))
+
+    def take_behind(self) -> list[Sample]:
+        """Return what has ascended behind the latest sample, which then counts as good."""
+        taken, self._behind = self._behind, []
+        self.counts.backwards -= len(taken)
+        return taken
+
+    def take_over(self, samples: Sequence[Sample]) -> None:
+        """Admit samples that are counted already."""
+        self.counts.received -= len(samples)
+        for stamp, row in samples:
+            self.admit(np.array([stamp], dtype=np.int64), row[np.newaxis])
+
     def wait(self, stamp_ns: int, samples: int = 1, latest_ns: int = NEVER) -> None:
         """Ask :meth:`stage` to report the stamp ``stamp_ns``, once ``samples`` are staged."""
         self.wake_ns, self.wake_samples, self.wake_latest_ns = stamp_ns, samples, latest_ns
@@ -170,11 +189,10 @@ class Stream:
     def _begin_anew(self, stamps: Stamps, values: Floats) -> tuple[Stamps, Floats]:
         """Forget what was before the clock was set back; return what has come since."""
         assert self.latest is not None
-        self.counts.backwards -= len(self._behind)
         self.counts.set_back += 1
-        stamps = np.concatenate([[stamp for stamp, _ in self._behind], stamps])
-        values = np.vstack([*(row for _, row in self._behind), values])
-        self._behind = []
+        behind = self.take_behind()
+        stamps = np.concatenate([[stamp for stamp, _ in behind], stamps])
+        values = np.vstack([*(row for _, row in behind), values])
         self.set_back_at = self.latest
         self.set_back_ns, self.forgotten = self.latest - int(stamps[0]), int(stamps[0]) - 1
         self._size, self.latest = 0, None

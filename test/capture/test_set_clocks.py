@@ -9,7 +9,7 @@ from capture_scenes import MS, RULES, SECOND, SETTINGS, make_plan, make_scene
 from rotcal_ros.capture import Capture
 from rotcal_ros.capture.beam import Beam
 from rotcal_ros.capture.streams import Stream
-from rotcal_ros.observations import ProbeSample, TemperatureSample
+from rotcal_ros.observations import ProbeSample, TableSample, TemperatureSample, TracerSample
 
 PLAN = make_plan()
 
@@ -70,6 +70,25 @@ def test_the_order_in_which_the_streams_follow_does_not_matter(early_ms):
     usual, _ = captured(shifted(scene.by_stamp(), at_ns, -45 * SECOND))
     other, _ = captured(shifted(records, at_ns, -45 * SECOND))
     assert [o for o in other if o.accepted] == [o for o in usual if o.accepted]
+
+
+@pytest.mark.parametrize("by_s", [-45, -3])
+@pytest.mark.parametrize("late", [TracerSample, TableSample, (TracerSample, TableSample)])
+def test_air_of_the_new_clock_that_comes_before_the_streams_is_not_forgotten(late, by_s):
+    """The air is read once a second; the streams that show the jump come 1.2 s late."""
+    scene = make_scene(PLAN, 9)
+    scene.temperature = [t for t in scene.temperature if t.stamp_ns % SECOND == 100 * MS]
+    scene.temperature = [
+        replace(t, temperature_c=20.0 + n / 10) for n, t in enumerate(scene.temperature)
+    ]
+    at_ns = 3 * SECOND - 200 * MS
+    records = sorted(scene.by_stamp(), key=lambda r: r.stamp_ns + 1200 * MS * isinstance(r, late))
+    usual, _ = captured(shifted(scene.by_stamp(), at_ns, by_s * SECOND))
+    other, _ = captured(shifted(records, at_ns, by_s * SECOND))
+    behind = [o for o in other if o.step >= 4]
+    assert all(o.accepted for o in behind)
+    assert len({o.temperature_c for o in behind}) > 1
+    assert behind == [o for o in usual if o.step >= 4]
 
 
 @pytest.mark.parametrize("by_s", [-45, -3])

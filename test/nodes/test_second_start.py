@@ -23,11 +23,13 @@ def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cel
     live.start(*SUITE, "simulated_cell")
     client = live.client()
     client.wait_for_step(1)
+    stranger = python(str(Path(__file__).with_name("plan_publisher.py")))
+    live.processes.start("stranger", stranger)
+    live.wait_for_log("capture", "a plan on /cell/plan is not the planner's")
+    assert "published by stranger" in live.log("capture")
     live.processes.start("second", python("-m", "rotcal_ros.nodes.client"), piped=True)
     for node in ("capture", "recorder"):
         live.processes.start(f"stray {node}", python("-m", f"rotcal_ros.nodes.{node}"))
-    stranger = python(str(Path(__file__).with_name("plan_publisher.py")))
-    live.processes.start("stranger", stranger)
 
     refused = Client(live.processes, "second").wait_for("refused", "started")
     assert refused["event"] == "refused"
@@ -38,8 +40,6 @@ def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cel
         assert live.processes.ended()[stray] == 2
         name = stray.removeprefix("stray ")
         assert f"node {name} runs already in /cell of ROS domain" in live.log(stray)
-    live.wait_for_log("capture", "a plan on /cell/plan is not the planner's")
-    assert "published by stranger" in live.log("capture")
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     assert outcome["n_used"] == 59
