@@ -187,6 +187,7 @@ METHOD = replace(POLYGON, name="unshown", plan=plan)
 """
 
 
+@pytest.mark.long  # test_calibrator.py asks once for every work
 @pytest.mark.ros
 def test_work_that_no_step_shows_is_asked_for_once(environment, tmp_path):
     """Also: a method needs no more than a module and the entry point that names it."""

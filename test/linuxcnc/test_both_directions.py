@@ -46,6 +46,7 @@ SEED = 3
 """Another plant than that of the closed loop."""
 
 
+@pytest.mark.long  # test_closed_loop.py does it with all nodes
 def test_play_and_harmonics_are_removed_within_the_stated_residual(tmp_path, record_property):
     plant = Plant(SEED)
     axis = machine_with(plant, tmp_path / "axis")

@@ -127,6 +127,7 @@ def test_a_pause_is_answered_by_one_of_two_who_are_attached(tmp_path, terminal):
         instruments.processes.end()
 
 
+@pytest.mark.long  # two are attached in the test above
 def test_viewers_come_and_go_and_one_of_them_stops_it(tmp_path, terminal):
     folder = tmp_path / "out"
     run = terminal(*running(folder, "simulation.time_scale=1.0"))
@@ -190,6 +191,7 @@ def test_an_ignored_hangup_stays_ignored_and_the_dead_terminal_kills_nothing(tmp
     assert "verdict " in (folder / "log" / "run.log").read_text()
 
 
+@pytest.mark.long  # test_run.py has the exit code
 def test_an_error_is_told_to_those_who_are_attached_with_its_exit_code(tmp_path, terminal):
     folder = tmp_path / "out"
     run = terminal(*running(folder, SLOW))

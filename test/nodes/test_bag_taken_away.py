@@ -72,6 +72,7 @@ def test_the_recorder_says_so_and_confirms_nothing_more(recorders, medium):
         assert recorders.receipts[name] == confirmed[name]
 
 
+@pytest.mark.long  # test_kill_graph.py ends one for a full disk
 def test_a_calibration_ends_with_the_reason(cell):
     live = cell()
     live.start(*SUITE, "simulated_cell")

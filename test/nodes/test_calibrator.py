@@ -79,6 +79,7 @@ def test_a_script_calibrates_and_loads_the_result(cell, calibrator):
     assert calibrator.result() is outcome
 
 
+@pytest.mark.long  # test_live.py cancels and goes on
 def test_cancel_leaves_a_valid_bag_and_the_next_goal_is_taken(cell, calibrator):
     live = cell("simulation.time_scale=4.0")
     live.start(*SUITE, "simulated_cell")
@@ -157,6 +158,7 @@ def test_a_script_that_is_interrupted_stops_the_cell(cell):
     assert [v.state for v in read_recording(live.bag).verdicts] == ["complete"]
 
 
+@pytest.mark.long  # test_attach.py: so does a lost terminal
 def test_a_closed_calibrator_leaves_its_goal_to_the_planner(cell):
     live = cell()
     live.start(*SUITE, "simulated_cell")

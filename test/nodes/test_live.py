@@ -143,7 +143,11 @@ def test_two_publishers_on_one_instrument_topic_are_found_and_named(cell):
 
 
 @pytest.mark.parametrize(
-    "victim", [pytest.param("capture", marks=pytest.mark.long), "recorder", "simulated_cell"]
+    "victim",
+    [
+        "recorder",
+        *(pytest.param(n, marks=pytest.mark.long) for n in ("capture", "simulated_cell")),
+    ],
 )
 def test_a_killed_node_ends_the_calibration_and_is_named_by_all_others(cell, victim):
     live = cell("simulation.time_scale=4.0")

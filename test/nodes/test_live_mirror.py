@@ -96,6 +96,7 @@ def test_the_planner_waits_for_the_tracker_and_asks_again_for_a_displaced_nest(c
     assert [way["way"] for way in result.details["ways"]] == ["stitching", "registration"]
 
 
+@pytest.mark.long  # test_mirror_*.py solve such plans
 def test_a_nest_that_stays_displaced_is_named_in_the_result(cell):
     """Asked as often as there are attempts, then the calibration goes on and says what it saw."""
     live, client = cell(
@@ -114,6 +115,7 @@ def test_a_nest_that_stays_displaced_is_named_in_the_result(cell):
     assert any("nest 2 moved between tracker stations 0 and 1" in w for w in result["warnings"])
 
 
+@pytest.mark.long  # as is the displaced nest above
 def test_a_station_at_which_the_tracker_drifts_is_measured_again(cell):
     """A drift without end: asked once, then the calibration goes on and says what it saw."""
     live, client = cell(

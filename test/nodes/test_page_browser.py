@@ -65,6 +65,7 @@ def overflow(page):
     return page.evaluate("document.documentElement.scrollWidth - innerWidth")
 
 
+@pytest.mark.long  # test_page_live.py has it without the browser
 def test_a_whole_calibration_with_its_pauses(six, opened):
     six.start(*SUITE, "simulated_cell", "operator_page")
     url = address(six)

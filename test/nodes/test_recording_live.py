@@ -36,6 +36,7 @@ def mounted(tmp_path):
     subprocess.run(["umount", "--lazy", str(folder)], capture_output=True)
 
 
+@pytest.mark.long  # test_until_goal_live.py reads two files as one
 def test_a_split_session_is_one_to_the_solver(cell):
     live = cell("recorder.writer.split_bytes=150000")
     outcome = live.calibrate()
@@ -60,6 +61,7 @@ def accepted_before_the_end(live, outcome):
     return verdict
 
 
+@pytest.mark.long  # test_kill_graph.py has a full disk
 def test_a_disk_that_fills_up_costs_nothing_that_was_accepted(cell, mounted):
     live = cell("recorder.writer.min_free_bytes=0")
     live.recordings = mounted("size=160k")
@@ -89,6 +91,7 @@ def test_a_read_only_folder_is_refused_before_the_first_step(cell, mounted):
     assert outcome["n_used"] == 0
 
 
+@pytest.mark.long  # test_dropouts*.py count what is missing
 def test_a_stream_that_falls_silent_is_counted(cell):
     live = cell(
         "simulation.temperature.rate_hz=0.01",

@@ -18,6 +18,7 @@ pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
 
 
+@pytest.mark.long  # test_until_goal_live.py resumes
 def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):
     folder, log = tmp_path / "out", tmp_path / "first.log"
     first = rotcal("--output", folder, log=log)

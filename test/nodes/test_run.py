@@ -44,6 +44,7 @@ def children_of(pid):
     return found
 
 
+@pytest.mark.long  # test_own_cell.py runs to the end
 def test_run_ends_with_a_verdict_and_all_files(tmp_path):
     done = subprocess.run(
         arguments(tmp_path / "out", "--json"), capture_output=True, text=True, timeout=DEADLINE_S

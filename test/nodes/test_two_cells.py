@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[2]
 HERE = Path(__file__).parent
 OWN = ROOT / "examples" / "own_cell"
 RIGHT = ROOT / "config" / "ball_plate_dme.yaml"
-POSITIONS = 8
+POSITIONS = 6
 LEFT = {
     "cell.namespace": "/left",
     "table_adapter.controller": "/drive",
@@ -103,7 +103,9 @@ def test_two_cells_in_one_domain_find_their_own_truth(cells, tmp_path):
     wait_until(lambda: "I++ DME" in cells.log_tail("server"), "the DME server listens")
     port = re.search(r"127\.0\.0\.1:(\d+)", cells.log_tail("server"))[1]
     cells.start("left", run(OWN / "own_cell.yaml", tmp_path / "out_left", LEFT))
-    wait_until(lambda: "64 steps" in cells.log_tail("left"), "the left cell measures")
+    wait_until(
+        lambda: f"{8 * POSITIONS} steps" in cells.log_tail("left"), "the left cell measures"
+    )
     changes = {"cell.namespace": "/right", "dme.port": port}
     cells.start("right", run(RIGHT, tmp_path / "out_right", changes))
     for name in ("left", "right"):

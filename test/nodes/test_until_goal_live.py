@@ -4,6 +4,7 @@ import json
 import re
 import signal
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from live_cell import wait_until
@@ -52,4 +53,8 @@ def test_a_killed_run_is_resumed_to_its_goal_and_the_bag_says_why(rotcal, tmp_pa
     assert recording.choices_that_differ() == ()
     assert CliRunner().invoke(rotcal_verbs, ["bag", "choices", str(folder / "bag")]).exit_code == 0
     assert recording.warnings() == ()
-    assert recording.solve().to_json() == (folder / "result.json").read_text()
+    text = (folder / "result.json").read_text()
+    assert recording.solve().to_json() == text
+    result, truth = json.loads(text), json.loads((folder / "truth.json").read_text())
+    error = np.array(result["deviations"]["ECC"]) - truth["deviations"]["ECC"]
+    assert np.all(np.abs(error - error[0]) <= 5 * np.array(result["std"]["ECC"]) + 1e-12)
