@@ -55,7 +55,7 @@ class Methods:
             "EnumTools": lambda: TOOLS,
             "GetCoordSystem": lambda: [Call("CoordSystem", (Word(self.system),))],
             "GetDMEVersion": lambda: [call("DMEVersion", self.version)],
-            "GetMachineClass": lambda: [call("GetMachineClass", Word("CartCMMWithRotaryTable"))],
+            "GetMachineClass": lambda: [call("GetMachineClass", "CartCMMWithRotaryTable")],
             "IsHomed": lambda: [call("IsHomed", int(self.machine.homed))],
             "IsUserEnabled": lambda: [call("IsUserEnabled", int(self.user))],
             "EnableUser": lambda: self._let_user(True),

@@ -1,7 +1,7 @@
 """What our client says and our server answers, read by the parsers of NIST's test suite for 1.4.
 
-They are built from their sources, which are not part of this repository: ROTCAL_NIST_DME names a
-folder with a copy of the suite's standAloneTestSuiteComponents.
+They are built from their sources, which are not part of this repository: they are fetched, or
+ROTCAL_NIST_DME names a folder with a copy of the suite's standAloneTestSuiteComponents.
 """
 
 import os
@@ -16,21 +16,38 @@ from dme_plates import measure, small
 from rotcal_ros.dme.link import DmeLink
 from rotcal_ros.dme.server import DmeServer, serving
 
-SUITE = os.environ.get("ROTCAL_NIST_DME", "")
-BUILD_S = 120
+COPY = os.environ.get("ROTCAL_NIST_DME", "")
+SOURCE = "https://github.com/aschet/nistippdmetestsuite"
+"""NIST's suite, made ready for the compilers of today."""
+COMMIT = "890b29966b741e4cbdeda67a14954b61b3721a0f"
+FETCH_S, BUILD_S = 60, 120
 
 
 @pytest.fixture(scope="module")
-def parsers(tmp_path_factory):
+def suite(tmp_path_factory):
+    """Return the folder of the suite's stand-alone components."""
+    if shutil.which("g++") is None:
+        pytest.skip("no g++ to build NIST's I++ DME test suite with")
+    if COPY:
+        return Path(COPY)
+    folder = tmp_path_factory.mktemp("suite")
+    fetch = f"timeout {FETCH_S} git fetch -q --depth=1 {SOURCE} {COMMIT}"
+    command = f"git init -q && {fetch} && git checkout -q FETCH_HEAD"
+    done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip(f"ROTCAL_NIST_DME names no copy of {SOURCE}, and {done.stderr.strip()}")
+    return folder / "standAloneTestSuiteComponents"
+
+
+@pytest.fixture(scope="module")
+def parsers(suite, tmp_path_factory):
     """Return a function that gives what a parser of NIST complains about in lines."""
-    if not SUITE or shutil.which("g++") is None:
-        pytest.skip("ROTCAL_NIST_DME names no copy of NIST's I++ DME test suite, or no g++")
     folder = tmp_path_factory.mktemp("nist")
 
     def complaints(name, lines):
         program = folder / name
         if not program.exists():
-            sources = sorted((Path(SUITE) / f"{name}PC" / "source").glob("*.cpp"))
+            sources = sorted((suite / f"{name}PC" / "source").glob("*.cpp"))
             command = ["g++", "-w", "-DPARSER_MAIN", "-o", str(program), *map(str, sources)]
             subprocess.run(command, check=True, timeout=BUILD_S)
         text = "".join(f"{line}\r\n\\\\\r\n" for line in lines)
@@ -90,9 +107,9 @@ def test_our_answers_are_answers_for_nist(parsers, wire):
     assert parsers("ParserRes", ours) == ""
 
 
-def test_commands_that_nist_gives_as_examples_end_with_an_answer(parsers):
+def test_commands_that_nist_gives_as_examples_end_with_an_answer(suite, parsers):
     parsers("ParserCmd", ["00001 Home()"])
-    examples = Path(SUITE) / "ParserCmdPC" / "test_files" / "allCmdOK.prg"
+    examples = suite / "ParserCmdPC" / "test_files" / "allCmdOK.prg"
     commands = [c for c in examples.read_text().split("\n") if c[:1].isdigit() or c[:1] == "E"]
     calibration = small()
     with serving(DmeServer(calibration.configuration.simulation, "127.0.0.1", 0)) as server:

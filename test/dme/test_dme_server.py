@@ -72,6 +72,12 @@ def test_nothing_is_done_without_a_session_and_two_are_too_many(talk):
     assert client.errors("00004 StartSession()") == [8]
 
 
+def test_the_machine_class_is_a_text_as_in_the_examples_of_nist(talk):
+    """The specification prints it bare; NIST's parser takes a text alone."""
+    answer = talk("00001 StartSession()").ask("00002 GetMachineClass()")
+    assert answer[1] == '00002 # GetMachineClass("CartCMMWithRotaryTable")'
+
+
 def test_the_dialog_of_a_motion_and_a_question(talk):
     client = talk(*BEGIN)
     assert client.ask("00003 GoTo(X(290), Z(200))") == ["00003 &", "00003 %"]

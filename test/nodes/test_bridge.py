@@ -299,7 +299,7 @@ def test_of_two_bridges_one_offers_to_apply(bench):
     )
 
 
-@pytest.mark.long  # test_feed_*.py tell controllers apart
+@pytest.mark.long  # above two bridges meet at one controller
 def test_a_second_controller_in_the_same_cell_is_not_confused_with_the_first(bench):
     other = bench.controller.with_name("other")
     other.mkdir()
