@@ -107,10 +107,12 @@ _SETTLED_NS: Final = 1_000_000_000
 class PendingReceipts:
     """Receipts of observations whose readings may still be on their way here.
 
-    Where the clock of the readings is set back, those of the windows before it have come.
+    Where the clock of the readings is set back, those of the windows before it have come. Where
+    orders are ``answered`` by points that echo them, each observation waits for its own.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, answered: bool) -> None:
+        self._answers: set[tuple[int, int]] | None = set() if answered else None
         self._waiting: list[tuple[int, Receipt]] = []
         self._lost = 0
         self._reached_ns = 0
@@ -129,6 +131,11 @@ class PendingReceipts:
             return True
         return self._set_back is not None and window_end_ns > sum(self._set_back) // 2
 
+    def answer(self, step: int, attempt: int) -> None:
+        """Note that a point has come which echoes an order."""
+        if self._answers is not None:
+            self._answers.add((step, attempt))
+
     def expect(self, step: int, attempt: int, window_end_ns: int) -> None:
         """Take an observation that wants a receipt."""
         self._waiting.append((window_end_ns, Receipt(step, attempt)))
@@ -143,7 +150,9 @@ class PendingReceipts:
             self.reach(reached_ns)
         waiting, self._waiting = self._waiting, []
         for window_end_ns, receipt in waiting:
-            if self._has_come(window_end_ns, reached_ns):
+            order = receipt.step, receipt.attempt
+            answered = self._answers is None or order in self._answers
+            if answered and self._has_come(window_end_ns, reached_ns):
                 yield replace(receipt, lost=lost - self._lost)
                 self._lost = lost
             else:

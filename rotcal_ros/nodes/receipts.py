@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 
-from rotcal_msgs.msg import Observation, RecordedObservation
+from rclpy.serialization import deserialize_message
+from rotcal_msgs.msg import ProbePoint, RecordedObservation
 
+from rotcal_ros.bags import names
+from rotcal_ros.instruments.forms import OWN
 from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.bookkeeping import NEEDED, PendingReceipts
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.draining import Batch
+from rotcal_ros.nodes.heard_topic import HeardTopic
 from rotcal_ros.nodes.listening import Listener
 from rotcal_ros.nodes.qos import EVENT
+from rotcal_ros.nodes.recorded_session import RecordedSession
 from rotcal_ros.nodes.recording import Receipt
 from rotcal_ros.nodes.topic_names import CalledOtherwise
 
@@ -19,18 +25,29 @@ from rotcal_ros.nodes.topic_names import CalledOtherwise
 class Receipts:
     """The receipts of a recorder that are due, and their topic."""
 
-    def __init__(self, node: CellNode, called: CalledOtherwise, listener: Listener) -> None:
+    def __init__(
+        self, node: CellNode, called: CalledOtherwise, listener: Listener, session: RecordedSession
+    ) -> None:
         self._clock, self._called, self._listener = node.get_clock(), called, listener
-        self._pending = PendingReceipts()
+        self._session, self._pending = session, PendingReceipts(answered=False)
         self._publisher = node.create_publisher(RecordedObservation, "observation_recorded", EVENT)
 
     def begin(self) -> None:
         """Forget what is still waiting: a bag begins."""
-        self._pending = PendingReceipts()
+        points = self._listener.topics.get(self._called.topic(names.PROBE_POINT))
+        self._pending = PendingReceipts(answered=points is not None and _echoes(points))
 
-    def expect(self, message: Observation) -> None:
-        """Take an observation that wants a receipt."""
-        self._pending.expect(message.step, message.attempt, stamp_ns(message.window_end))
+    def hear(self, topic: HeardTopic, batch: Batch) -> None:
+        """Take observations, which want a receipt, and the points that answer orders."""
+        name = topic.channel.topic
+        if name == self._called.topic(names.OBSERVATION):
+            for data, _ in batch:
+                seen = self._session.take(data)
+                self._pending.expect(seen.step, seen.attempt, stamp_ns(seen.window_end))
+        elif name == self._called.topic(names.PROBE_POINT) and _echoes(topic):
+            for data, _ in batch:
+                point = deserialize_message(data, ProbePoint)
+                self._pending.answer(point.step, point.attempt)
 
     def due(self, losses: Callable[[], Mapping[str, int]]) -> Iterator[Receipt]:
         """Yield what can be confirmed; ``losses`` are those since the bag was opened."""
@@ -45,3 +62,8 @@ class Receipts:
         message = RecordedObservation(**asdict(receipt), file=file)
         message.header.stamp = self._clock.now().to_msg()
         self._publisher.publish(message)
+
+
+def _echoes(points: HeardTopic) -> bool:
+    """Return whether the points tell which order they answer."""
+    return points.channel.type_name == OWN[names.PROBE_POINT]

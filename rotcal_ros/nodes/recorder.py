@@ -56,7 +56,7 @@ class RecorderNode(CellNode):
         self._dropouts = DropoutNotes(self.resolve_topic_name(f"~/{names.DROPOUTS}"))
         heard = self._take, self._dropouts.note, self._called.topics.values
         self._listener = Listener(self, *heard)
-        self._receipts = Receipts(self, self._called, self._listener)
+        self._receipts = Receipts(self, self._called, self._listener, self._session)
         self.every(GRAPH_PERIOD_S, self._note_losses)
 
     def deactivated(self) -> None:
@@ -93,9 +93,7 @@ class RecorderNode(CellNode):
         messages = Messages.taken(topic.channel, batch)
         if not recording.put(messages):
             self._dropouts.refused(messages)
-        if topic.channel.topic == self._called.topic(names.OBSERVATION):
-            for data, _ in batch:
-                self._receipts.expect(self._session.take(data))
+        self._receipts.hear(topic, batch)
         for receipt in self._receipts.due(self._all_losses):
             self._dropouts.write()
             recording.confirm(receipt)

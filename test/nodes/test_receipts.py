@@ -11,14 +11,14 @@ def confirmed(receipts, reached_ns):
 
 
 def test_a_receipt_waits_for_the_readings_of_its_window():
-    receipts = PendingReceipts()
+    receipts = PendingReceipts(answered=False)
     receipts.expect(1, 0, T)
     assert confirmed(receipts, T - 1) == []
     assert confirmed(receipts, T) == [1]
 
 
 def test_readings_of_before_a_clock_was_set_back_have_come():
-    receipts = PendingReceipts()
+    receipts = PendingReceipts(answered=False)
     receipts.expect(1, 0, T)
     assert confirmed(receipts, T - SECOND // 100) == []
     assert confirmed(receipts, T - 45 * SECOND) == [1]
@@ -27,7 +27,7 @@ def test_readings_of_before_a_clock_was_set_back_have_come():
 
 
 def test_behind_it_a_receipt_waits_as_before():
-    receipts = PendingReceipts()
+    receipts = PendingReceipts(answered=False)
     for at in (T, T - 45 * SECOND, T - 44 * SECOND):
         receipts.reach(at)
     receipts.expect(3, 0, T - 43 * SECOND)
@@ -36,3 +36,12 @@ def test_behind_it_a_receipt_waits_as_before():
     receipts.reach(T - 42 * SECOND)
     receipts.expect(4, 0, T - SECOND)  # half an hour on it would be long ago that it was set
     assert confirmed(receipts, T - 2 * SECOND) == []
+
+
+def test_a_receipt_waits_for_the_point_that_answered_the_order():
+    receipts = PendingReceipts(answered=True)
+    receipts.answer(1, 0)
+    receipts.expect(1, 1, T)
+    assert confirmed(receipts, T + SECOND) == []  # that was the attempt before
+    receipts.answer(1, 1)
+    assert confirmed(receipts, T + SECOND) == [1]
