@@ -110,7 +110,7 @@ class SolverNode(CellNode):
         if calibration is not None:
             self._solved_count = len(self._observations)
             self._begin(calibration).add_done_callback(
-                lambda future: self.executor.create_task(self._show_preliminary, future, run)
+                lambda future: (ros := self.executor) and ros.create_task(self._show, future, run)
             )
 
     def _begin(self, calibration: Calibration) -> Future[Result]:
@@ -122,7 +122,7 @@ class SolverNode(CellNode):
     def _is_solving(self) -> bool:
         return self._solving is not None and not self._solving.done()
 
-    def _show_preliminary(self, future: Future[Result], run: str) -> None:
+    def _show(self, future: Future[Result], run: str) -> None:
         outdated = future is not self._solving or future.cancelled() or run != self._run
         if outdated or not self.active:
             return
