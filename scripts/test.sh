@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# All tests: those without live nodes side by side on all cores and one more, since some of them wait,
-# each file in one worker, so that what its tests share is made once. Then the live ones, one at a
-# time, because whole cells beat, stream and record in real time.
+# All tests: those without live nodes side by side on all cores, each file in one worker, so that what
+# its tests share is made once. Then the live ones, one at a time, because whole cells beat, stream
+# and record in real time.
 #
 # usage: scripts/test.sh [arguments of pytest]
 set -uo pipefail
@@ -20,6 +20,6 @@ run() {
 }
 
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
-run --live never -n $(($(nproc) + 1)) --dist loadfile --no-loadscope-reorder "$@"
+run --live never -n auto --dist loadfile --no-loadscope-reorder "$@"
 run --live only "$@"
 exit "$result"
