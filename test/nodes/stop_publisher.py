@@ -1,12 +1,10 @@
 """The safety controller of somebody else: says on /safety/estop what it is told on standard input.
 
 ``true`` and ``false`` go out as they come; ``error`` and ``ok`` as the status of a drive on
-/diagnostics. The argument ``volatile`` or ``latched`` is its quality of service. What is volatile
-waits for planner, simulated cell and recorder to listen.
+/diagnostics. The argument ``volatile`` or ``latched`` is its quality of service.
 """
 
 import sys
-import time
 from contextlib import suppress
 from threading import Thread
 
@@ -17,7 +15,6 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Bool
 
-LISTENERS = 3
 LEVELS = {"ok": DiagnosticStatus.OK, "error": DiagnosticStatus.ERROR}
 rclpy.init()
 node = Node("safety_controller")
@@ -28,8 +25,6 @@ diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
 
 def listen():
-    while not latched and stops.get_subscription_count() < LISTENERS:
-        time.sleep(0.01)
     for line in sys.stdin:
         for word in line.split():
             if word in LEVELS:

@@ -26,7 +26,7 @@ STOPPER = Path(__file__).parent / "stop_publisher.py"
 CHANGES = (
     "safety.emergency_stop=/safety/estop",
     "safety.stop_on_diagnostics=[drive]",
-    "simulation.time_scale=20.0",
+    "simulation.time_scale=8.0",
     "simulation.faults.blocked_targets=[]",
 )
 STOPPED = 608
