@@ -95,8 +95,7 @@ def test_the_person_at_a_calibration_is_told_too(adapted):
                    since=1, nodes=(*SUITE, "simulated_cell", "table_adapter"))  # fmt: skip
     client = live.client()
     said = "table_adapter: joint 'rotary' of /drive: the table stopped at"
-    warned = client.wait_for("warning", where=lambda event: event["text"].startswith(said))
-    assert "the table stopped at" in warned["text"]
+    client.wait_for("warning", where=lambda event: event["text"].startswith(said))
 
 
 def test_without_a_joint_it_does_not_start(cell):
