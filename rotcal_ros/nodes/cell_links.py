@@ -117,10 +117,13 @@ class CellLinks:
         """Return which nodes of the calibration are there and not active, in words."""
         return not_active(self.health.state, sorted(self.health.present() - SPARE - {*but}))
 
-    def missing_topics(self, topics: Sequence[str], silent: Collection[str] = ()) -> list[str]:
+    def missing_topics(
+        self, topics: Sequence[str], silent: Collection[str] = (), stop: str = ""
+    ) -> list[str]:
         """Return what is missing around the instrument topics and the orders, in words.
 
-        Those that are ``silent`` before the first order need deliver nothing yet.
+        Those that are ``silent`` before the first order need deliver nothing yet, and nobody need
+        publish the emergency ``stop``.
         """
         graph, heard = self.graph, self.health.values("capture")
         measured = [self.instrument(topic) for topic in topics]
@@ -133,7 +136,8 @@ class CellLinks:
         ]
         here = [] if all(map(self.publishers, measured)) else [discovery_in_words(os.environ)]
         found += [text for topic in ORDERS for text in graph.without_machine(topic)]
-        recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE)
+        stops = [stop] if stop and self.publishers(stop) else []
+        recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
         unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
         return (
             found

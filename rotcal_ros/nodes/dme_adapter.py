@@ -36,7 +36,7 @@ from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.safety_settings import SafetySettings
 
 WATCH_PERIOD_S: Final = 0.1
-LOOKS_FIRST: Final = round((1.5 + BEAT_PERIOD_S + TAKE_OVER_S) / WATCH_PERIOD_S)
+LOOKS_FIRST: Final = round((4.1 + BEAT_PERIOD_S + TAKE_OVER_S) / WATCH_PERIOD_S)
 """Looks before the machine is spoken to: time to find an adapter that was there, and hear it."""
 PLANNER: Final = "planner"
 UNBLOCKED: Final = ("", NOT_STARTED)

@@ -74,5 +74,5 @@ def _missing(calibration: Calibration, links: CellLinks) -> list[str]:
         for name in links.missing_air(needed).values()
     ]
     wrong = faults(links.health.values("capture"), configuration, calibration.plan)
-    silent = single_shots(configuration.topics)
-    return links.missing_topics(calibration.method.topics, silent) + air + wrong
+    silent, stop = single_shots(configuration.topics), configuration.safety.emergency_stop
+    return links.missing_topics(calibration.method.topics, silent, stop) + air + wrong

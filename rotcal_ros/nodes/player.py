@@ -30,7 +30,7 @@ from rotcal_ros.nodes.peer import Peer
 from rotcal_ros.nodes.plans import REFUSED, RUN, run_name
 from rotcal_ros.nodes.player_arguments import read_arguments
 from rotcal_ros.nodes.recorded_qos import offered_qos
-from rotcal_ros.nodes.replay_guard import ORDERS, conflicts
+from rotcal_ros.nodes.replay_guard import ORDERS, all_have_names, conflicts
 from rotcal_ros.nodes.replay_outcome import ReplayOutcome
 from rotcal_ros.nodes.replay_pace import CLOCK_PERIOD_S, ReplayPace
 from rotcal_ros.nodes.replayed_bag import ReplayedBag
@@ -38,7 +38,7 @@ from rotcal_ros.nodes.running import EndRequest, leave_with
 
 LOOK_AROUND_S: Final = 2.0
 """So long the graph is looked at before anything is published."""
-LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
+LISTENERS_S, NAMES_S, PLAN_TAKEN_S, NODES_S = 10.0, 10.0, 120.0, 60.0
 GUARD_PERIOD_S, TOLD_PERIOD_S = 1.0, 0.2
 _AHEAD_S: Final = 5e-4  # nobody waits for less
 
@@ -109,8 +109,7 @@ class Player:
 
     def _have_taken(self, plan: CalibrationPlan) -> None:
         """Let the nodes take a plan before the orders come, as a planner does."""
-        nodes = sorted(self._outcome.live())
-        run, waited_s = run_name(plan), time.monotonic()
+        nodes, run = sorted(self._outcome.live()), run_name(plan)
 
         def not_yet() -> list[str]:
             here = self._outcome.live()
@@ -126,7 +125,6 @@ class Player:
         if not self._wait(lambda: not unheard(), LISTENERS_S):
             left = ", ".join(sorted(unheard()))
             say("note", text=f"warning: {' and '.join(nodes)} do not listen to all of {left}")
-        self._pace.stood_still(time.monotonic() - waited_s)
 
     def _wait_until(self, log_time_ns: int) -> None:
         """Wait until it is time for a message; the clock runs, and Ctrl-C is heard, meanwhile."""
@@ -137,14 +135,13 @@ class Player:
 
     def _wait(self, condition: Any, timeout_s: float) -> bool:
         """Wait while the recording stands still; False after the time-out."""
-        deadline = time.monotonic() + timeout_s
-        while not condition():
+        begun_s = time.monotonic()
+        while not (met := condition()) and time.monotonic() - begun_s < timeout_s:
             if self._end:
                 raise Ended
-            if time.monotonic() > deadline:
-                return False
             self._peer.work_until(condition, CLOCK_PERIOD_S)
-        return True
+        self._pace.stood_still(time.monotonic() - begun_s)
+        return bool(met)
 
     def _look(self) -> None:
         """Do what is due: the clock, the progress, the look around."""
@@ -163,6 +160,7 @@ class Player:
 
     def _guard(self, *topics: str) -> None:
         """Raise ConfigurationError when a machine, or another source, of ``topics`` is there."""
+        self._wait(lambda: all_have_names(self._node, topics), NAMES_S)
         if found := conflicts(self._node, self._health, self._bag, topics, self._given):
             raise ConfigurationError("; ".join(found))
 

@@ -25,6 +25,18 @@ _OF_THE_PLANNER: Final = (
     names.PLAN, names.TABLE_ANGLE, names.PROBE_TARGET, names.STEP_CHOICE
 )  # fmt: skip
 """Roles that an idle planner is known to publish."""
+_NAMELESS: Final = "_NODE_NAME_UNKNOWN_"
+"""What the middleware calls a node whose topics it hears of before its name."""
+
+
+def all_have_names(node: Node, topics: Iterable[str]) -> bool:
+    """Return whether it is known by now which nodes publish ``topics`` and listen to them."""
+    return not any(
+        info.node_name == _NAMELESS
+        for topic in topics
+        for look in (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic)
+        for info in look(topic)
+    )
 
 
 def conflicts(

@@ -1,0 +1,41 @@
+"""What is missing around a cell before anything moves; no graph."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+
+from rotcal_ros.nodes.cell_links import CellLinks
+
+STOP = "/safety/estop"
+
+
+def links(*, publishers, recorded):
+    """Return the links of a cell without instruments, whose machine obeys every order."""
+    found = CellLinks.__new__(CellLinks)
+    found.health = SimpleNamespace(values=lambda _: {})
+    found.graph = SimpleNamespace(
+        publishers=lambda topic: publishers if topic == STOP else [],
+        listeners=lambda topic: ["recorder"] if topic != STOP or recorded else [],
+        without_machine=lambda _: [],
+        resolve=lambda topic: topic,
+    )
+    return found
+
+
+@pytest.mark.parametrize(
+    ("publishers", "recorded", "missing"),
+    [
+        ([], False, []),  # nobody need publish it
+        (["plc"], False, [f"the recorder does not listen to {STOP} yet"]),
+        (["plc"], True, []),
+    ],
+)
+def test_a_stop_that_somebody_publishes_is_recorded_before_anything_moves(
+    publishers, recorded, missing
+):
+    cell = links(publishers=publishers, recorded=recorded)
+    assert cell.missing_topics((), (), STOP) == missing
+    assert cell.missing_topics((), (), "") == []
