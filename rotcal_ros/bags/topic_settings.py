@@ -101,6 +101,14 @@ class TopicSettings:
         minimum=-_MAX_OFFSET_S,
         maximum=_MAX_OFFSET_S,
     )
+    clock_bound_s: float = setting(
+        0.0,
+        doc="s, by which the clocks of table, probe and instrument may differ all the same: times "
+        "the creep of a table at rest (capture.velocity_tolerance_deg_s) it is in the uncertainty "
+        "of ECC",
+        minimum=0.0,
+        maximum=10.0,
+    )
 
     def __post_init__(self) -> None:
         """Refuse names that no topic can bear, units that are none, and two for one."""

@@ -8,12 +8,14 @@ pace of arrival, as those of a simulation in fast motion, are not judged.
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import inf
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.observations import Observation
 from rotcal_ros.units import NANOSECOND
 
@@ -34,13 +36,28 @@ DOUBT_S: Final = 0.2
 _LASTING: Final = 8
 _NEWEST: Final = _LASTING + 1
 """So many intervals of many messages matter."""
+_Far = tuple[str, int, int | None]
+"""A stream, by how much it is ahead of the reference, and that of its arrival, ns."""
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetLimits:
+    """Offsets, s, beyond which observations are spoilt: seen for a moment, and lasting ones."""
+
+    at_once_s: float = inf
+    lasting_s: float = inf
+
+    @classmethod
+    def of(cls, settings: CaptureSettings) -> OffsetLimits:
+        """Return what is allowed: a window may not begin before the table has come to rest."""
+        return cls(settings.stamp_offset_s, max(settings.settle_time_s, DOUBT_S))
 
 
 class StampOffsets:
-    """Estimates constant offsets between streams; more than ``limit_s`` spoils observations."""
+    """Estimates constant offsets between streams; more than the ``limits`` spoils observations."""
 
-    def __init__(self, limit_s: float) -> None:
-        self.limit_s = limit_s
+    def __init__(self, limits: OffsetLimits) -> None:
+        self.limits = limits
         self._ahead: dict[str, dict[int, int]] = {}
         self._events: dict[str, dict[int, int]] = {}
         self._first: dict[str, tuple[int, int]] = {}
@@ -67,41 +84,48 @@ class StampOffsets:
 
     def in_words(self) -> str:
         """Return which stream differs from the table's by how much; empty: none is known to."""
-        reference_ns = self._offset_ns(REFERENCE)
-        for stream in sorted(self._ahead.keys() - {REFERENCE}):
-            offset_ns = self._offset_ns(stream)
-            if offset_ns is not None and reference_ns is not None:
-                difference = offset_ns - reference_ns
-                self._first.setdefault(stream, (max(self._ahead[stream]), difference))
-            else:
-                difference = _agreed(self._events.get(stream, {}).values()) or 0
-            if abs(difference) * NANOSECOND > self.limit_s:
-                return (
-                    f"{_OPENING}{_constantly(stream, difference, 1)}, allowed {self.limit_s:g} s "
-                    "(capture.stamp_offset_s): two clocks, set them alike"
-                    f"{self._advice(stream, difference, reference_ns)}"
-                )
+        if far := self._far(self.limits.at_once_s, _BUCKETS, _BUCKETS):
+            return (
+                f"{_OPENING}{_constantly(far, 1)}, allowed {self.limits.at_once_s:g} s "
+                f"(capture.stamp_offset_s): two clocks, set them alike{self._advice(*far)}"
+            )
+        if far := self._far(self.limits.lasting_s, _LASTING):
+            return (
+                f"{_OPENING}{_constantly(far, 2)}, and stay so: more than the "
+                f"{self.limits.lasting_s:g} s of settling (capture.settle_time_s), so what is "
+                "measured may be of the motion before; two clocks, or a stream that comes late "
+                f"(a longer time outlasts it){self._advice(*far)}"
+            )
         return ""
 
     def doubt_in_words(self) -> str:
         """Return which stream differs by more than ``DOUBT_S`` and is accepted; empty: none."""
-        reference_ns = self._offset_ns(REFERENCE, _LASTING)
-        if reference_ns is None or self.in_words():
+        if self._offset_ns(REFERENCE, _LASTING) is None or self.in_words():
             return ""
-        for stream in sorted(self._ahead.keys() - {REFERENCE}):
-            offset_ns, events = self._offset_ns(stream, _LASTING), self._events.get(stream, {})
-            if offset_ns is not None:
-                difference = offset_ns - reference_ns
-            else:
-                difference = _agreed(events.values(), _EVENTS) or 0
-            if abs(difference) * NANOSECOND > DOUBT_S:
-                return (
-                    f"stamps of {_constantly(stream, difference, 2)} by the times of arrival: a "
-                    f"clock is off, or a stream comes late; up to {self.limit_s:g} s "
-                    "(capture.stamp_offset_s) is accepted, but may be of another moment than it "
-                    f"seems{self._advice(stream, difference, reference_ns)}"
-                )
+        if far := self._far(DOUBT_S, _LASTING, _EVENTS):
+            return (
+                f"stamps of {_constantly(far, 2)} by the times of arrival: a clock is off, or a "
+                "stream comes late; nothing is rejected for so little, but it may be of another "
+                f"moment than it seems{self._advice(*far)}"
+            )
         return ""
+
+    def _far(self, limit_s: float, intervals: int, shots: int | None = None) -> _Far | None:
+        """Return the first stream that differs by more in so many intervals, or in ``shots``.
+
+        Who is asked may answer late, and always alike: without ``shots`` they are let be.
+        """
+        reference_ns = self._offset_ns(REFERENCE, intervals)
+        for stream in sorted(self._ahead.keys() - {REFERENCE}):
+            offset_ns, difference = self._offset_ns(stream, intervals), 0
+            if offset_ns is not None and reference_ns is not None:
+                difference = offset_ns - reference_ns
+                self._first.setdefault(stream, (max(self._ahead[stream]), difference))
+            elif shots:
+                difference = _agreed(self._events.get(stream, {}).values(), shots) or 0
+            if abs(difference) * NANOSECOND > limit_s:
+                return stream, difference, reference_ns
+        return None
 
     def judged(self, observation: Observation) -> Observation:
         """Return an observation, rejected where the clocks of its streams differ."""
@@ -174,7 +198,8 @@ def is_of_clocks(reason: str) -> bool:
     return reason.startswith(_OPENING)
 
 
-def _constantly(stream: str, difference_ns: int, digits: int) -> str:
+def _constantly(far: _Far, digits: int) -> str:
+    stream, difference_ns, _ = far
     way = "ahead of" if difference_ns > 0 else "behind"
     off = f"{abs(difference_ns) * NANOSECOND:.{digits}f} s {way}"
     return f"{stream} are constantly {off} those of {REFERENCE}"

@@ -11,6 +11,7 @@ from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.air import Refraction
 from rotcal_ros.catalogue.air_settings import AirSettings
+from rotcal_ros.catalogue.clock_errors import angle_std, require_settled, with_clock_errors
 from rotcal_ros.catalogue.configuration import Configuration, read_policy
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation, continued
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
@@ -83,6 +84,8 @@ class Calibration:
         result = self.refraction.solve(
             used, partial(self.method.solve, self.configuration, self.plan)
         )
+        bound_s = self.configuration.topics.clock_bound_s
+        result = with_clock_errors(result, angle_std(bound_s, self.configuration.capture))
         measured_on = agreed(self.in_force(announced))
         if measured_on != UNKNOWN:
             result = replace(result, measured_on=measured_on)
@@ -234,6 +237,7 @@ def prepare_to_measure(configuration: Configuration) -> Calibration:
     """
     calibration = prepare_whole(configuration)
     calibration.refraction.require_sources(configuration.capture)
+    require_settled(configuration.topics.clock_bound_s, configuration.capture)
     calibration.policy(calibration.from_the_start())
     return calibration
 

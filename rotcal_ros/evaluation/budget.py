@@ -21,6 +21,7 @@ SOURCES: Final[Mapping[str, str]] = {
     "error_motion": "Error motion of the table",
     "circle": "Stated circle of the stations",
     "slips": "Slips of the counter that nobody sees",
+    "clocks": "Clocks that may differ, while the table creeps",
 }
 """The names that methods give their sources, in words."""
 WHOLE: Final = "Observations and all that is estimated with them"

@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.catalogue.calibration import prepare_to_measure
 from rotcal_ros.catalogue.check_lines import CellReport, CheckLine
@@ -37,6 +37,7 @@ from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.nodes.capture import CaptureNode
 from rotcal_ros.nodes.cell_graph import CellGraph
 from rotcal_ros.nodes.channels import message_type
+from rotcal_ros.nodes.check_drivers import driver_lines
 from rotcal_ros.nodes.check_frames import FramesHeard
 from rotcal_ros.nodes.check_heard import Heard
 from rotcal_ros.nodes.check_neighbours import cell_lines
@@ -84,7 +85,7 @@ class Listening:
         self.executor.add_node(self.node)
         self.executor.add_node(self._ears)
         self.headers: dict[str, HeaderWatch] = {}
-        self._offsets = StampOffsets(0.0)
+        self._offsets = StampOffsets(OffsetLimits(0.0))
         self.frames = FramesHeard(self.node)
         steady_timer(self.node, _LOOK_S, self._look)
 
@@ -106,7 +107,7 @@ class Listening:
         _, values = self._ears._report()
         concerns = {**values, **self._ears.health.concerns, **self._ears.health.alarms}
         words = {key: str(value) for key, value in concerns.items()}
-        self._offsets.limit_s = configuration.capture.stamp_offset_s
+        self._offsets.limits = OffsetLimits.of(configuration.capture)
         if clocks := self._offsets.in_words():  # also of a stream that is of no other use
             words.setdefault(OFFSET, clocks)
         return Heard(CellGraph(self.node), words, self.headers, configuration, calibration)
@@ -141,6 +142,7 @@ def _lines(
     yield from cell_lines(heard)
     yield from stream_lines(heard)
     yield from machine_lines(heard)
+    yield from driver_lines(heard)
     yield clock_line(heard)
     yield from frames.lines(heard)
     if calibration is not None:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
 
 from rotcal_ros.bags import names
 from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.instruments.conventions import single_shots
+from rotcal_ros.node_names import FURTHER_NODES, further_nodes
 from rotcal_ros.nodes.cell_graph import CellGraph
 from rotcal_ros.nodes.header_watch import HeaderWatch
 from rotcal_ros.nodes.preflight import Values
 from rotcal_ros.nodes.topic_names import TOPIC
+
+SIMULATION: Final = FURTHER_NODES["simulation"]
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,12 @@ class Heard:
         delivered = silent or self.values.get(f"valid.{role}", "0") != "0"
         return next(self.graph.without_instrument(self.name(role), delivered), "")
 
+    @cached_property
+    def nodes(self) -> frozenset[str]:
+        """The names of the nodes that are in the cell's namespace."""
+        place = self.graph.node.get_namespace().rstrip("/")
+        return frozenset(n for n, where in self.graph.nodes() if where.rstrip("/") == place)
+
     @property
     def topics(self) -> tuple[str, ...]:
         """The instrument topics that must be there."""
@@ -46,5 +57,6 @@ class Heard:
 
     @property
     def started_by_us(self) -> bool:
-        """Whether ``rotcal run`` starts the instruments itself: they are simulated."""
-        return self.configuration.simulated and not self.publishers(names.JOINT_STATES)
+        """Whether ``rotcal run`` starts the instruments itself: a node simulates them."""
+        simulated = SIMULATION in further_nodes(self.configuration.given)
+        return simulated and not self.publishers(names.JOINT_STATES)

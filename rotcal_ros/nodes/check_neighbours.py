@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from rotcal_ros.catalogue.check_lines import CheckLine
 from rotcal_ros.node_names import NODES
 from rotcal_ros.nodes.cell_graph import CellGraph
+from rotcal_ros.nodes.check_drivers import brought
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def cell_lines(heard: Heard) -> Iterator[CheckLine]:
     """Yield who is there."""
     others = [pair for pair in heard.graph.nodes() if pair[0] not in _OURS]
     place = heard.graph.node.get_namespace()
-    here = sorted({name for name, space in others if space.rstrip("/") == place.rstrip("/")})
+    here = sorted(heard.nodes - {*_OURS})
     if not others:
         yield _nobody(heard)
     else:
@@ -39,6 +40,8 @@ def _nobody(heard: Heard) -> CheckLine:
     domain = int(os.environ.get("ROS_DOMAIN_ID") or DEFAULT_DOMAIN)
     if heard.started_by_us:
         return CheckLine("cell", "nodes", "note", "none; rotcal run starts the simulated ones")
+    if brought(heard).keys() >= {*heard.topics}:
+        return CheckLine("cell", "nodes", "note", "none; rotcal run starts the drivers")
     used = [d for d in domains_in_use() if d != domain]
     todo = "start your nodes with the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as here"
     if used:

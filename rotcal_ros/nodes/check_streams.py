@@ -7,9 +7,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from rotcal_ros.bags import names
+from rotcal_ros.capture.stamp_offsets import OffsetLimits
 from rotcal_ros.catalogue.check_lines import CheckLine, State
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.instruments.interpreter import FAST
+from rotcal_ros.nodes.check_drivers import brought
 from rotcal_ros.nodes.check_heard import Heard
 from rotcal_ros.nodes.check_neighbours import namesakes
 from rotcal_ros.nodes.concerns import CLOCK_DOUBT, OFFSET
@@ -53,14 +55,12 @@ _IN_WORDS: Final[Mapping[str, str]] = {
 def stream_lines(heard: Heard) -> Iterator[CheckLine]:
     """Yield a line for every stream."""
     for topic in KINDS:
-        if topic == names.JOINT_STATES and _by_adapter(heard):
-            continue  # the lines of the adapter tell it
         yield _line(heard, topic)
 
 
 def clock_line(heard: Heard) -> CheckLine:
     """Say whether the clocks of the streams agree, by the times of arrival."""
-    limit_s = heard.configuration.capture.stamp_offset_s
+    limits = OffsetLimits.of(heard.configuration.capture)
     if OFFSET in heard.values:
         return CheckLine("clocks", "stamps", "missing", heard.values[OFFSET], _CLOCKS)
     if doubt := heard.values.get(CLOCK_DOUBT):
@@ -68,13 +68,9 @@ def clock_line(heard: Heard) -> CheckLine:
     timed = [t for t in TIMED if t in heard.headers and heard.headers[t].ahead_s is not None]
     if len(timed) < 2:
         return CheckLine("clocks", "stamps", "note", "too few stamped streams to compare")
-    found = f"{', '.join(timed)} agree within {limit_s:g} s (capture.stamp_offset_s)"
+    allowed_s = min(limits.at_once_s, limits.lasting_s)
+    found = f"{', '.join(timed)} agree within {allowed_s:g} s"
     return CheckLine("clocks", "stamps", "good", found)
-
-
-def _by_adapter(heard: Heard) -> bool:
-    given = "table_adapter" in heard.configuration.given
-    return given and not heard.publishers(names.JOINT_STATES)
 
 
 def _line(heard: Heard, topic: str) -> CheckLine:
@@ -99,6 +95,8 @@ def _absent(heard: Heard, topic: str) -> CheckLine:
     name = heard.name(topic)
     if heard.started_by_us:
         return CheckLine(part, topic, "note", "simulated: rotcal run starts it")
+    if node := brought(heard).get(topic):
+        return CheckLine(part, topic, "note", f"{node} tells it, which rotcal run starts")
     air = ([], []) if heard.calibration is None else expected_air(heard.calibration)
     required, wished = air
     if topic in heard.topics or topic in required:

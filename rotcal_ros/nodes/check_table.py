@@ -10,6 +10,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.catalogue.check_lines import CheckLine
 from rotcal_ros.escapes import printable
 from rotcal_ros.nodes.cell_graph import ORDERS
+from rotcal_ros.nodes.check_drivers import brought
 from rotcal_ros.nodes.matching import deaf_listeners
 from rotcal_ros.nodes.table_feedback import (
     chosen_joint,
@@ -34,7 +35,7 @@ _ADAPTER: Final = "table_adapter"
 
 def machine_lines(heard: Heard) -> Iterator[CheckLine]:
     """Yield a line for the joint and for every order."""
-    if _starts_the_adapter(heard):
+    if brought(heard).get(names.TABLE_ANGLE) == _ADAPTER:
         yield from _adapter_lines(heard)
     elif joints(heard.values):
         yield _joint_line(heard)
@@ -46,11 +47,6 @@ def table_start(heard: Heard) -> float:
     """Return where the table stands (rad), as far as it was heard."""
     angle = table_angle(heard.values, heard.configuration)
     return angle if isfinite(angle) and not next(_doubts(heard), "") else 0.0
-
-
-def _starts_the_adapter(heard: Heard) -> bool:
-    given = _ADAPTER in heard.configuration.given
-    return given and _ADAPTER not in heard.graph.listeners(names.TABLE_ANGLE)
 
 
 def _doubts(heard: Heard) -> Iterator[str]:
@@ -77,9 +73,8 @@ def _order_lines(heard: Heard, order: str) -> Iterator[CheckLine]:
     """Yield who obeys an order, and who else than the planner gives it."""
     part, graph = _PARTS[order], heard.graph
     name, machines = graph.resolve(order), graph.machines(order)
-    if order == names.TABLE_ANGLE and _starts_the_adapter(heard):
-        found = "table_adapter obeys it, which rotcal run starts"
-        yield CheckLine(part, order, "note", found)
+    if node := brought(heard).get(order):
+        yield CheckLine(part, order, "note", f"{node} obeys it, which rotcal run starts")
     elif heard.started_by_us and not machines:
         yield CheckLine(part, order, "note", "simulated: rotcal run starts who obeys it")
     elif why := list(graph.without_machine(order)):

@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import CaptureSettings
-from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.instruments.forms import OWN
@@ -52,7 +52,7 @@ class InstrumentStreams:
         self._latest: dict[str, Any] = {}
         self._frames: dict[str, str] = {}
         self._joints, self._rates = JointReadings(), Rates()
-        self.offsets = StampOffsets(CaptureSettings().stamp_offset_s)
+        self.offsets = StampOffsets(OffsetLimits.of(CaptureSettings()))
         self.topics = InstrumentTopics(node, self._switched)
         self._joint = ""
         self._interpreter = Interpreter(self.topics.settings)
@@ -62,7 +62,7 @@ class InstrumentStreams:
     def use(self, configuration: Configuration) -> None:
         """Understand the instruments as the configuration of a plan says."""
         self.topics.use(configuration)
-        self.offsets.limit_s = configuration.capture.stamp_offset_s
+        self.offsets.limits = OffsetLimits.of(configuration.capture)
         self._joint = configuration.cell.joint
         self._interpreter = Interpreter(self.topics.settings, self._joint)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from rotcal_ros.capture.stamp_offsets import is_of_clocks, rejected_for
+from rotcal_ros.capture.stamp_offsets import OffsetLimits, is_of_clocks, rejected_for
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.observations import Observation
 
@@ -30,8 +30,8 @@ def judged_as_live(
 
 def same_limit(configuration: Configuration, recorded: Iterable[Configuration]) -> bool:
     """Return whether the clocks may differ as much as when it was ``recorded``."""
-    allowed_s = configuration.capture.stamp_offset_s
-    return all(known.capture.stamp_offset_s == allowed_s for known in recorded)
+    allowed = OffsetLimits.of(configuration.capture)
+    return all(OffsetLimits.of(known.capture) == allowed for known in recorded)
 
 
 def _attempt(observation: Observation) -> tuple[int, int, int]:

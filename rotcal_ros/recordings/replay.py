@@ -20,6 +20,7 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
 from rotcal_ros.capture.attempt import nanoseconds
+from rotcal_ros.capture.stamp_offsets import OffsetLimits
 from rotcal_ros.catalogue.configuration import (
     Configuration,
     parse_configuration,
@@ -273,7 +274,7 @@ def _feeder(calibration: catalogue.Calibration, configuration: Configuration) ->
         ),
         configuration.topics,
         min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
-        configuration.capture.stamp_offset_s,
+        OffsetLimits.of(configuration.capture),
     )
 
 

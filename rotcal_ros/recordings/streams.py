@@ -17,7 +17,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Columns
 from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.orders import Orders
-from rotcal_ros.capture.stamp_offsets import REFERENCE, StampOffsets
+from rotcal_ros.capture.stamp_offsets import REFERENCE, OffsetLimits, StampOffsets
 from rotcal_ros.instruments.conversion import FEEDBACK, READING
 from rotcal_ros.instruments.forms import STAMP, Form, form_of
 from rotcal_ros.instruments.interpreter import Interpreter, table_samples
@@ -66,7 +66,7 @@ class StreamFeeder:
     streams, by ``slice_ns`` of their stamps at most; as long as that is well within the clock
     tolerance, the capture's answer does not depend on it. ``make`` returns a new
     capture for the run with a number. ``joint`` names the table among the joint states; empty
-    means the first. ``offset`` says which clocks differ, by more than ``stamp_offset_s``,
+    means the first. ``offset`` says which clocks differ, by more than ``limits``,
     ``doubt`` which seem to by less, ``offsets`` what the bag tells of that at each observation.
     """
 
@@ -77,9 +77,9 @@ class StreamFeeder:
         make_finder: Callable[[], StepFinder] | None = None,
         topics: TopicSettings | None = None,
         slice_ns: int = SLICE_NS,
-        stamp_offset_s: float = math.inf,
+        limits: OffsetLimits | None = None,
     ) -> None:
-        self._clocks = StampOffsets(stamp_offset_s)
+        self._clocks = StampOffsets(limits or OffsetLimits())
         self.observations: list[Observation] = []
         self.offset, self.doubt, self.offsets = "", "", list[str]()
         self._make = make

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from capture_scenes import MS, SECOND, make_plan
 
-from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.capture.stamp_offsets import (
+    DOUBT_S,
+    OffsetLimits,
+    StampOffsets,
+    is_of_clocks,
+)
 
 ACCEPTED = make_plan().steps[0].observed((0.1,))
 START = 1_700_000_000 * SECOND
@@ -14,7 +20,7 @@ START = 1_700_000_000 * SECOND
 
 def told(*, tracer_s=0.0, table_s=0.0, scale=1.0, stall_s=0.0, many=False, seconds=3.0):
     """Return what is said after streams whose stamps are off by so much (ahead)."""
-    offsets = StampOffsets(1.0)
+    offsets = StampOffsets(OffsetLimits(1.0))
     rng = np.random.default_rng(1)
     for stream, period_ms, off_s in (
         ("tracer_length", 5, tracer_s),
@@ -54,7 +60,7 @@ def test_an_offset_is_told_with_what_to_state(off, setting):
 
 
 def test_a_clock_that_drifts_is_told_with_its_rate():
-    offsets, rate = StampOffsets(1.0), 0.02
+    offsets, rate = StampOffsets(OffsetLimits(1.0)), 0.02
     text = ""
     for k in range(60 * 50):
         now = START + k * 20 * MS
@@ -86,7 +92,7 @@ def test_one_clock_says_nothing_however_it_runs(cell):
     ("delays", "is_told"), [((4.0,) * 4, True), ((4.0, 1.5, 3.0, 2.2), False)]
 )
 def test_probe_points_are_held_against_the_table_as_they_come(delays, is_told):
-    offsets = StampOffsets(1.0)
+    offsets = StampOffsets(OffsetLimits(1.0))
     for number in range(200):
         now = START + number * 20 * MS
         offsets.note("joint_states", now, now)
@@ -97,7 +103,7 @@ def test_probe_points_are_held_against_the_table_as_they_come(delays, is_told):
 
 
 def test_what_is_measured_meanwhile_is_rejected_with_the_reason():
-    offsets = StampOffsets(1.0)
+    offsets = StampOffsets(OffsetLimits(1.0))
     assert offsets.judged(ACCEPTED) == ACCEPTED
     for number in range(200):
         now = START + number * 20 * MS
@@ -113,7 +119,7 @@ def test_what_is_measured_meanwhile_is_rejected_with_the_reason():
 @pytest.mark.parametrize("others", [[], [f"other_{letter}" for letter in "zyxwvutsr"]])
 def test_of_streams_that_are_all_off_every_process_names_the_same(others):
     """The order of a set of texts is another one in every process."""
-    offsets = StampOffsets(1.0)
+    offsets = StampOffsets(OffsetLimits(1.0))
     for now in range(START, START + 3 * SECOND, 50 * MS):
         offsets.note("joint_states", now, now)
         offsets.note("tracer_length", now - 4 * SECOND, now)
@@ -125,7 +131,7 @@ def test_of_streams_that_are_all_off_every_process_names_the_same(others):
 
 def test_a_table_whose_clock_drifts_is_told_the_rate_of_its_own_clock():
     """The table's stamps run 2 % slow: its clock falls behind by 20 ms in a second."""
-    offsets, text = StampOffsets(1.0), ""
+    offsets, text = StampOffsets(OffsetLimits(1.0)), ""
     for k in range(60 * 50):
         now = START + k * 20 * MS
         offsets.note("joint_states", now - round((now - START) * 0.02), now)
@@ -137,7 +143,7 @@ def test_a_table_whose_clock_drifts_is_told_the_rate_of_its_own_clock():
 
 
 def test_single_shots_of_a_bag_are_held_against_the_table_as_live_ones():
-    offsets = StampOffsets(1.0)
+    offsets = StampOffsets(OffsetLimits(1.0))
     for second in range(10):
         now = START + second * SECOND + np.arange(0, 1000, 20) * MS
         offsets.note_many("joint_states", now, now)
@@ -145,8 +151,8 @@ def test_single_shots_of_a_bag_are_held_against_the_table_as_live_ones():
     assert "stamps of tracer_length are constantly 4.0 s behind" in offsets.in_words()
 
 
-def doubted(off_s, *, seconds, many, scale=1.0):
-    offsets = StampOffsets(2.0)
+def offsets_of(off_s, *, seconds, many, scale=1.0, lasting_s=2.0):
+    offsets = StampOffsets(OffsetLimits(2.0, lasting_s))
     for second in range(seconds):
         now = START + second * SECOND + np.arange(0, 1000, 20) * MS
         stamps = START + ((now - START) * scale).astype(np.int64)
@@ -158,6 +164,11 @@ def doubted(off_s, *, seconds, many, scale=1.0):
             else:
                 for pair in zip(at.tolist(), now.tolist(), strict=True):
                     offsets.note(stream, *pair)
+    return offsets
+
+
+def doubted(*arguments, **keywords):
+    offsets = offsets_of(*arguments, **keywords)
     assert offsets.in_words() == ""
     return offsets.doubt_in_words()
 
@@ -166,8 +177,38 @@ def doubted(off_s, *, seconds, many, scale=1.0):
 def test_a_lasting_offset_below_the_limit_is_told_with_what_to_state(many):
     text = doubted(1.5, seconds=4, many=many)
     assert "tracer_length are constantly 1.50 s ahead of those of joint_states" in text
-    assert "up to 2 s (capture.stamp_offset_s) is accepted" in text
+    assert "nothing is rejected for so little" in text
     assert text.endswith("add 1.50 to topics.length_clock_offset_s")
     assert doubted(0.19, seconds=4, many=many) == ""
     assert doubted(1.5, seconds=1, many=many) == ""  # it may be over in a moment
     assert doubted(1.5, seconds=4, many=many, scale=20.0) == ""
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_an_offset_longer_than_settling_rejects_once_it_lasts(many):
+    settings = CaptureSettings(settle_time_s=0.5)
+    allowed_s = OffsetLimits.of(settings).lasting_s
+    assert allowed_s == 0.5
+    offsets = offsets_of(0.8, seconds=4, many=many, lasting_s=allowed_s)
+    text = offsets.in_words()
+    assert "tracer_length are constantly 0.80 s ahead of those of joint_states" in text
+    assert "more than the 0.5 s of settling (capture.settle_time_s)" in text
+    assert text.endswith("add 0.80 to topics.length_clock_offset_s")
+    assert is_of_clocks(text)
+    assert offsets.doubt_in_words() == ""
+    assert offsets_of(0.8, seconds=1, many=many, lasting_s=allowed_s).in_words() == ""
+    assert doubted(0.4, seconds=4, many=many, lasting_s=allowed_s)
+
+
+def test_an_estimate_is_not_trusted_below_what_arrivals_tell():
+    assert OffsetLimits.of(CaptureSettings(settle_time_s=0.01)).lasting_s == DOUBT_S
+
+
+def test_what_is_asked_may_answer_late():
+    offsets = StampOffsets(OffsetLimits(2.0, 0.5))
+    for second in range(10):
+        now = START + second * SECOND + np.arange(0, 1000, 20) * MS
+        offsets.note_many("joint_states", now, now)
+        offsets.note("tracer_length", int(now[0]) - round(0.8 * SECOND), int(now[0]))
+    assert offsets.in_words() == ""
+    assert "stamps of tracer_length are constantly 0.80 s behind" in offsets.doubt_in_words()

@@ -7,7 +7,7 @@ pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 
-from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.draining import received_ns, sent_ns
 
@@ -28,7 +28,7 @@ def batch(begin_s: float, end_s: float, behind_s: float):
 
 
 def test_an_offset_stays_known_behind_a_stall_of_the_node():
-    offsets = StampOffsets(1.0)
+    offsets = StampOffsets(OffsetLimits(1.0))
     for begin_s, end_s in ((0.0, 0.3), (0.3, 1.6)):  # after 0.3 s the node stands still
         for stream, behind_s in (("joint_states", 0.0), ("tracer_length", 4.0)):
             for message, info in batch(begin_s, end_s, behind_s):

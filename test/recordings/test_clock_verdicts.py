@@ -10,7 +10,7 @@ import pytest
 from bag_samples import CONFIGURATION, START_NS, Run, encode, open_writer
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.stamp_offsets import StampOffsets
+from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import changed, parse_configuration
 from rotcal_ros.observations import Command, Observation, ProbeSample, TableSample, TracerSample
@@ -39,7 +39,7 @@ class Live:
     recorded_late_s: float
     deaf_s: float = 0.0
     capture: Any = field(default_factory=lambda: prepare(SETUP).capture())
-    offsets: StampOffsets = field(default_factory=lambda: StampOffsets(LIMIT_S))
+    offsets: StampOffsets = field(default_factory=lambda: StampOffsets(OffsetLimits(LIMIT_S)))
 
     def received(self, record: Any) -> int:
         return came_ns(record, self.late_s)
@@ -106,7 +106,8 @@ def test_where_nothing_was_recorded_the_bag_tells(tmp_path: Path, simulated_run:
 
 
 def test_with_another_limit_the_bag_tells(tmp_path: Path, simulated_run: Run) -> None:
-    record_live(tmp_path / "bag", simulated_run, Live(1.5, 1.5))
+    live = Live(0.15, 0.15, offsets=StampOffsets(OffsetLimits(0.1)))
+    assert not any(o.accepted for o in record_live(tmp_path / "bag", simulated_run, live))
     lenient = changed(SETUP, ["capture.stamp_offset_s=2.0"])
     recording = read_recording(tmp_path / "bag", configuration=lenient)
     assert all(o.accepted for o in recording.observations)

@@ -1,0 +1,108 @@
+"""What clocks that may differ cost: held against drawn clocks and creeps, in every method."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rotcal_ros as rc
+from rotcal_ros.capture.settings import CaptureSettings
+from rotcal_ros.catalogue.calibration import prepare, prepare_to_measure
+from rotcal_ros.catalogue.clock_errors import angle_std, with_clock_errors
+from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.evaluation.budget import contributions
+from rotcal_ros.results import Directions, Result
+
+CONFIG = Path(__file__).parents[2] / "config"
+BOUND_S, CREEP = 0.02, 0.02 * rc.ARCSEC * 3600.0
+DRAWS = 200_000
+
+
+def drawn(count, seed=1):
+    """Return errors (draws, count) of angles: one clock for all, every angle with its creep."""
+    rng = np.random.default_rng(seed)
+    clock = rng.uniform(-BOUND_S, BOUND_S, (DRAWS, 1))
+    return clock * rng.uniform(-CREEP, CREEP, (DRAWS, count))
+
+
+def empty(count, **more):
+    zero = np.zeros(count)
+    return Result(
+        "method", np.arange(count) * 1.0, {"ECC": zero, "EXC": zero}, {"ECC": zero, "EXC": zero},
+        {"ECC": np.zeros((count, count)), "EXC": np.zeros((count, count))}, 1.0, 1, count, **more,
+    )  # fmt: skip
+
+
+def test_a_millisecond_at_the_largest_creep_is_24_thousandths_of_an_arcsecond():
+    settings = CaptureSettings(velocity_tolerance_deg_s=0.02)
+    assert angle_std(1e-3, settings) == pytest.approx(0.024 * rc.ARCSEC)
+
+
+def test_the_share_is_that_of_drawn_clocks_and_creeps():
+    errors = drawn(4)
+    cumulative = errors - errors[:, :1]
+    std = angle_std(BOUND_S, CaptureSettings(velocity_tolerance_deg_s=0.02))
+    found = with_clock_errors(
+        empty(4, adjacent_deviations=np.zeros(3), adjacent_std=np.zeros(3)), std
+    )
+    scale = std**2
+    np.testing.assert_allclose(
+        found.covariance["ECC"] / scale, np.cov(cumulative.T) / scale, atol=0.02
+    )
+    np.testing.assert_allclose(found.std["ECC"] ** 2, found.covariance["ECC"].diagonal())
+    np.testing.assert_allclose(
+        found.adjacent_std, np.diff(cumulative, axis=1).std(axis=0), rtol=0.01
+    )
+    assert not found.covariance["EXC"].any()
+
+
+def test_an_ecc_that_has_an_error_at_the_first_angle_too_counts_from_none():
+    before = empty(3)
+    before.covariance["ECC"][:] = np.eye(3)
+    share = with_clock_errors(before, 0.5).covariance["ECC"] - np.eye(3)
+    np.testing.assert_allclose(share, 0.25 * np.eye(3))
+
+
+def test_the_sides_of_a_reversal_have_errors_of_their_own():
+    errors = drawn(5)  # zero, then forward and reverse at two angles
+    sides = errors[:, 1:] - errors[:, :1]
+    zero = np.zeros(2)
+    both = Directions(zero, zero, zero, np.zeros((4, 4)))
+    std = angle_std(BOUND_S, CaptureSettings(velocity_tolerance_deg_s=0.02))
+    found = with_clock_errors(empty(2, directions={"ECC": both, "EXC": both}), std)
+    share = found.directions["ECC"].covariance / std**2
+    np.testing.assert_allclose(share, np.cov(sides.T) / std**2, atol=0.02)
+    reversal = sides[:, :2] - sides[:, 2:]
+    np.testing.assert_allclose(
+        found.directions["ECC"].reversal_std, reversal.std(axis=0), rtol=0.01
+    )
+    assert not found.directions["EXC"].covariance.any()
+
+
+@pytest.mark.parametrize(
+    "name", ["tracer_paper", "tracer_six_demo", "ball_plate_demo", "plane_mirror_demo"]
+)
+def test_a_stated_bound_is_part_of_every_result(name):
+    plain = read_configuration(CONFIG / f"{name}.yaml")
+    stated = changed(plain, [f"topics.clock_bound_s={BOUND_S}"])
+    observations = rc.simulate_observations(plain)
+    without, found = (prepare(c).solve(observations) for c in (plain, stated))
+    one = BOUND_S * plain.capture.velocity_tolerance_deg_s * 3600.0 * rc.ARCSEC / 3.0
+    counted = without.std["ECC"][0] == 0.0  # from the first angle
+    added = found.std["ECC"][1:] ** 2 - without.std["ECC"][1:] ** 2
+    np.testing.assert_allclose(added, (2.0 if counted else 1.0) * one**2, rtol=1e-6)
+    np.testing.assert_array_equal(found.deviations["ECC"], without.deviations["ECC"])
+    for other in {*found.std} - {"ECC"}:
+        np.testing.assert_array_equal(found.std[other], without.std[other])
+    parts = contributions(found, "ECC")
+    total = np.sum([part.std**2 for part in parts], axis=0)
+    np.testing.assert_allclose(total, found.std["ECC"] ** 2, rtol=1e-6)
+    named = [part.source for part in parts if part.source.startswith("Clocks that may differ")]
+    assert len(named) == ("budget" in without.details)
+
+
+def test_clocks_that_differ_by_more_than_settling_are_refused_before_anything_moves():
+    plain = read_configuration(CONFIG / "tracer_paper.yaml")
+    with pytest.raises(ConfigurationError, match=r"clock_bound_s = 0.1 is longer than capture"):
+        prepare_to_measure(changed(plain, ["topics.clock_bound_s=0.1"]))

@@ -1,0 +1,100 @@
+"""What a check of a cell says of devices behind drivers that are not started yet; no graph."""
+
+import socket
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("rotcal_msgs")
+
+from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.instrument_plugins.instrument import Tracer, Tracker
+from rotcal_ros.nodes import check_drivers
+from rotcal_ros.nodes.check_drivers import brought, driver_lines
+
+CONFIG = Path(__file__).parents[2] / "config"
+DME = read_configuration(CONFIG / "ball_plate_dme.yaml")
+TRACER = read_configuration(CONFIG / "tracer.yaml")
+PLUGIN = ("instrument.plugin=acme", "instrument.address=10.0.0.5:700")
+
+
+def heard(configuration, *nodes):
+    return SimpleNamespace(configuration=configuration, nodes=frozenset(nodes))
+
+
+def instrument(*kinds):
+    """Return an instrument of these kinds that must never be connected."""
+    kind = type("Fake", kinds, {})
+    kind.__abstractmethods__ = frozenset()
+    return kind()
+
+
+@pytest.fixture
+def server():
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        yield listening
+
+
+def test_a_machine_that_listens_is_there_and_nothing_is_said_to_it(server):
+    cell = heard(changed(DME, [f"dme.port={server.getsockname()[1]}"]))
+    (line,) = driver_lines(cell)
+    assert line.state == "good"
+    connection, _ = server.accept()
+    assert connection.recv(100) == b""  # hung up without a word
+    assert brought(cell) == dict.fromkeys(
+        ("joint_states", "probe_point", "table_angle", "probe_target"), "dme_adapter"
+    )
+
+
+def test_nobody_at_the_address_is_missing_with_what_to_do(server):
+    port = server.getsockname()[1]
+    server.close()
+    simulated = changed(DME, [f"dme.port={port}"])
+    (line,) = driver_lines(heard(simulated))
+    assert line.state == "missing"
+    assert line.found.startswith(f"nobody answers at 127.0.0.1:{port}: Connection refused")
+    assert line.todo == "start the simulated one: rotcal dme serve CONFIG"
+
+
+def test_a_driver_that_is_here_is_asked_for_nothing():
+    cell = heard(DME, "dme_adapter")
+    (line,) = driver_lines(cell)
+    assert (line.state, line.found) == (
+        "note",
+        "node dme_adapter is here and speaks to 127.0.0.1:1294",
+    )
+    assert brought(cell) == {}
+
+
+@pytest.mark.parametrize(
+    ("kinds", "words", "roles"),
+    [
+        ((Tracer,), "tells lengths", {"tracer_length"}),
+        ((Tracker,), "finds reflectors", {"probe_point", "probe_target"}),
+        (
+            (Tracer, Tracker), "tells lengths and finds reflectors",
+            {"tracer_length", "probe_point", "probe_target"},
+        ),
+    ],
+)  # fmt: skip
+def test_a_plug_in_is_made_and_not_connected(monkeypatch, kinds, words, roles):
+    monkeypatch.setattr(check_drivers, "instrument_of", lambda _: instrument(*kinds))
+    cell = heard(changed(TRACER, PLUGIN))
+    (line,) = driver_lines(cell)
+    assert (line.state, line.found) == ("open", f"plug-in acme, 10.0.0.5:700: {words}")
+    assert brought(cell) == dict.fromkeys(roles, "instrument_driver")
+
+
+def test_a_plug_in_that_is_not_installed_is_missing():
+    cell = heard(changed(TRACER, PLUGIN))
+    (line,) = driver_lines(cell)
+    assert line.state == "missing"
+    assert "acme" in line.found
+    assert brought(cell) == {}
+
+
+def test_without_drivers_there_is_nothing_to_say():
+    assert list(driver_lines(heard(TRACER))) == []
+    assert brought(heard(TRACER)) == {}
