@@ -39,11 +39,15 @@ def is_near(angle: float, commanded: float, tolerance: float) -> bool:
 
 
 def in_degrees(angle: float, commanded: float) -> bool:
-    """Tell whether a feedback ``angle`` is where the table was commanded to (rad), in degrees."""
+    """Tell whether a feedback ``angle`` is where the table was commanded to (rad), in degrees.
+
+    A small angle beside a commanded zero says nothing: it is near in either unit.
+    """
     if not isfinite(angle):
         return False
     off_deg = remainder(angle - commanded / DEGREE, _FULL_TURN_DEG)
-    return abs(off_deg) <= _SAME_DEG and abs(angle - commanded) > DEGREE
+    of_size = abs(remainder(commanded, 2.0 * pi)) > DEGREE or abs(angle - commanded) > 4.0 * pi
+    return abs(off_deg) <= _SAME_DEG and of_size and abs(angle - commanded) > DEGREE
 
 
 class TableSpeed:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rotcal_ros.observations import Approach
-from rotcal_ros.table_motion import TableSpeed, approached
+from rotcal_ros.table_motion import TableSpeed, approached, in_degrees
 
 angles = st.floats(-20.0, 20.0)
 
@@ -22,6 +22,24 @@ def test_the_last_run_up_is_on_the_ordered_side(here, goal, side):
     assert approached(-here, -goal, mirrored, 0.1) == pytest.approx(
         [-angle for angle in approached(here, goal, side, 0.1)]
     )
+
+
+@pytest.mark.parametrize(
+    ("angle", "commanded", "told"),
+    [
+        (30.0, pi / 6, True),
+        (390.0, pi / 6, True),
+        (-150.0, 7 * pi / 6, True),
+        (359.99, 2 * pi, True),  # 57 turns would be far
+        (-0.025, 0.0, False),  # 1.4 degrees beside 0, on the way to it, and no 0.025 degrees
+        (2 * pi - 0.025, 2 * pi, False),
+        (-0.025, 2 * pi, False),
+        (0.6, pi / 6, False),
+        (float("nan"), pi / 6, False),
+    ],
+)
+def test_a_feedback_in_degrees_is_known_by_its_size(angle, commanded, told):
+    assert in_degrees(angle, commanded) is told
 
 
 def test_without_a_side_it_goes_straight():

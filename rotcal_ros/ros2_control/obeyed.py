@@ -15,6 +15,8 @@ _LATE = 1.5
 """Times its duration that a way may take before it is called late."""
 _SPEED_S = 0.05
 """Time over which a velocity is taken from angles: long against the noise of an encoder."""
+_REST_S = 0.5
+"""So long a joint stands that is no longer on its way: what it tells meanwhile is its answer."""
 _FAR = 2 * TURN
 """rad, an angle at the start that is more likely one in degrees."""
 
@@ -140,12 +142,12 @@ class JointWatch:
         if order is None or self.arrived():
             return ""
         goal, angle = order.way.goal, self.latest.angle
-        if in_degrees(angle, goal):
+        still_s = now_s - self._moved_s
+        if still_s > _REST_S and in_degrees(angle, goal):
             return (
                 f"the table tells {angle:.6g} where {goal:.6g} rad were ordered: its feedback is "
                 "in degrees, joint_states must be in rad"
             )
-        still_s = now_s - self._moved_s
         if not order.moved and still_s > patience:
             return (
                 f"the table has not moved for {still_s:.1f} s since it was sent to "

@@ -132,7 +132,9 @@ def test_degrees_are_named():
     joint = Joint(0.0)
     joint.order(30 * DEG)
     joint.angle = 30.0  # the joint went there, and tells it in degrees
-    joint.stay(0.1)
+    joint.stay(0.3)
+    assert joint.complaint() == ""  # a table that passes by tells nothing
+    joint.stay(0.4)
     assert "tells 30 where 0.523599 rad were ordered: its feedback is in degrees" in (
         joint.complaint()
     )
