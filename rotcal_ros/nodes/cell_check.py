@@ -41,6 +41,7 @@ from rotcal_ros.nodes.check_drivers import driver_lines
 from rotcal_ros.nodes.check_frames import FramesHeard
 from rotcal_ros.nodes.check_heard import Heard
 from rotcal_ros.nodes.check_neighbours import cell_lines
+from rotcal_ros.nodes.check_safety import safety_lines
 from rotcal_ros.nodes.check_streams import clock_line, stream_lines
 from rotcal_ros.nodes.check_table import machine_lines, table_start
 from rotcal_ros.nodes.concerns import OFFSET
@@ -143,6 +144,7 @@ def _lines(
     yield from stream_lines(heard)
     yield from machine_lines(heard)
     yield from driver_lines(heard)
+    yield from safety_lines(heard)
     yield clock_line(heard)
     yield from frames.lines(heard)
     if calibration is not None:
