@@ -46,7 +46,7 @@ def in_degrees(angle: float, commanded: float) -> bool:
     if not isfinite(angle):
         return False
     off_deg = remainder(angle - commanded / DEGREE, _FULL_TURN_DEG)
-    of_size = abs(remainder(commanded, 2.0 * pi)) > DEGREE or abs(angle - commanded) > 4.0 * pi
+    of_size = abs(remainder(commanded, 2.0 * pi)) > DEGREE or abs(angle) > 4.0 * pi
     return abs(off_deg) <= _SAME_DEG and of_size and abs(angle - commanded) > DEGREE
 
 

@@ -34,6 +34,7 @@ def test_the_last_run_up_is_on_the_ordered_side(here, goal, side):
         (-0.025, 0.0, False),  # 1.4 degrees beside 0, on the way to it, and no 0.025 degrees
         (2 * pi - 0.025, 2 * pi, False),
         (-0.025, 2 * pi, False),
+        (-0.01, 6 * pi, False),
         (0.6, pi / 6, False),
         (float("nan"), pi / 6, False),
     ],

@@ -30,7 +30,10 @@ class CaptureSettings:
         1.0, doc="s, longest pause of the table feedback at rest", minimum=1e-3, maximum=3600.0
     )
     settle_time_s: float = setting(
-        0.5, doc="s, from table in position and probe at its target to the window", minimum=0.0
+        0.5,
+        doc="s, from table in position and probe at its target to the window; the stamps of "
+        "lengths may be ahead of the table's by so much",
+        minimum=0.0,
     )
     window_samples: int = setting(
         200,

@@ -19,6 +19,7 @@ from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.observations import Observation
 from rotcal_ros.units import NANOSECOND
 
+LENGTHS: Final = "tracer_length"
 REFERENCE: Final = "joint_states"
 """The stream that the others are held against: it never pauses."""
 _OPENING: Final = "by the times of arrival the stamps of "
@@ -42,10 +43,14 @@ _Far = tuple[str, int, int | None]
 
 @dataclass(frozen=True, slots=True)
 class OffsetLimits:
-    """Offsets, s, beyond which observations are spoilt: seen for a moment, and lasting ones."""
+    """Offsets, s, beyond which observations are spoilt.
+
+    ``at_once_s`` counts for any stream, either way; ``ahead_s`` for lengths whose stamps have been
+    ahead of the table's for a while.
+    """
 
     at_once_s: float = inf
-    lasting_s: float = inf
+    ahead_s: float = inf
 
     @classmethod
     def of(cls, settings: CaptureSettings) -> OffsetLimits:
@@ -89,12 +94,12 @@ class StampOffsets:
                 f"{_OPENING}{_constantly(far, 1)}, allowed {self.limits.at_once_s:g} s "
                 f"(capture.stamp_offset_s): two clocks, set them alike{self._advice(*far)}"
             )
-        if far := self._far(self.limits.lasting_s, _LASTING):
+        if far := self._lengths_ahead():
             return (
                 f"{_OPENING}{_constantly(far, 2)}, and stay so: more than the "
-                f"{self.limits.lasting_s:g} s of settling (capture.settle_time_s), so what is "
-                "measured may be of the motion before; two clocks, or a stream that comes late "
-                f"(a longer time outlasts it){self._advice(*far)}"
+                f"{self.limits.ahead_s:g} s of settling (capture.settle_time_s), so a length may "
+                "be of the motion before; two clocks, or feedback that comes late (a longer time "
+                f"outlasts it){self._advice(*far)}"
             )
         return ""
 
@@ -110,22 +115,39 @@ class StampOffsets:
             )
         return ""
 
-    def _far(self, limit_s: float, intervals: int, shots: int | None = None) -> _Far | None:
-        """Return the first stream that differs by more in so many intervals, or in ``shots``.
+    def compared(self) -> tuple[str, ...]:
+        """Return the streams of which it is known how far they are from the table's."""
+        others = sorted(self._ahead.keys() - {REFERENCE})
+        return tuple(s for s in others if self._difference_ns(s, _LASTING, _EVENTS) is not None)
 
-        Who is asked may answer late, and always alike: without ``shots`` they are let be.
+    def _lengths_ahead(self) -> _Far | None:
+        """Return by how much lengths are said to be later than they were, if that spoils them.
+
+        Those that are said to be earlier were taken in the same rest, only later.
         """
-        reference_ns = self._offset_ns(REFERENCE, intervals)
+        ahead_ns = self._difference_ns(LENGTHS, _LASTING) or 0
+        spoilt = ahead_ns * NANOSECOND > self.limits.ahead_s
+        return (LENGTHS, ahead_ns, self._offset_ns(REFERENCE, _LASTING)) if spoilt else None
+
+    def _far(self, limit_s: float, intervals: int, shots: int) -> _Far | None:
+        """Return the first stream that differs by more, either way."""
         for stream in sorted(self._ahead.keys() - {REFERENCE}):
-            offset_ns, difference = self._offset_ns(stream, intervals), 0
-            if offset_ns is not None and reference_ns is not None:
-                difference = offset_ns - reference_ns
-                self._first.setdefault(stream, (max(self._ahead[stream]), difference))
-            elif shots:
-                difference = _agreed(self._events.get(stream, {}).values(), shots) or 0
+            difference = self._difference_ns(stream, intervals, shots) or 0
             if abs(difference) * NANOSECOND > limit_s:
-                return stream, difference, reference_ns
+                return stream, difference, self._offset_ns(REFERENCE, intervals)
         return None
+
+    def _difference_ns(self, stream: str, intervals: int, shots: int | None = None) -> int | None:
+        """Return how far a stream is ahead of the table's, in so many intervals or ``shots``.
+
+        None: that is not known. Who is asked may answer late: ``shots`` None lets it be.
+        """
+        offset_ns, reference_ns = (self._offset_ns(s, intervals) for s in (stream, REFERENCE))
+        if offset_ns is not None and reference_ns is not None:
+            difference = offset_ns - reference_ns
+            self._first.setdefault(stream, (max(self._ahead[stream]), difference))
+            return difference
+        return _agreed(self._events.get(stream, {}).values(), shots) if shots else None
 
     def judged(self, observation: Observation) -> Observation:
         """Return an observation, rejected where the clocks of its streams differ."""

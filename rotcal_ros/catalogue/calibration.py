@@ -11,7 +11,7 @@ from rotcal_ros.bags.names import TRACER_LENGTH
 from rotcal_ros.capture import Capture
 from rotcal_ros.catalogue.air import Refraction
 from rotcal_ros.catalogue.air_settings import AirSettings
-from rotcal_ros.catalogue.clock_errors import angle_std, require_settled, with_clock_errors
+from rotcal_ros.catalogue.clock_errors import arrival_std, require_settled, with_clock_errors
 from rotcal_ros.catalogue.configuration import Configuration, read_policy
 from rotcal_ros.catalogue.continuation import ATTEMPTS_PER_RUN, Continuation, continued
 from rotcal_ros.catalogue.disturbance import DisturbedMeasurement, Sizes
@@ -84,8 +84,7 @@ class Calibration:
         result = self.refraction.solve(
             used, partial(self.method.solve, self.configuration, self.plan)
         )
-        bound_s = self.configuration.topics.clock_bound_s
-        result = with_clock_errors(result, angle_std(bound_s, self.configuration.capture))
+        result = with_clock_errors(result, self.arrival_std())
         measured_on = agreed(self.in_force(announced))
         if measured_on != UNKNOWN:
             result = replace(result, measured_on=measured_on)
@@ -121,6 +120,16 @@ class Calibration:
         """What is done about the index of refraction of the air."""
         lengths = TRACER_LENGTH in self.method.topics
         return Refraction(self.configuration.air, self.configuration.source, lengths=lengths)
+
+    def arrival_std(self) -> float:
+        """Return what clocks that may differ make uncertain of every arrival, rad.
+
+        Raises ConfigurationError where lengths may be of a motion then.
+        """
+        bound_s, capture = self.configuration.topics.clock_bound_s, self.configuration.capture
+        if TRACER_LENGTH in self.method.topics:
+            require_settled(bound_s, capture)
+        return arrival_std(bound_s, capture)
 
     def stand_at(self, step: Step) -> Point | None:
         """Return where the instrument stands at a step (m, machine frame), if it stands apart."""
@@ -237,7 +246,7 @@ def prepare_to_measure(configuration: Configuration) -> Calibration:
     """
     calibration = prepare_whole(configuration)
     calibration.refraction.require_sources(configuration.capture)
-    require_settled(configuration.topics.clock_bound_s, configuration.capture)
+    calibration.arrival_std()  # clocks may differ by more than an uncertainty can cover
     calibration.policy(calibration.from_the_start())
     return calibration
 

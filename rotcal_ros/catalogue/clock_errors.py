@@ -20,64 +20,82 @@ from rotcal_ros.units import DEGREE
 
 SOURCE: Final = "clocks"
 """Its name in the budget of a method that has one."""
-_COMPONENT: Final = "ECC"
-"""The one deviation that a turn of the table about its axis goes into."""
+COMPONENT: Final = "ECC"
+"""The deviation that a turn of the table about its axis goes into."""
 
 
 def require_settled(bound_s: float, settings: CaptureSettings) -> None:
-    """Raise ConfigurationError where clocks may differ by more than the table settles."""
+    """Raise ConfigurationError where clocks may differ by more than a table settles."""
     if bound_s > settings.settle_time_s:
         raise ConfigurationError(
             f"topics.clock_bound_s = {bound_s:g} is longer than capture.settle_time_s = "
-            f"{settings.settle_time_s:g}: a window may then be of the motion before, which no "
+            f"{settings.settle_time_s:g}: a length may then be of the motion before, which no "
             "uncertainty covers; let the table settle longer, or the clocks agree better"
         )
 
 
-def angle_std(bound_s: float, settings: CaptureSettings) -> float:
-    """Return the standard uncertainty, rad, of one angle by clocks that differ within a bound.
+def arrival_std(bound_s: float, settings: CaptureSettings) -> float:
+    """Return the standard uncertainty, rad, of one arrival by clocks that differ within a bound.
 
     The error is the product of the clocks' difference and the table's creep, both within bounds
-    and without a favourite (rectangular: JCGM 100, 4.3.7), of unknown sign at every position.
+    and without a favourite (rectangular: JCGM 100, 4.3.7); the creep is another at every arrival.
     """
     return bound_s * settings.velocity_tolerance_deg_s * DEGREE / 3.0
 
 
 def with_clock_errors(result: Result, std: float) -> Result:
-    """Return a result whose ECC is uncertain by ``std`` (rad) at every angle besides.
+    """Return a result whose ECC has an error of ``std`` (rad) besides, at every arrival.
 
-    An ECC that counts from the first angle has the error of that one too.
+    An ECC that counts from the first angle has the error of that one too; where it is the mean
+    from both sides, either side has its own. One creep is taken for all that was measured at an
+    angle from a side: no other deviation feels it then.
     """
-    if not std or _COMPONENT not in result.deviations:
+    if not std or COMPONENT not in result.deviations:
         return result
-    share = std**2 * _unit_covariance(result.covariance[_COMPONENT])
-    covariance = result.covariance[_COMPONENT] + share
+    mean, sides = _errors(result)
+    share = std**2 * (mean @ mean.T)
+    covariance = result.covariance[COMPONENT] + share
     adjacent = result.adjacent_std
+    if adjacent is not None:
+        steps = np.diff(mean, axis=0)
+        adjacent = np.sqrt(adjacent**2 + std**2 * np.sum(steps**2, axis=1))
     return replace(
         result,
-        std={**result.std, _COMPONENT: np.sqrt(covariance.diagonal())},
-        covariance={**result.covariance, _COMPONENT: covariance},
-        adjacent_std=None if adjacent is None else np.hypot(adjacent, np.sqrt(2.0) * std),
-        directions={n: _both(d, n, std) for n, d in result.directions.items()},
+        std={**result.std, COMPONENT: np.sqrt(covariance.diagonal())},
+        covariance={**result.covariance, COMPONENT: covariance},
+        adjacent_std=adjacent,
+        directions=_with_sides(result.directions, std**2 * (sides @ sides.T)),
         details=_with_source(result.details, np.sqrt(share.diagonal())),
     )
 
 
-def _unit_covariance(covariance: Floats) -> Floats:
-    """Return the covariance (n, n) of ECC where every angle has an error of its own, of size 1."""
-    n = len(covariance)
-    errors = np.eye(n)
-    if n and covariance[0, 0] == 0.0:
-        errors[:, 0] -= 1.0
-    return np.asarray(errors @ errors.T, dtype=np.float64)
+def _errors(result: Result) -> tuple[Floats, Floats]:
+    """Return by how much the errors (p,) of all arrivals go into ECC (n, p) and its sides (2k, p).
+
+    The first n errors are those of the angles, from the only side or with increasing angle, the
+    other k those with decreasing angle.
+    """
+    n = len(result.angles)
+    both = result.directions.get(COMPONENT)
+    at = np.zeros(0, int) if both is None else _places(both.angles, result.angles)
+    forward, reverse = np.eye(n + len(at))[at], np.eye(n + len(at))[n:]
+    mean = np.eye(n, n + len(at))
+    mean[at] = 0.5 * (forward + reverse)
+    counts_from_first = n > 0 and result.covariance[COMPONENT][0, 0] == 0.0
+    zero = mean[:1] if counts_from_first else np.zeros((1, n + len(at)))
+    return mean - zero, np.vstack([forward, reverse]) - zero
 
 
-def _both(sides: Directions, name: str, std: float) -> Directions:
-    """Return the directions of ECC, each with an error of its own and that of their zero."""
-    if name != _COMPONENT:
-        return sides
-    size = len(sides.covariance)
-    return replace(sides, covariance=sides.covariance + std**2 * (np.eye(size) + 1.0))
+def _places(angles: Floats, among: Floats) -> Any:
+    """Return which of the angles ``among`` the ``angles`` are."""
+    return np.argmin(np.abs(angles[:, None] - among), axis=1)
+
+
+def _with_sides(directions: Mapping[str, Directions], share: Floats) -> Mapping[str, Directions]:
+    both = directions.get(COMPONENT)
+    if both is None:
+        return directions
+    return {**directions, COMPONENT: replace(both, covariance=both.covariance + share)}
 
 
 def _with_source(details: Mapping[str, Any], std: Floats) -> Mapping[str, Any]:

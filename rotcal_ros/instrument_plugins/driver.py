@@ -10,7 +10,7 @@ from math import isfinite
 from threading import Event, Thread
 from typing import Final
 
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.instrument_plugins.instrument import (
     Instrument,
     InstrumentError,
@@ -32,7 +32,15 @@ PATIENCE_S: Final = 10.0
 def instrument_of(settings: InstrumentSettings) -> Instrument:
     """Return the instrument that the settings name; ConfigurationError when there is none."""
     make: Make = load(INSTRUMENTS, settings.plugin, "instrument (instrument.plugin)")
-    instrument = make(settings.address, settings.by_name())
+    options = settings.by_name()
+    try:
+        instrument = make(settings.address, options)
+    except RotcalError:
+        raise
+    except Exception as error:  # of somebody else's code
+        raise ConfigurationError(
+            f"instrument.plugin: {settings.plugin} cannot be made: {type(error).__name__}: {error}"
+        ) from error
     if not isinstance(instrument, Tracer | Tracker):
         raise ConfigurationError(
             f"instrument.plugin: {settings.plugin} makes neither a Tracer nor a Tracker of "

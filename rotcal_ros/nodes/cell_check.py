@@ -25,6 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
+from rotcal_ros.bags.topic_settings import TopicSettings
 from rotcal_ros.capture.stamp_offsets import OffsetLimits, StampOffsets
 from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.catalogue.calibration import prepare_to_measure
@@ -33,6 +34,7 @@ from rotcal_ros.catalogue.configuration import parse_configuration, read_configu
 from rotcal_ros.catalogue.dry_run import DryRun
 from rotcal_ros.catalogue.method import DEFAULT
 from rotcal_ros.errors import BagError
+from rotcal_ros.instruments.conventions import Conventions
 from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.nodes.capture import CaptureNode
 from rotcal_ros.nodes.cell_graph import CellGraph
@@ -86,13 +88,15 @@ class Listening:
         self.executor.add_node(self.node)
         self.executor.add_node(self._ears)
         self.headers: dict[str, HeaderWatch] = {}
-        self._offsets = StampOffsets(OffsetLimits(0.0))
+        self._offsets = StampOffsets(OffsetLimits())
+        self._conventions = Conventions(TopicSettings())
         self.frames = FramesHeard(self.node)
         steady_timer(self.node, _LOOK_S, self._look)
 
     def announce(self, calibration: Calibration) -> None:
         """Let the ears know what they listen for, as a planner does."""
         configuration = calibration.configuration
+        self._conventions = Conventions(configuration.topics)
         self._plans = self._ears.create_publisher(CalibrationPlan, names.PLAN, LATCHED)
         self._plans.publish(
             CalibrationPlan(
@@ -111,11 +115,14 @@ class Listening:
         self._offsets.limits = OffsetLimits.of(configuration.capture)
         if clocks := self._offsets.in_words():  # also of a stream that is of no other use
             words.setdefault(OFFSET, clocks)
-        return Heard(CellGraph(self.node), words, self.headers, configuration, calibration)
+        compared = self._offsets.compared()
+        graph = CellGraph(self.node)
+        return Heard(graph, words, self.headers, configuration, calibration, compared)
 
-    def _stamped(self, topic: str, stamp_ns: int, received_ns: int) -> None:
+    def _stamped(self, topic: str, stamp_ns: int, sent_ns: int, received_ns: int) -> None:
         if topic in TIMED:
-            self._offsets.note(topic, stamp_ns, received_ns)
+            taken_ns = self._conventions.taken_ns(topic, stamp_ns, sent_ns)
+            self._offsets.note(topic, taken_ns, received_ns)
 
     def _look(self) -> None:
         """Listen to the headers of every stream once it is there."""

@@ -139,11 +139,12 @@ class CellLinks:
         stops = [stop] if stop and self.publishers(stop) else []
         recorded = (*measured, *ORDERS, names.PLAN, names.OBSERVATION, names.STEP_CHOICE, *stops)
         unheard = (topic for topic in recorded if "recorder" not in graph.listeners(topic))
-        return (
-            found
-            + here
-            + [f"the recorder does not listen to {self.resolve(t)} yet" for t in unheard]
-        )
+        return found + here + [self._unrecorded(self.resolve(topic)) for topic in unheard]
+
+    def _unrecorded(self, name: str) -> str:
+        """Say that the recorder does not listen to a topic yet, or why it never will."""
+        why = self.health.values("recorder").get(name, "")
+        return f"the recorder does not listen to {name}{': ' + why if why else ' yet'}"
 
     def missing_air(self, expected: Iterable[str]) -> dict[str, str]:
         """Return role -> absolute name of those ``expected`` topics that nobody publishes."""

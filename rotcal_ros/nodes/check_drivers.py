@@ -24,14 +24,28 @@ _BRINGS: Final = {
 """Streams that the driver of a group will tell, and orders that it will obey."""
 
 
-def brought(heard: Heard) -> dict[str, str]:
-    """Return role -> node of all that drivers will bring which are not here yet."""
-    return {
-        role: FURTHER_NODES[group]
-        for group in (_TABLE, _DME, _PLUGIN)
-        if group in heard.configuration.given and FURTHER_NODES[group] not in heard.nodes
-        for role in (_of_the_plugin(heard) if group == _PLUGIN else _BRINGS[group])
-    }
+def brought(heard: Heard) -> dict[str, list[str]]:
+    """Return role -> nodes of all that drivers will bring which are not here yet."""
+    found: dict[str, list[str]] = {}
+    for group in (_TABLE, _DME, _PLUGIN):
+        node = FURTHER_NODES[group]
+        if group in heard.configuration.given and node not in heard.nodes:
+            for role in _of_the_plugin(heard) if group == _PLUGIN else _BRINGS[group]:
+                found.setdefault(role, []).append(node)
+    return found
+
+
+def brought_line(heard: Heard, part: str, role: str, does: str) -> CheckLine | None:
+    """Return the line of a role that a driver will bring; None where none will."""
+    nodes = heard.brought.get(role, [])
+    if len(nodes) > 1:
+        found, todo = f"{' and '.join(nodes)} would both play it", "leave one of their groups out"
+        return CheckLine(part, role, "missing", found, todo)
+    return (
+        CheckLine(part, role, "note", f"{nodes[0]} {does}, which rotcal run starts")
+        if nodes
+        else None
+    )
 
 
 def driver_lines(heard: Heard) -> Iterator[CheckLine]:
@@ -44,7 +58,7 @@ def driver_lines(heard: Heard) -> Iterator[CheckLine]:
 
 
 def _dme_line(heard: Heard) -> CheckLine:
-    """Say whether somebody answers at the address; a server that is in use is let alone."""
+    """Say whether the address takes connections; beside an adapter of this cell none is tried."""
     settings, node = heard.configuration.dme, FURTHER_NODES[_DME]
     place = f"{settings.host}:{settings.port}"
     if node in heard.nodes:
@@ -54,11 +68,11 @@ def _dme_line(heard: Heard) -> CheckLine:
     try:
         with socket.create_connection((settings.host, settings.port), settings.reply_timeout_s):
             found = f"{place} takes connections; nothing was said there, rotcal run begins"
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # the latter for a name that no host can have
         todo = "start the machine's server, or correct dme.host and dme.port"
         if heard.configuration.simulated:
             todo = "start the simulated one: rotcal dme serve CONFIG"
-        found = f"nobody answers at {place}: {error.strerror or error}"
+        found = f"nobody answers at {place}: {getattr(error, 'strerror', '') or error}"
         return CheckLine("machine", "I++ DME", "missing", found, todo)
     return CheckLine("machine", "I++ DME", "good", found)
 

@@ -12,6 +12,7 @@ from rotcal_ros.catalogue import Calibration, Configuration
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.node_names import FURTHER_NODES, further_nodes
 from rotcal_ros.nodes.cell_graph import CellGraph
+from rotcal_ros.nodes.check_drivers import brought
 from rotcal_ros.nodes.header_watch import HeaderWatch
 from rotcal_ros.nodes.preflight import Values
 from rotcal_ros.nodes.topic_names import TOPIC
@@ -21,13 +22,17 @@ SIMULATION: Final = FURTHER_NODES["simulation"]
 
 @dataclass(frozen=True)
 class Heard:
-    """What a check has to judge by; ``calibration``: None where no configuration was given."""
+    """What a check has to judge by; ``calibration``: None where no configuration was given.
+
+    ``compared`` are the streams whose clocks could be held against that of the table.
+    """
 
     graph: CellGraph
     values: Values
     headers: Mapping[str, HeaderWatch]
     configuration: Configuration
     calibration: Calibration | None
+    compared: tuple[str, ...]
 
     def name(self, role: str) -> str:
         """Return the absolute name of the topic of a role, as the capture knows it."""
@@ -48,6 +53,11 @@ class Heard:
         """The names of the nodes that are in the cell's namespace."""
         place = self.graph.node.get_namespace().rstrip("/")
         return frozenset(n for n, where in self.graph.nodes() if where.rstrip("/") == place)
+
+    @cached_property
+    def brought(self) -> Mapping[str, list[str]]:
+        """Role -> nodes of all that drivers will bring which ``rotcal run`` starts."""
+        return brought(self)
 
     @property
     def topics(self) -> tuple[str, ...]:

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from rotcal_ros.catalogue.check_lines import CheckLine
-from rotcal_ros.node_names import NODES
+from rotcal_ros.node_names import NODES, further_nodes
 from rotcal_ros.nodes.cell_graph import CellGraph
-from rotcal_ros.nodes.check_drivers import brought
 from rotcal_ros.sessions.domains import DEFAULT_DOMAIN, domains_in_use
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ def cell_lines(heard: Heard) -> Iterator[CheckLine]:
         elsewhere = len(others) - len(here)
         more = f"; {elsewhere} elsewhere in this domain" if elsewhere else ""
         yield CheckLine("cell", "nodes", "note", f"{', '.join(here) or 'none'} in {place}{more}")
-    if busy := sorted(set(here) & set(NODES)):
+    if busy := sorted({*here} & {*NODES, *further_nodes(heard.configuration.given)}):
         found = f"nodes of a calibration are here already: {', '.join(busy)}"
         todo = "rotcal run would be refused here: let it end (rotcal attach), or use its nodes"
         yield CheckLine("cell", "calibration", "doubt", found, todo)
@@ -40,7 +39,7 @@ def _nobody(heard: Heard) -> CheckLine:
     domain = int(os.environ.get("ROS_DOMAIN_ID") or DEFAULT_DOMAIN)
     if heard.started_by_us:
         return CheckLine("cell", "nodes", "note", "none; rotcal run starts the simulated ones")
-    if brought(heard).keys() >= {*heard.topics}:
+    if heard.brought.keys() >= {*heard.topics}:
         return CheckLine("cell", "nodes", "note", "none; rotcal run starts the drivers")
     used = [d for d in domains_in_use() if d != domain]
     todo = "start your nodes with the same ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE as here"

@@ -7,16 +7,15 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from rotcal_ros.bags import names
-from rotcal_ros.capture.stamp_offsets import OffsetLimits
+from rotcal_ros.capture.stamp_offsets import DOUBT_S
 from rotcal_ros.catalogue.check_lines import CheckLine, State
 from rotcal_ros.instruments.conventions import single_shots
 from rotcal_ros.instruments.interpreter import FAST
-from rotcal_ros.nodes.check_drivers import brought
+from rotcal_ros.nodes.check_drivers import brought_line
 from rotcal_ros.nodes.check_heard import Heard
 from rotcal_ros.nodes.check_neighbours import namesakes
 from rotcal_ros.nodes.concerns import CLOCK_DOUBT, OFFSET
 from rotcal_ros.nodes.header_watch import HeaderWatch
-from rotcal_ros.nodes.instrument_streams import TIMED
 from rotcal_ros.nodes.latest import NOW, REFUSED
 from rotcal_ros.nodes.preflight import (
     air_doubts,
@@ -60,16 +59,13 @@ def stream_lines(heard: Heard) -> Iterator[CheckLine]:
 
 def clock_line(heard: Heard) -> CheckLine:
     """Say whether the clocks of the streams agree, by the times of arrival."""
-    limits = OffsetLimits.of(heard.configuration.capture)
     if OFFSET in heard.values:
         return CheckLine("clocks", "stamps", "missing", heard.values[OFFSET], _CLOCKS)
     if doubt := heard.values.get(CLOCK_DOUBT):
         return CheckLine("clocks", "stamps", "doubt", doubt, _CLOCKS)
-    timed = [t for t in TIMED if t in heard.headers and heard.headers[t].ahead_s is not None]
-    if len(timed) < 2:
+    if not heard.compared:
         return CheckLine("clocks", "stamps", "note", "too few stamped streams to compare")
-    allowed_s = min(limits.at_once_s, limits.lasting_s)
-    found = f"{', '.join(timed)} agree within {allowed_s:g} s"
+    found = f"{', '.join(heard.compared)} and joint_states agree within {DOUBT_S:g} s"
     return CheckLine("clocks", "stamps", "good", found)
 
 
@@ -95,8 +91,8 @@ def _absent(heard: Heard, topic: str) -> CheckLine:
     name = heard.name(topic)
     if heard.started_by_us:
         return CheckLine(part, topic, "note", "simulated: rotcal run starts it")
-    if node := brought(heard).get(topic):
-        return CheckLine(part, topic, "note", f"{node} tells it, which rotcal run starts")
+    if line := brought_line(heard, part, topic, "tells it"):
+        return line
     air = ([], []) if heard.calibration is None else expected_air(heard.calibration)
     required, wished = air
     if topic in heard.topics or topic in required:

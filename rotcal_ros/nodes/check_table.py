@@ -10,7 +10,7 @@ from rotcal_ros.bags import names
 from rotcal_ros.catalogue.check_lines import CheckLine
 from rotcal_ros.escapes import printable
 from rotcal_ros.nodes.cell_graph import ORDERS
-from rotcal_ros.nodes.check_drivers import brought
+from rotcal_ros.nodes.check_drivers import brought_line
 from rotcal_ros.nodes.matching import deaf_listeners
 from rotcal_ros.nodes.table_feedback import (
     chosen_joint,
@@ -35,7 +35,7 @@ _ADAPTER: Final = "table_adapter"
 
 def machine_lines(heard: Heard) -> Iterator[CheckLine]:
     """Yield a line for the joint and for every order."""
-    if brought(heard).get(names.TABLE_ANGLE) == _ADAPTER:
+    if _ADAPTER in heard.brought.get(names.TABLE_ANGLE, ()):
         yield from _adapter_lines(heard)
     elif joints(heard.values):
         yield _joint_line(heard)
@@ -73,8 +73,8 @@ def _order_lines(heard: Heard, order: str) -> Iterator[CheckLine]:
     """Yield who obeys an order, and who else than the planner gives it."""
     part, graph = _PARTS[order], heard.graph
     name, machines = graph.resolve(order), graph.machines(order)
-    if node := brought(heard).get(order):
-        yield CheckLine(part, order, "note", f"{node} obeys it, which rotcal run starts")
+    if line := brought_line(heard, part, order, "obeys it"):
+        yield line
     elif heard.started_by_us and not machines:
         yield CheckLine(part, order, "note", "simulated: rotcal run starts who obeys it")
     elif why := list(graph.without_machine(order)):

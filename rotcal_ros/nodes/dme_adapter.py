@@ -23,8 +23,6 @@ from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import BLOCKED, show
 from rotcal_ros.nodes.emergency_stop import EmergencyStop
-from rotcal_ros.nodes.health import BEAT_PERIOD_S
-from rotcal_ros.nodes.identity import TAKE_OVER_S
 from rotcal_ros.nodes.planners_plans import PlannersPlans
 from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
 from rotcal_ros.nodes.qos import EVENT, STREAM
@@ -36,8 +34,8 @@ from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.safety_settings import SafetySettings
 
 WATCH_PERIOD_S: Final = 0.1
-LOOKS_FIRST: Final = round((4.1 + BEAT_PERIOD_S + TAKE_OVER_S) / WATCH_PERIOD_S)
-"""Looks before the machine is spoken to: time to find an adapter that was there, and hear it."""
+LOOKS_FIRST: Final = round(5.0 / WATCH_PERIOD_S)
+"""Looks before the machine is spoken to: 5 s to find an adapter that was there, and hear it."""
 PLANNER: Final = "planner"
 UNBLOCKED: Final = ("", NOT_STARTED)
 HOW_TO_GO_ON: Final = "; once that is put right, a person goes on with the service clear_errors"

@@ -14,7 +14,7 @@ from typing import Any
 
 from rclpy.node import Node
 
-from rotcal_ros.nodes.draining import Batch, DrainedSubscription
+from rotcal_ros.nodes.draining import Batch, DrainedSubscription, sent_ns
 from rotcal_ros.nodes.qos import adapted_qos
 from rotcal_ros.units import NANOSECOND
 
@@ -83,11 +83,11 @@ def read_header(data: bytes) -> tuple[int, str]:
 
 
 def watch_headers(
-    node: Node, message_type: Any, topic: str, stamped: Callable[[int, int], None]
+    node: Node, message_type: Any, topic: str, stamped: Callable[[int, int, int], None]
 ) -> HeaderWatch:
     """Return the headers of an absolute ``topic`` from now on, whoever publishes it.
 
-    ``stamped`` is called with stamp and time of arrival (ns) of every stamped message.
+    ``stamped`` is called with stamp, time of sending and of arrival (ns) of every stamped message.
     """
     watch = HeaderWatch(has_header="header" in message_type.get_fields_and_field_types())
 
@@ -96,7 +96,7 @@ def watch_headers(
             received_ns = info["received_timestamp"] or time.time_ns()
             stamp_ns = watch.note(data, received_ns)
             if stamp_ns:
-                stamped(stamp_ns, received_ns)
+                stamped(stamp_ns, sent_ns(info), received_ns)
 
     offers = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
     DrainedSubscription(node, message_type, topic, adapted_qos(offers), take, raw=True)

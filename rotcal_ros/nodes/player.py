@@ -30,7 +30,7 @@ from rotcal_ros.nodes.peer import Peer
 from rotcal_ros.nodes.plans import REFUSED, RUN, run_name
 from rotcal_ros.nodes.player_arguments import read_arguments
 from rotcal_ros.nodes.recorded_qos import offered_qos
-from rotcal_ros.nodes.replay_guard import ORDERS, all_have_names, conflicts
+from rotcal_ros.nodes.replay_guard import ORDERS, ReplayGuard
 from rotcal_ros.nodes.replay_outcome import ReplayOutcome
 from rotcal_ros.nodes.replay_pace import CLOCK_PERIOD_S, ReplayPace
 from rotcal_ros.nodes.replayed_bag import ReplayedBag
@@ -38,8 +38,8 @@ from rotcal_ros.nodes.running import EndRequest, leave_with
 
 LOOK_AROUND_S: Final = 2.0
 """So long the graph is looked at before anything is published."""
-LISTENERS_S, NAMES_S, PLAN_TAKEN_S, NODES_S = 10.0, 10.0, 120.0, 60.0
-GUARD_PERIOD_S, TOLD_PERIOD_S = 1.0, 0.2
+LISTENERS_S, PLAN_TAKEN_S, NODES_S = 10.0, 120.0, 60.0
+TOLD_PERIOD_S: Final = 0.2
 _AHEAD_S: Final = 5e-4  # nobody waits for less
 
 
@@ -55,7 +55,8 @@ class Player:
         self._node = peer.node
         self._health = Health(self._node, None)
         self._outcome = ReplayOutcome(peer, bag, self._health, end, everything=given.everything)
-        self._guarded_s = self._told_s = 0.0
+        self._guard = ReplayGuard(self._node, self._health, bag, given, self._wait)
+        self._told_s = 0.0
         self._pace = ReplayPace(self._node, bag.start_ns, given.rate, clock=given.clock)
         self._publishers: dict[str, tuple[Publisher, Converter]] = {}
 
@@ -65,7 +66,7 @@ class Player:
         missing = partial(self._health.missing, self._given.nodes)
         if not self._wait(lambda: not missing(), NODES_S):
             raise ConfigurationError(f"not here within {NODES_S:g} s: {', '.join(missing())}")
-        self._guard(*self._bag.channels)
+        self._guard.look(*self._bag.channels)
         self._make_publishers()
         unheard = partial(self._outcome.unheard, self._publishers, with_plan=False)
         self._wait(lambda: not unheard(), LISTENERS_S)
@@ -87,7 +88,7 @@ class Player:
             return
         role = self._bag.called.role(channel.topic)
         if role in ORDERS:  # a machine may have come since the last look around
-            self._guard(channel.topic)
+            self._guard.look(channel.topic)
         publisher.publish(converted)
         if role == names.PLAN:
             self._have_taken(deserialize_message(converted, CalibrationPlan))
@@ -154,15 +155,8 @@ class Player:
             self._peer.work_until(lambda: True, 0.0)
             done_s = min(self._pace.passed_s(), self._bag.seconds)
             say("playing", done_s=done_s, total_s=self._bag.seconds)
-        if now_s - self._guarded_s > GUARD_PERIOD_S:
-            self._guarded_s = now_s
-            self._guard(*self._publishers)
-
-    def _guard(self, *topics: str) -> None:
-        """Raise ConfigurationError when a machine, or another source, of ``topics`` is there."""
-        self._wait(lambda: all_have_names(self._node, topics), NAMES_S)
-        if found := conflicts(self._node, self._health, self._bag, topics, self._given):
-            raise ConfigurationError("; ".join(found))
+        if self._guard.is_due():
+            self._guard.look(*self._publishers)
 
 
 def _work() -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from argparse import Namespace
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 from rclpy.node import Node
 
 from rotcal_ros.bags import names
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.node_names import NODES, VIEWERS
 from rotcal_ros.nodes.health import CALIBRATING, Health
 from rotcal_ros.nodes.replayed_bag import CLOCK, ReplayedBag
@@ -27,16 +29,47 @@ _OF_THE_PLANNER: Final = (
 """Roles that an idle planner is known to publish."""
 _NAMELESS: Final = "_NODE_NAME_UNKNOWN_"
 """What the middleware calls a node whose topics it hears of before its name."""
+_NAMES_S, _PERIOD_S = 10.0, 1.0
+Wait = Callable[[Callable[[], bool], float], object]
 
 
-def all_have_names(node: Node, topics: Iterable[str]) -> bool:
-    """Return whether it is known by now which nodes publish ``topics`` and listen to them."""
-    return not any(
-        info.node_name == _NAMELESS
-        for topic in topics
-        for look in (node.get_publishers_info_by_topic, node.get_subscriptions_info_by_topic)
-        for info in look(topic)
-    )
+class ReplayGuard:
+    """Looks around again and again; ``wait`` waits while the recording stands still.
+
+    A node is known by its topics before it is by its name: each gets some time to tell it.
+    """
+
+    def __init__(
+        self, node: Node, health: Health, bag: ReplayedBag, given: Namespace, wait: Wait
+    ) -> None:
+        self._node, self._health, self._bag, self._given = node, health, bag, given
+        self._wait = wait
+        self._looked_s = 0.0
+        self._had_time = set[bytes]()
+
+    def is_due(self) -> bool:
+        """Return whether the last look was long ago."""
+        return time.monotonic() - self._looked_s > _PERIOD_S
+
+    def look(self, *topics: str) -> None:
+        """Raise ConfigurationError when a machine, or another source, of ``topics`` is there."""
+        self._wait(lambda: not self._nameless(topics), _NAMES_S)
+        self._had_time |= self._nameless(topics)
+        self._looked_s = time.monotonic()
+        if found := conflicts(self._node, self._health, self._bag, topics, self._given):
+            raise ConfigurationError("; ".join(found))
+
+    def _nameless(self, topics: Iterable[str]) -> set[bytes]:
+        """Return publishers of ``topics`` and listeners to orders without a name, by their gid."""
+        publishers, listeners = (
+            self._node.get_publishers_info_by_topic,
+            self._node.get_subscriptions_info_by_topic,
+        )
+        ends = [info for topic in topics for info in publishers(topic)]
+        orders = [topic for topic in topics if self._bag.called.role(topic) in ORDERS]
+        ends += [info for topic in orders for info in listeners(topic)]
+        found = {bytes(info.endpoint_gid) for info in ends if info.node_name == _NAMELESS}
+        return found - self._had_time
 
 
 def conflicts(

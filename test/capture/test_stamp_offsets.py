@@ -151,8 +151,8 @@ def test_single_shots_of_a_bag_are_held_against_the_table_as_live_ones():
     assert "stamps of tracer_length are constantly 4.0 s behind" in offsets.in_words()
 
 
-def offsets_of(off_s, *, seconds, many, scale=1.0, lasting_s=2.0):
-    offsets = StampOffsets(OffsetLimits(2.0, lasting_s))
+def offsets_of(off_s, *, seconds, many, scale=1.0, ahead_s=2.0):
+    offsets = StampOffsets(OffsetLimits(2.0, ahead_s))
     for second in range(seconds):
         now = START + second * SECOND + np.arange(0, 1000, 20) * MS
         stamps = START + ((now - START) * scale).astype(np.int64)
@@ -185,30 +185,33 @@ def test_a_lasting_offset_below_the_limit_is_told_with_what_to_state(many):
 
 
 @pytest.mark.parametrize("many", [False, True])
-def test_an_offset_longer_than_settling_rejects_once_it_lasts(many):
+def test_lengths_said_to_be_later_by_more_than_settling_are_rejected_once_that_lasts(many):
     settings = CaptureSettings(settle_time_s=0.5)
-    allowed_s = OffsetLimits.of(settings).lasting_s
+    allowed_s = OffsetLimits.of(settings).ahead_s
     assert allowed_s == 0.5
-    offsets = offsets_of(0.8, seconds=4, many=many, lasting_s=allowed_s)
+    offsets = offsets_of(0.8, seconds=4, many=many, ahead_s=allowed_s)
     text = offsets.in_words()
     assert "tracer_length are constantly 0.80 s ahead of those of joint_states" in text
     assert "more than the 0.5 s of settling (capture.settle_time_s)" in text
     assert text.endswith("add 0.80 to topics.length_clock_offset_s")
     assert is_of_clocks(text)
     assert offsets.doubt_in_words() == ""
-    assert offsets_of(0.8, seconds=1, many=many, lasting_s=allowed_s).in_words() == ""
-    assert doubted(0.4, seconds=4, many=many, lasting_s=allowed_s)
+    assert offsets_of(0.8, seconds=1, many=many, ahead_s=allowed_s).in_words() == ""
+    assert doubted(0.4, seconds=4, many=many, ahead_s=allowed_s)
+    # what is said to be earlier was taken in the same rest
+    assert "0.80 s behind" in doubted(-0.8, seconds=4, many=many, ahead_s=allowed_s)
 
 
 def test_an_estimate_is_not_trusted_below_what_arrivals_tell():
-    assert OffsetLimits.of(CaptureSettings(settle_time_s=0.01)).lasting_s == DOUBT_S
+    assert OffsetLimits.of(CaptureSettings(settle_time_s=0.01)).ahead_s == DOUBT_S
 
 
-def test_what_is_asked_may_answer_late():
+def test_what_is_asked_may_answer_late_and_a_probe_knows_no_settling():
     offsets = StampOffsets(OffsetLimits(2.0, 0.5))
     for second in range(10):
         now = START + second * SECOND + np.arange(0, 1000, 20) * MS
         offsets.note_many("joint_states", now, now)
-        offsets.note("tracer_length", int(now[0]) - round(0.8 * SECOND), int(now[0]))
+        offsets.note_many("probe_point", now + round(0.8 * SECOND), now)
+        offsets.note("tracer_length", int(now[0]) + round(0.8 * SECOND), int(now[0]))
     assert offsets.in_words() == ""
-    assert "stamps of tracer_length are constantly 0.80 s behind" in offsets.doubt_in_words()
+    assert "stamps of probe_point are constantly 0.80 s ahead" in offsets.doubt_in_words()

@@ -8,7 +8,7 @@ import pytest
 import rotcal_ros as rc
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.catalogue.calibration import prepare, prepare_to_measure
-from rotcal_ros.catalogue.clock_errors import angle_std, with_clock_errors
+from rotcal_ros.catalogue.clock_errors import arrival_std, with_clock_errors
 from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.evaluation.budget import contributions
@@ -36,13 +36,13 @@ def empty(count, **more):
 
 def test_a_millisecond_at_the_largest_creep_is_24_thousandths_of_an_arcsecond():
     settings = CaptureSettings(velocity_tolerance_deg_s=0.02)
-    assert angle_std(1e-3, settings) == pytest.approx(0.024 * rc.ARCSEC)
+    assert arrival_std(1e-3, settings) == pytest.approx(0.024 * rc.ARCSEC)
 
 
 def test_the_share_is_that_of_drawn_clocks_and_creeps():
     errors = drawn(4)
     cumulative = errors - errors[:, :1]
-    std = angle_std(BOUND_S, CaptureSettings(velocity_tolerance_deg_s=0.02))
+    std = arrival_std(BOUND_S, CaptureSettings(velocity_tolerance_deg_s=0.02))
     found = with_clock_errors(
         empty(4, adjacent_deviations=np.zeros(3), adjacent_std=np.zeros(3)), std
     )
@@ -65,17 +65,23 @@ def test_an_ecc_that_has_an_error_at_the_first_angle_too_counts_from_none():
 
 
 def test_the_sides_of_a_reversal_have_errors_of_their_own():
-    errors = drawn(5)  # zero, then forward and reverse at two angles
-    sides = errors[:, 1:] - errors[:, :1]
+    """Three angles counted from the first; the last one is reached from one side alone."""
+    errors = drawn(5)
+    forward, reverse, alone = errors[:, :2], errors[:, 2:4], errors[:, 4:]
+    mean = np.hstack([0.5 * (forward + reverse), alone])
+    sides = np.hstack([forward, reverse]) - mean[:, :1]
     zero = np.zeros(2)
-    both = Directions(zero, zero, zero, np.zeros((4, 4)))
-    std = angle_std(BOUND_S, CaptureSettings(velocity_tolerance_deg_s=0.02))
-    found = with_clock_errors(empty(2, directions={"ECC": both, "EXC": both}), std)
+    both = Directions(np.array([0.0, 1.0]), zero, zero, np.zeros((4, 4)))
+    before = empty(3, directions={"ECC": both, "EXC": both})
+    std = arrival_std(BOUND_S, CaptureSettings(velocity_tolerance_deg_s=0.02))
+    found = with_clock_errors(before, std)
+    np.testing.assert_allclose(
+        found.covariance["ECC"] / std**2, np.cov((mean - mean[:, :1]).T) / std**2, atol=0.02
+    )
     share = found.directions["ECC"].covariance / std**2
     np.testing.assert_allclose(share, np.cov(sides.T) / std**2, atol=0.02)
-    reversal = sides[:, :2] - sides[:, 2:]
     np.testing.assert_allclose(
-        found.directions["ECC"].reversal_std, reversal.std(axis=0), rtol=0.01
+        found.directions["ECC"].reversal_std, (forward - reverse).std(axis=0), rtol=0.01
     )
     assert not found.directions["EXC"].covariance.any()
 
@@ -102,7 +108,14 @@ def test_a_stated_bound_is_part_of_every_result(name):
     assert len(named) == ("budget" in without.details)
 
 
-def test_clocks_that_differ_by_more_than_settling_are_refused_before_anything_moves():
+def test_clocks_that_differ_by_more_than_settling_are_refused_before_and_after():
     plain = read_configuration(CONFIG / "tracer_paper.yaml")
-    with pytest.raises(ConfigurationError, match=r"clock_bound_s = 0.1 is longer than capture"):
-        prepare_to_measure(changed(plain, ["topics.clock_bound_s=0.1"]))
+    stated = changed(plain, ["topics.clock_bound_s=0.1"])
+    for work in (prepare_to_measure, lambda c: prepare(c).solve(rc.simulate_observations(plain))):
+        with pytest.raises(ConfigurationError, match=r"clock_bound_s = 0.1 is longer"):
+            work(stated)
+
+
+def test_a_method_that_does_not_wait_for_a_table_to_settle_may_state_any_bound():
+    plate = read_configuration(CONFIG / "ball_plate_demo.yaml")
+    prepare_to_measure(changed(plate, ["topics.clock_bound_s=1.0"]))

@@ -11,6 +11,7 @@ from threading import Thread
 import pytest
 
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.instrument_plugins import driver
 from rotcal_ros.instrument_plugins.driver import InstrumentDriver, Listeners, instrument_of
 from rotcal_ros.instrument_plugins.instrument import (
     InstrumentError,
@@ -286,6 +287,15 @@ def test_a_fault_of_the_plug_in_is_told_as_its_fault():
 def test_an_address_or_option_that_it_cannot_use_is_refused(address, options, said):
     with pytest.raises(ConfigurationError, match=said):
         mytracer.make(address, options)
+
+
+def test_a_plug_in_that_fails_while_it_is_made_is_named(monkeypatch):
+    def make(address, options):
+        return {}[address]
+
+    monkeypatch.setattr(driver, "load", lambda *_: make)
+    with pytest.raises(ConfigurationError, match=r"acme cannot be made: KeyError: 'here'"):
+        instrument_of(InstrumentSettings(plugin="acme", address="here"))
 
 
 def test_settings_without_a_plug_in_or_with_half_an_option_are_refused():

@@ -12,10 +12,12 @@ from rotcal_ros.nodes.cell_links import CellLinks
 STOP = "/safety/estop"
 
 
-def links(*, publishers, recorded):
+def links(*, publishers, recorded, refused=""):
     """Return the links of a cell without instruments, whose machine obeys every order."""
     found = CellLinks.__new__(CellLinks)
-    found.health = SimpleNamespace(values=lambda _: {})
+    found.health = SimpleNamespace(
+        values=lambda name: {STOP: refused} if refused and name == "recorder" else {}
+    )
     found.graph = SimpleNamespace(
         publishers=lambda topic: publishers if topic == STOP else [],
         listeners=lambda topic: ["recorder"] if topic != STOP or recorded else [],
@@ -39,3 +41,9 @@ def test_a_stop_that_somebody_publishes_is_recorded_before_anything_moves(
     cell = links(publishers=publishers, recorded=recorded)
     assert cell.missing_topics((), (), STOP) == missing
     assert cell.missing_topics((), (), "") == []
+
+
+def test_why_a_recorder_never_listens_is_told():
+    cell = links(publishers=["plc"], recorded=False, refused="its type is not installed")
+    told = f"the recorder does not listen to {STOP}: its type is not installed"
+    assert cell.missing_topics((), (), STOP) == [told]

@@ -12,7 +12,7 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.catalogue.configuration import changed, read_configuration
 from rotcal_ros.instrument_plugins.instrument import Tracer, Tracker
 from rotcal_ros.nodes import check_drivers
-from rotcal_ros.nodes.check_drivers import brought, driver_lines
+from rotcal_ros.nodes.check_drivers import brought, brought_line, driver_lines
 
 CONFIG = Path(__file__).parents[2] / "config"
 DME = read_configuration(CONFIG / "ball_plate_dme.yaml")
@@ -21,7 +21,9 @@ PLUGIN = ("instrument.plugin=acme", "instrument.address=10.0.0.5:700")
 
 
 def heard(configuration, *nodes):
-    return SimpleNamespace(configuration=configuration, nodes=frozenset(nodes))
+    found = SimpleNamespace(configuration=configuration, nodes=frozenset(nodes))
+    found.brought = brought(found)
+    return found
 
 
 def instrument(*kinds):
@@ -43,9 +45,8 @@ def test_a_machine_that_listens_is_there_and_nothing_is_said_to_it(server):
     assert line.state == "good"
     connection, _ = server.accept()
     assert connection.recv(100) == b""  # hung up without a word
-    assert brought(cell) == dict.fromkeys(
-        ("joint_states", "probe_point", "table_angle", "probe_target"), "dme_adapter"
-    )
+    roles = ("joint_states", "probe_point", "table_angle", "probe_target")
+    assert brought(cell) == {role: ["dme_adapter"] for role in roles}
 
 
 def test_nobody_at_the_address_is_missing_with_what_to_do(server):
@@ -84,7 +85,7 @@ def test_a_plug_in_is_made_and_not_connected(monkeypatch, kinds, words, roles):
     cell = heard(changed(TRACER, PLUGIN))
     (line,) = driver_lines(cell)
     assert (line.state, line.found) == ("open", f"plug-in acme, 10.0.0.5:700: {words}")
-    assert brought(cell) == dict.fromkeys(roles, "instrument_driver")
+    assert brought(cell) == {key: ["instrument_driver"] for key in roles}
 
 
 def test_a_plug_in_that_is_not_installed_is_missing():
@@ -98,3 +99,20 @@ def test_a_plug_in_that_is_not_installed_is_missing():
 def test_without_drivers_there_is_nothing_to_say():
     assert list(driver_lines(heard(TRACER))) == []
     assert brought(heard(TRACER)) == {}
+
+
+def test_two_drivers_for_one_table_are_one_too_many():
+    cell = heard(changed(DME, ["table_adapter.controller=/drive"]))
+    line = brought_line(cell, "table", "joint_states", "tells it")
+    assert (line.state, line.found) == (
+        "missing", "table_adapter and dme_adapter would both play it"
+    )  # fmt: skip
+    line = brought_line(cell, "probe", "probe_point", "tells it")
+    assert (line.state, line.found) == ("note", "dme_adapter tells it, which rotcal run starts")
+    assert brought_line(cell, "air", "temperature", "tells it") is None
+
+
+def test_a_host_that_can_have_no_address_is_missing_too():
+    (line,) = driver_lines(heard(changed(DME, ["dme.host=cmm..lab"])))
+    assert line.state == "missing"
+    assert line.found.startswith("nobody answers at cmm..lab:1294: ")

@@ -14,6 +14,8 @@ from rotcal_ros.nodes.check_safety import safety_lines
 PLAIN = read_configuration(Path(__file__).parents[2] / "config" / "tracer.yaml")
 STATED = changed(PLAIN, ["safety.emergency_stop=/safety/estop"])
 NONE = changed(PLAIN, ["safety.emergency_stop=''"])
+SILENT = changed(PLAIN, ["safety.silent_s=1.0"])
+DRIVE = changed(NONE, ["safety.stop_on_diagnostics=[drive]"])
 
 
 def line_of(configuration, *types):
@@ -31,7 +33,9 @@ def line_of(configuration, *types):
         (STATED, ["std_msgs/msg/Bool"], "good", "node plc publishes /safety/estop"),
         (STATED, [], "doubt", "nobody publishes /safety/estop"),
         (STATED, ["std_msgs/msg/Int8"], "missing", "/safety/estop is of type std_msgs/msg/Int8"),
-        (PLAIN, [], "note", "nobody publishes /cell/emergency_stop: no message stops this cell"),
+        (PLAIN, [], "note", "nobody publishes /cell/emergency_stop"),
+        (SILENT, [], "missing", "nobody publishes /cell/emergency_stop, and its silence stops"),
+        (DRIVE, [], "note", "an ERROR of drive stops the cell"),
     ],
 )
 def test_who_stops_the_cell_is_told(configuration, types, state, words):

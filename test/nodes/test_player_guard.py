@@ -10,64 +10,82 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.bags import names
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.nodes.player import Player
+from rotcal_ros.nodes.replay_guard import ReplayGuard
 
+NAMELESS = "_NODE_NAME_UNKNOWN_"
 TOPICS = [f"/cell/{role}" for role in (names.TABLE_ANGLE, names.PROBE_TARGET, "joint_states")]
 
 
-@pytest.fixture
-def replay():
-    """Return a player, who listens to every topic, what was published, how long it stood still."""
-    listeners, published, stood_s = [], [], []
-    publisher = SimpleNamespace(publish=published.append)
-    player = Player.__new__(Player)
-    player._publishers = dict.fromkeys(TOPICS, (publisher, lambda data, _run: data))
-    player._bag = SimpleNamespace(
-        called=SimpleNamespace(role=lambda topic: topic.removeprefix("/cell/")), outputs=()
-    )
-    player._node = SimpleNamespace(
-        get_subscriptions_info_by_topic=lambda _: [
-            SimpleNamespace(node_name=n) for n in listeners
-        ],
-        get_publishers_info_by_topic=lambda _: [],
-        get_name=lambda: "player",
-    )
-    player._health = SimpleNamespace(state=lambda _: "idle")
-    player._given = SimpleNamespace(everything=False, clock=False, watchers=())
-    player._pace, player._end = SimpleNamespace(stood_still=stood_s.append), False
-    return player, listeners, published, stood_s
+class Replay:
+    """A player of TOPICS to ``listeners``, a node's name each; ``hear`` is what a wait brings."""
+
+    def __init__(self):
+        self.listeners, self.published, self.waited = [], [], 0
+        self.hear = lambda: None
+        publisher = SimpleNamespace(publish=self.published.append)
+        self.player = player = Player.__new__(Player)
+        player._publishers = dict.fromkeys(TOPICS, (publisher, lambda data, _run: data))
+        bag = player._bag = SimpleNamespace(
+            called=SimpleNamespace(role=lambda topic: topic.removeprefix("/cell/")), outputs=()
+        )
+        node = SimpleNamespace(
+            get_subscriptions_info_by_topic=lambda _: [*map(self._subscription, self.listeners)],
+            get_publishers_info_by_topic=lambda _: [],
+            get_name=lambda: "player",
+        )
+        health = SimpleNamespace(state=lambda _: "idle")
+        given = SimpleNamespace(everything=False, clock=False, watchers=())
+        player._guard = ReplayGuard(node, health, bag, given, self._wait)
+
+    def publish(self, topic):
+        self.player._publish(SimpleNamespace(topic=topic), topic, 1)
+
+    def _subscription(self, name):
+        return SimpleNamespace(node_name=name, endpoint_gid=[len(self.listeners)] * 16)
+
+    def _wait(self, condition, timeout_s):
+        """Wait as a player does: hear what comes, once for each time-out."""
+        if not condition():
+            assert timeout_s < 60.0
+            self.waited += 1
+            self.hear()
 
 
-def publish(player, topic):
-    player._publish(SimpleNamespace(topic=topic), topic, 1)
-
-
-def test_the_graph_is_asked_before_every_order_and_no_machine_gets_one(replay):
-    player, listeners, published, _ = replay
+def test_the_graph_is_asked_before_every_order_and_no_machine_gets_one():
+    replay = Replay()
     for topic in TOPICS:
-        publish(player, topic)
-    assert published == TOPICS
-    listeners.append("table_adapter")
+        replay.publish(topic)
+    assert replay.published == TOPICS
+    replay.listeners.append("table_adapter")
     for topic in TOPICS[:2]:
         with pytest.raises(ConfigurationError, match=f"node table_adapter listens to {topic}"):
-            publish(player, topic)
-    assert published == TOPICS
+            replay.publish(topic)
+    assert replay.published == TOPICS
+    assert replay.waited == 0
 
 
-@pytest.mark.parametrize(("name", "harmless"), [("recorder", True), ("table_adapter", False)])
-def test_who_listens_without_a_name_is_waited_for(replay, name, harmless):
-    player, listeners, published, stood_s = replay
-    listeners.append("_NODE_NAME_UNKNOWN_")
-
-    def work_until(_condition, _timeout_s):
-        assert published == []
-        listeners[:] = [name]
-
-    player._peer = SimpleNamespace(work_until=work_until)
+@pytest.mark.parametrize(
+    ("name", "harmless"), [("recorder", True), ("table_adapter", False), (NAMELESS, False)]
+)
+def test_who_listens_without_a_name_is_waited_for(name, harmless):
+    replay = Replay()
+    replay.listeners.append(NAMELESS)
+    replay.hear = lambda: replay.listeners.__setitem__(0, name)
     if harmless:
-        publish(player, TOPICS[0])
-        assert published == TOPICS[:1]
+        replay.publish(TOPICS[0])
     else:
-        with pytest.raises(ConfigurationError, match="node table_adapter listens to"):
-            publish(player, TOPICS[0])
-        assert published == []
-    assert 0.0 < sum(stood_s) < 10.0
+        with pytest.raises(ConfigurationError, match=f"node {name} listens to"):
+            replay.publish(TOPICS[0])
+    assert replay.published == TOPICS[:harmless]
+    assert replay.waited == 1
+
+
+def test_a_name_that_never_comes_is_waited_for_once_and_only_where_it_counts():
+    replay = Replay()
+    replay.listeners.append(NAMELESS)
+    replay.player._guard.look(*TOPICS[2:])  # who listens to joint_states moves nothing
+    assert replay.waited == 0
+    for _ in range(3):
+        with pytest.raises(ConfigurationError, match=f"node {NAMELESS} listens to"):
+            replay.publish(TOPICS[0])
+    assert replay.waited == 1

@@ -29,7 +29,7 @@ TOPICS = {
 
 @dataclass
 class Live:
-    """A live capture that gets the tracer ``late_s`` behind the other streams.
+    """A live capture that gets the tracer ``late_s`` behind its stamps, negative: ahead of them.
 
     It is deaf to when the tracer comes before ``deaf_s``; its recorder gets the tracer
     ``recorded_late_s`` behind the others.
@@ -39,7 +39,9 @@ class Live:
     recorded_late_s: float
     deaf_s: float = 0.0
     capture: Any = field(default_factory=lambda: prepare(SETUP).capture())
-    offsets: StampOffsets = field(default_factory=lambda: StampOffsets(OffsetLimits(LIMIT_S)))
+    offsets: StampOffsets = field(
+        default_factory=lambda: StampOffsets(OffsetLimits.of(SETUP.capture))
+    )
 
     def received(self, record: Any) -> int:
         return came_ns(record, self.late_s)
@@ -79,7 +81,7 @@ def record_live(
 
 @pytest.mark.parametrize(
     ("late_s", "recorded_late_s", "deaf_s"),
-    [(1.5, 1.5, 0.0), (1.5, 1.5, 20.0), (1.5, 0.0, 0.0)],
+    [(1.5, 1.5, 0.0), (1.5, 1.5, 20.0), (1.5, 0.0, 0.0), (-0.8, -0.8, 0.0), (-0.8, 0.0, 0.0)],
 )
 def test_offline_rejects_what_live_rejected_and_nothing_else(
     tmp_path: Path, simulated_run: Run, late_s: float, recorded_late_s: float, deaf_s: float
@@ -88,7 +90,7 @@ def test_offline_rejects_what_live_rejected_and_nothing_else(
     expected = record_live(tmp_path / "bag", simulated_run, live)
     accepted = [o for o in expected if o.accepted]
     assert len(accepted) == (3 if deaf_s else 0)
-    assert len(expected) == 4
+    assert len(expected) == (4 if late_s > 0.0 else 5)
     assert all("by the times of arrival" in o.reason for o in expected if not o.accepted)
     recording = read_recording(tmp_path / "bag")
     assert recording.observations == recording.recorded == expected
