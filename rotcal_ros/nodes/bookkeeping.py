@@ -41,17 +41,18 @@ class TopicLosses:
         """Count from zero; the numbers of the publishers go on."""
         self._gaps = self._reported = 0
 
-    def number(self, number: int | None, publisher: bytes) -> int:
+    def number(self, number: int | None, publisher: bytes) -> int | None:
         """Take the number that ``publisher`` gave a message; None or 0 where there are none.
 
-        Return how many messages are known to be lost by that which were not known before.
+        Return how many messages are known to be lost before it which were not known before, 0
+        where they had been reported; None where nothing is missing.
         """
         if not number:
-            return 0
+            return None
         gap = number - self._sequences.get(publisher, number - 1) - 1
         self._sequences[publisher] = number
         if gap <= 0:
-            return 0
+            return None
         known, self._gaps = self.count, self._gaps + gap
         return self.count - known
 

@@ -139,12 +139,11 @@ class Listener:
             for _, info in batch:
                 publisher = info.get("publisher_gid")
                 received_ns = info["received_timestamp"] or time.time_ns()
-                if publisher is not None and (
-                    lost := topic.losses.number(
-                        info.get("publication_sequence_number"), bytes(publisher["data"])
-                    )
-                ):
-                    missed(lost, received_ns, GAP)
+                number = info.get("publication_sequence_number")
+                if publisher is not None:
+                    lost = topic.losses.number(number, bytes(publisher["data"]))
+                    if lost is not None:
+                        missed(lost, received_ns, GAP)
                 topic.heard_ns = received_ns
             self._hand_over(topic, batch)
 

@@ -46,7 +46,8 @@ def test_each_witness_tells_only_what_is_new():
     losses = taken((ONE, 1))
     assert losses.report(2) == 2
     assert losses.number(4, ONE) == 0
-    assert losses.number(8, ONE) == 3
+    assert losses.number(5, ONE) is None
+    assert losses.number(9, ONE) == 3
     assert losses.report(2) == 0
     assert losses.report(2) == 1
     assert losses.count == 6
