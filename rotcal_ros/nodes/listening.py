@@ -137,13 +137,9 @@ class Listener:
             if name == names.TF_STATIC:
                 topic.latched.append(Messages.taken(topic.channel, batch))
             for _, info in batch:
-                publisher = info.get("publisher_gid")
                 received_ns = info["received_timestamp"] or time.time_ns()
-                number = info.get("publication_sequence_number")
-                if publisher is not None:
-                    lost = topic.losses.number(number, bytes(publisher["data"]))
-                    if lost is not None:
-                        missed(lost, received_ns, GAP)
+                if (lost := _lost_before(topic, info)) is not None:
+                    missed(lost, received_ns, GAP)
                 topic.heard_ns = received_ns
             self._hand_over(topic, batch)
 
@@ -169,6 +165,14 @@ class Listener:
                 ),
             )
         )
+
+
+def _lost_before(topic: HeardTopic, info: Any) -> int | None:
+    """Return how many messages are newly missing before one, by its number; None: none is."""
+    publisher = info.get("publisher_gid")
+    if publisher is None:
+        return None
+    return topic.losses.number(info.get("publication_sequence_number"), bytes(publisher["data"]))
 
 
 def _wanted_topics(node: Node, further: Collection[str]) -> dict[str, str]:
