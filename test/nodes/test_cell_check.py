@@ -50,7 +50,7 @@ def cells(tmp_path, monkeypatch):
     ]
     yield
     for process in running:
-        process.terminate()
+        process.kill()  # nothing of theirs is to be kept
     for process in running:
         process.wait(10)
 
