@@ -105,16 +105,33 @@ _SETTLED_NS: Final = 1_000_000_000
 """This long after a clock was set back no observation of before is on its way any more."""
 
 
+PATIENCE_S: Final = 2.0
+"""So long an observation waits for the point that answered its order, when all else has come."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting:
+    """An observation that wants its receipt; all but its point has been here since ``all_else_s``.
+
+    That is monotonic time.
+    """
+
+    window_end_ns: int
+    receipt: Receipt
+    all_else_s: float | None = None
+
+
 class PendingReceipts:
     """Receipts of observations whose readings may still be on their way here.
 
     Where the clock of the readings is set back, those of the windows before it have come. Where
-    orders are ``answered`` by points that echo them, each observation waits for its own.
+    orders are ``answered`` by points that echo them, each observation waits for its own; one that
+    does not come in ``PATIENCE_S`` behind all else is lost.
     """
 
     def __init__(self, *, answered: bool) -> None:
         self._answers: set[tuple[int, int]] | None = set() if answered else None
-        self._waiting: list[tuple[int, Receipt]] = []
+        self._waiting: list[_Waiting] = []
         self._lost = 0
         self._reached_ns = 0
         self._set_back: tuple[int, int] | None = None  # from one stamp to another
@@ -139,25 +156,33 @@ class PendingReceipts:
 
     def expect(self, step: int, attempt: int, window_end_ns: int) -> None:
         """Take an observation that wants a receipt."""
-        self._waiting.append((window_end_ns, Receipt(step, attempt)))
+        self._waiting.append(_Waiting(window_end_ns, Receipt(step, attempt)))
 
-    def due(self, reached_ns: int | None, lost: int) -> Iterator[Receipt]:
+    def due(self, reached_ns: int | None, lost: int, now_s: float) -> Iterator[Receipt]:
         """Yield what can be confirmed now that the readings have come to ``reached_ns``.
 
         None: there is no such stream. ``lost`` counts the losses since the bag was opened; each
-        receipt tells those since the one before.
+        receipt tells those since the one before, and its point if that is lost. ``now_s`` is
+        monotonic.
         """
         if reached_ns is not None:
             self.reach(reached_ns)
         waiting, self._waiting = self._waiting, []
-        for window_end_ns, receipt in waiting:
-            order = receipt.step, receipt.attempt
-            answered = self._answers is None or order in self._answers
-            if answered and self._has_come(window_end_ns, reached_ns):
-                yield replace(receipt, lost=lost - self._lost)
+        for one in waiting:
+            if not self._has_come(one.window_end_ns, reached_ns):
+                self._waiting.append(one)
+                continue
+            answered = self.is_answered(one.receipt)
+            since_s = now_s if one.all_else_s is None else one.all_else_s
+            if answered or now_s - since_s > PATIENCE_S:
+                yield replace(one.receipt, lost=lost - self._lost + (not answered))
                 self._lost = lost
             else:
-                self._waiting.append((window_end_ns, receipt))
+                self._waiting.append(replace(one, all_else_s=since_s))
+
+    def is_answered(self, receipt: Receipt) -> bool:
+        """Return whether the point that echoes this order has come, or none does."""
+        return self._answers is None or (receipt.step, receipt.attempt) in self._answers
 
     def __bool__(self) -> bool:
         return bool(self._waiting)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 
@@ -29,6 +30,7 @@ class Receipts:
         self, node: CellNode, called: CalledOtherwise, listener: Listener, session: RecordedSession
     ) -> None:
         self._clock, self._called, self._listener = node.get_clock(), called, listener
+        self._logger = node.get_logger()
         self._session, self._pending = session, PendingReceipts(answered=False)
         self._publisher = node.create_publisher(RecordedObservation, "observation_recorded", EVENT)
 
@@ -55,7 +57,14 @@ class Receipts:
         if not self._pending:
             self._pending.reach(reached_ns or 0)
             return
-        yield from self._pending.due(reached_ns, self._called.lost(losses()))
+        lost = self._called.lost(losses())
+        for receipt in self._pending.due(reached_ns, lost, time.monotonic()):
+            if not self._pending.is_answered(receipt):
+                self._logger.warning(
+                    f"step {receipt.step}, attempt {receipt.attempt}: the point that answered the "
+                    "order has not come here; it counts as lost"
+                )
+            yield receipt
 
     def confirm(self, receipt: Receipt, file: str) -> None:
         """Publish a receipt; called from the writer's thread."""
