@@ -168,17 +168,17 @@ class PendingReceipts:
         if reached_ns is not None:
             self.reach(reached_ns)
         waiting, self._waiting = self._waiting, []
-        for one in waiting:
-            if not self._has_come(one.window_end_ns, reached_ns):
-                self._waiting.append(one)
+        for observed in waiting:
+            if not self._has_come(observed.window_end_ns, reached_ns):
+                self._waiting.append(observed)
                 continue
-            answered = self.is_answered(one.receipt)
-            since_s = now_s if one.all_else_s is None else one.all_else_s
+            answered = self.is_answered(observed.receipt)
+            since_s = now_s if observed.all_else_s is None else observed.all_else_s
             if answered or now_s - since_s > PATIENCE_S:
-                yield replace(one.receipt, lost=lost - self._lost + (not answered))
+                yield replace(observed.receipt, lost=lost - self._lost + (not answered))
                 self._lost = lost
             else:
-                self._waiting.append(replace(one, all_else_s=since_s))
+                self._waiting.append(replace(observed, all_else_s=since_s))
 
     def is_answered(self, receipt: Receipt) -> bool:
         """Return whether the point that echoes this order has come, or none does."""
