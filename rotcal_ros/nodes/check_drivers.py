@@ -38,14 +38,12 @@ def brought(heard: Heard) -> dict[str, list[str]]:
 def brought_line(heard: Heard, part: str, role: str, does: str) -> CheckLine | None:
     """Return the line of a role that a driver will bring; None where none will."""
     nodes = heard.brought.get(role, [])
+    if not nodes:
+        return None
     if len(nodes) > 1:
         found, todo = f"{' and '.join(nodes)} would both play it", "leave one of their groups out"
         return CheckLine(part, role, "missing", found, todo)
-    return (
-        CheckLine(part, role, "note", f"{nodes[0]} {does}, which rotcal run starts")
-        if nodes
-        else None
-    )
+    return CheckLine(part, role, "note", f"{nodes[0]} {does}, which rotcal run starts")
 
 
 def driver_lines(heard: Heard) -> Iterator[CheckLine]:

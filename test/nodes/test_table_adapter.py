@@ -95,7 +95,8 @@ def test_the_person_at_a_calibration_is_told_too(adapted):
                    since=1, nodes=(*SUITE, "simulated_cell", "table_adapter"))  # fmt: skip
     client = live.client()
     said = "table_adapter: joint 'rotary' of /drive: the table stopped at"
-    client.wait_for("warning", where=lambda event: event["text"].startswith(said))
+    told = client.wait_for("warning", where=lambda event: event["text"].startswith(said))
+    assert "arcsec from where it was sent" in told["text"]
 
 
 def test_without_a_joint_it_does_not_start(cell):
