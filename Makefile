@@ -15,7 +15,7 @@ SECONDS ?= 60
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONHOME PYTHONPATH
 unexport VIRTUAL_ENV _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo resume test test-jazzy docs bench power mutants fuzz lint setup clean help
+.PHONY: demo resume test test-aids test-jazzy docs bench power mutants fuzz soak lint release setup clean help
 
 demo: setup  ## calibrate the simulated cell over ROS 2, compensate, measure again; in out/demo
 	@$(BIN)/rotcal verify config/tracer_demo.yaml --output $(DEMO) --keep-previous
@@ -25,6 +25,9 @@ resume: setup  ## continue a demo that was interrupted
 
 test: setup  ## run all tests; PYTEST_ARGS="-k plane" selects some
 	@VENV=$(VENV) scripts/test.sh $(PYTEST_ARGS)
+
+test-aids: setup  ## fetch what some tests run: packages of Node.js, NIST's suite for I++ DME
+	@$(BIN)/python test/aids.py
 
 test-jazzy:  ## a live cell with known truth on ROS 2 Jazzy, in .venv-jazzy
 	@$(MAKE) --no-print-directory ROS_DISTRO=jazzy test PYTEST_ARGS="$(JAZZY_TESTS)"
@@ -40,6 +43,7 @@ bench: setup  ## compare speed with well-known alternatives, side by side
 
 power: setup  ## what could be wrong, and would the verdict say so? docs/what_could_be_wrong.md
 	@$(BIN)/python scripts/power_table.py $(POWER_ARGS)
+	@$(BIN)/python scripts/gathered_table.py $(GATHERED_ARGS)
 
 mutants: setup  ## try small faults in the code: do the tests notice? SEED=1 SAMPLE=400
 	@$(BIN)/python -c 'import coverage, libcst, mutmut' 2>/dev/null || $(BIN)/pip install -q \
@@ -49,11 +53,19 @@ mutants: setup  ## try small faults in the code: do the tests notice? SEED=1 SAM
 fuzz: setup  ## harm inputs and see that reading holds: SECONDS=3600 SEED=1 FUZZ_ARGS="--targets mcap"
 	@nice $(BIN)/python scripts/fuzz.py --seconds $(SECONDS) --seed $(SEED) $(FUZZ_ARGS)
 
+soak: setup  ## calibrate beside a busy machine, nodes standing still: SOAK_ARGS="--minutes 10"
+	@$(BIN)/python scripts/soak.py $(SOAK_ARGS)
+
 lint: setup  ## style, types, and which room may import which
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+release: setup  ## check, build, try with each Python, describe: out/release; RELEASE_ARGS=--rehearse
+	@$(BIN)/python -c 'import build, cyclonedx_py' 2>/dev/null || $(BIN)/pip install -q \
+		--disable-pip-version-check --no-build-isolation -c constraints.txt -e '.[release]'
+	@$(BIN)/python scripts/release.py $(RELEASE_ARGS)
 
 setup:  ## make or refresh .venv (PYTHON=python3.12 chooses another Python)
 	@PYTHON="$(PYTHON)" scripts/setup.sh $(ROS_DISTRO)

@@ -109,6 +109,7 @@ setup(
             "ros-python-cmake-module",
         ],
         "docs": ["mkdocs", "mkdocs-click", "mkdocs-material"],
+        "release": ["build", "cyclonedx-bom"],
         "mutants": ["coverage", "hypothesis", "libcst", "mutmut", "pytest"],
         "test": [
             "flask",

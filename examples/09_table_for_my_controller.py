@@ -11,7 +11,7 @@ DATA = Path(__file__).parent / "data"
 result = rc.read_result(DATA / "result_ball_plate.json")
 table = rc.make_table(result, axis="C", reference_angle=0.0)
 print("controllers:", *rc.controller_names())
-for file in rc.write_controller_files(table, "linuxcnc", "out/tables", spacing=10 * rc.DEGREE):
+for file in rc.write_controller_files(table, "linuxcnc", "out/tables", replaces=True):
     print("written:", file)
 
 command = 45 * rc.DEGREE

@@ -75,14 +75,19 @@ class Circumstances:
 
     @classmethod
     def joined(cls, parts: Sequence[Circumstances]) -> Circumstances:
-        """Return what holds for a result from several: an item or axis only if all agree on it."""
-        identities = [part.identity for part in parts]
-        axes = {part.axis for part in parts}
-        agree = bool(parts) and all(identity == identities[0] for identity in identities)
+        """Return what holds for a result from several: what all that say something agree on.
+
+        It is as old as the first measurement whose time is known, and ended when all did.
+        """
+        axes = {part.axis for part in parts} - {""}
+        begun = [part.begun_ns for part in parts if part.begun_ns is not None]
+        ended = [part.ended_ns for part in parts if part.ended_ns is not None]
         return cls(
             simulated=any(part.simulated for part in parts),
             axis=axes.pop() if len(axes) == 1 else "",
-            identity=identities[0] if agree else Identity(),
+            identity=Identity.joined([part.identity for part in parts]),
+            begun_ns=min(begun, default=None),
+            ended_ns=max(ended) if ended and len(ended) == len(parts) else None,
         )
 
     @classmethod

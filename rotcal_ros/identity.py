@@ -6,13 +6,15 @@ comparison with the tolerance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import date
-from typing import Any
+from typing import Any, Final
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import group, load, setting, to_mapping
+
+_OF_THE_ITEM: Final = ("item", "maker", "model", "serial")
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,14 @@ class Identity:
         """The item in one line; empty when nothing is said about it."""
         words = [self.item, self.maker, self.model, f"no. {self.serial}" if self.serial else ""]
         return " ".join(word for word in words if word)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Identity]) -> Identity:
+        """Return the identity of all ``parts``, or of the item alone, as far as they agree."""
+        if parts and all(part == parts[0] for part in parts):
+            return parts[0]
+        known = {name: {getattr(part, name) for part in parts} - {""} for name in _OF_THE_ITEM}
+        return cls(**{name: texts.pop() for name, texts in known.items() if len(texts) == 1})
 
     def to_dict(self) -> dict[str, Any]:
         """Return what is known, without the empty texts, in plain types."""

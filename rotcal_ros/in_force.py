@@ -26,18 +26,37 @@ def _is_state(state: str) -> bool:
     return state in (UNKNOWN, NONE) or re.fullmatch(r"[0-9a-f]{64}", state) is not None
 
 
-def agreed(states: Iterable[str]) -> str:
-    """Return what all ``states`` that are known agree on; else it is unknown.
+def of_axis(announcements: Iterable[tuple[str, str]], axis: str) -> tuple[str, ...]:
+    """Return the states among ``announcements`` (axis, state) that are about ``axis``.
 
-    What a foreign cell announces may be no state at all: then nothing is known.
+    One that names no axis is about the only one that its cell has.
     """
-    known = set(states) - {UNKNOWN, ""}
-    return known.pop() if len(known) == 1 and all(map(_is_state, known)) else UNKNOWN
+    return tuple(state for about, state in announcements if about in ("", axis))
+
+
+def agreed(states: Iterable[str]) -> str:
+    """Return what all ``states`` agree on; else it is unknown.
+
+    A hash outlives "unknown": whoever adds to it finds this very table at the controller, or is
+    refused. "none" does not: nobody can tell later that there was no table. What a foreign cell
+    announces may be no state at all: then nothing is known.
+    """
+    stated = set(states) - {""}
+    known = stated - {UNKNOWN}
+    if len(known) != 1 or not all(map(_is_state, known)) or stated == {NONE, UNKNOWN}:
+        return UNKNOWN
+    return known.pop()
 
 
 def contradiction(states: Iterable[str]) -> str:
     """Return in words how ``states`` contradict each other; empty when they do not."""
-    known = sorted(set(states) - {UNKNOWN, ""})
+    stated = set(states) - {""}
+    if stated == {NONE, UNKNOWN}:
+        return (
+            f"'{NONE}' was stated as the table in force, and '{UNKNOWN}' was announced too, by "
+            f"somebody who could not tell: which was is {UNKNOWN}"
+        )
+    known = sorted(stated - {UNKNOWN})
     if wrong := [state for state in known if not _is_state(state)]:
         return (
             f"the cell announced {wrong[0]!r}, which is no table in force (a SHA-256, '{NONE}' or "

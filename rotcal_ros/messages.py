@@ -140,11 +140,10 @@ def observation(message: Any) -> Observation:
         temperature_c=_number(message.temperature),
         window_start_ns=stamp_ns(message.window_start),
         window_end_ns=stamp_ns(message.window_end),
-        # Before there was a field for it, a run counted its attempts from 100 times its number.
-        run=message.run if hasattr(message, "run") else message.attempt // 100,
-        segment=getattr(message, "segment", -1),
-        pressure_pa=_number(getattr(message, "pressure", math.nan)),
-        humidity=_number(getattr(message, "humidity", math.nan)),
+        run=message.run,
+        segment=message.segment,
+        pressure_pa=_number(message.pressure),
+        humidity=_number(message.humidity),
     )
 
 

@@ -156,6 +156,19 @@ class Command:
         )
 
 
+def place_in_words(table_position: int, target: int, attempt: int = 0) -> str:
+    """Return what people are told of a step: where it is, and which attempt from the second on.
+
+    The number of a step in its plan is no count of what was done: a policy takes them in any
+    order, and few of them.
+
+    >>> place_in_words(3, 30), place_in_words(3, 30, 1)
+    ('table position 3, target 30', 'table position 3, target 30 (attempt 2)')
+    """
+    again = f" (attempt {attempt + 1})" if attempt else ""
+    return f"table position {table_position}, target {target}{again}"
+
+
 @dataclass(frozen=True, slots=True)
 class Observation:
     """One captured step: the mean of a window of samples, or the reason why there is none.
@@ -164,8 +177,8 @@ class Observation:
     value (length) or three (point), in metres. A rejected observation keeps its numbers and
     says why in ``reason``; an accepted one has an empty reason. ``run`` counts from 0 how often an
     interrupted plan had been taken up again. Observations of a run with equal
-    ``segment`` were read from one unbroken beam of a tracer, that is from the same zero; -1 in
-    recordings from before there was a field for it. ``humidity`` is relative, 0 to 1.
+    ``segment`` were read from one unbroken beam of a tracer, that is from the same zero.
+    ``humidity`` is relative, 0 to 1.
 
     >>> import rotcal_ros as rc
     >>> first = rc.read_bag("examples/data/ball_plate_bag").observations[0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from traceback import walk_tb
 from typing import Any, Final
 
 from rotcal_ros.errors import ConfigurationError
@@ -15,6 +16,8 @@ from rotcal_ros.errors import ConfigurationError
 METHODS: Final = "rotcal_ros.methods"
 CONTROLLERS: Final = "rotcal_ros.controllers"
 INSTRUMENTS: Final = "rotcal_ros.instruments"
+KINDS: Final = {METHODS: "method", CONTROLLERS: "controller", INSTRUMENTS: "instrument"}
+_OWN: Final = "rotcal_ros"
 _LONGEST: Final = 80
 """Characters of a name that is compared with those that are known."""
 
@@ -41,8 +44,40 @@ def load(group: str, name: str, what: str) -> Any:
         raise ConfigurationError(f"unknown {what} {name!r:.80}{nearest(name, found)}")
     try:
         return found[name].load()
-    except ImportError as error:
-        raise ConfigurationError(f"the {what} {name!r} cannot be loaded: {error}") from error
+    except Exception as error:  # of somebody else's code
+        why = error if isinstance(error, ImportError) else f"{type(error).__name__}: {error}"
+        package = _package(found[name])
+        raise ConfigurationError(
+            f"the {what} {name!r} ({package}) cannot be loaded: {why}"
+        ) from error
+
+
+def culprit(error: BaseException) -> str:
+    """Return in words in which plug-in of another package ``error`` came up; empty: in none.
+
+    It is the innermost one on the way from where the error was caught to where it was raised, also
+    when it was raised by what the plug-in had called.
+    """
+    foreign = {
+        point.module.partition(".")[0]: (what, point)
+        for group, what in KINDS.items()
+        for point in _found(group).values()
+        if point.module.partition(".")[0] != _OWN
+    }
+    for frame, line in reversed(list(walk_tb(error.__traceback__))):
+        package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if package in foreign:
+            what, point = foreign[package]
+            place = f"{frame.f_code.co_filename}, line {line}"
+            return f"in the {what} {point.name!r} ({_package(point)}: {place})"
+    return ""
+
+
+def _package(point: EntryPoint) -> str:
+    """Return name and version of the package that brings ``point``."""
+    if point.dist is None:
+        return point.module
+    return f"{point.dist.metadata['Name']} {point.dist.version}"
 
 
 def nearest(name: str, known: Any) -> str:

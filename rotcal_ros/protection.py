@@ -22,9 +22,24 @@ Effect = Literal[
     "tilt",
     "gauge",
     "slip",
+    "tangential motion",
+    "uneven drift",
+    "one place",
+    "numbering",
+    "sign of z",
 ]
-PARTICULAR: Final[tuple[Effect, ...]] = ("slip",)
-"""Effects that only those methods speak of whose instruments have them: counted fringes."""
+PARTICULAR: Final[tuple[Effect, ...]] = (
+    "slip",
+    "tangential motion",
+    "uneven drift",
+    "one place",
+    "numbering",
+    "sign of z",
+)
+"""Effects that only those methods speak of whose instruments have them: counted fringes, an
+instrument that rides on the table, which mount or cable may shift along its circle, one that
+drifts between two looks at its nests, what gathers in one place among many; table positions that
+are all numbered off, and a z axis that points down, where nothing measured would tell."""
 ALL_EFFECTS: Final[tuple[Effect, ...]] = get_args(Effect)
 """In the order in which people are shown them."""
 EFFECTS: Final[tuple[Effect, ...]] = tuple(e for e in ALL_EFFECTS if e not in PARTICULAR)

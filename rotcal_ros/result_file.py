@@ -17,17 +17,20 @@ from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.in_force import UNKNOWN, check_in_force
 from rotcal_ros.protection import Protection, ordered
+from rotcal_ros.raw_data import RawData
 from rotcal_ros.records import record
 from rotcal_ros.results import (
     FILE_NAMES,
     RUNS,
     SCHEMA,
     Directions,
+    FreeDirection,
     Rejection,
     RepeatedRuns,
     Residuals,
     Result,
     Verdict,
+    Zeros,
 )
 
 _WHOLE: Final[Mapping[str, type]] = {
@@ -52,7 +55,7 @@ class _Plain:
     verdict: str
     warnings: tuple[str, ...]
     details: Mapping[str, Any]
-    protections: tuple[Protection, ...] = ()
+    protections: tuple[Protection, ...]
     measured_on: str = UNKNOWN
 
 
@@ -72,7 +75,7 @@ def result_from(data: Any) -> Result:
 
 
 def _result(data: Mapping[str, Any]) -> Result:
-    for field in fields(_Plain)[:-2]:
+    for field in fields(_Plain)[:-1]:
         data[field.name]
     plain = record(_Plain, {f.name: data[f.name] for f in fields(_Plain) if f.name in data})
     if plain.verdict not in get_args(Verdict):
@@ -90,7 +93,7 @@ def _result(data: Mapping[str, Any]) -> Result:
         angles=angles,
         deviations=deviations,
         std=std,
-        covariance=_covariances(data.get("covariance", {}), n),
+        covariance=_covariances(data["covariance"], n),
         sigma0=plain.sigma0,
         dof=plain.dof,
         n_observations=plain.n_observations,
@@ -105,8 +108,21 @@ def _result(data: Mapping[str, Any]) -> Result:
         runs=runs,
         directions=_directions(data.get("directions", {})),
         measured_on=check_in_force(plain.measured_on),
-        circumstances=Circumstances.from_dict(data.get("circumstances", {})),
+        circumstances=Circumstances.from_dict(data["circumstances"]),
+        raw_data=RawData.from_dict(data["raw_data"], n) if "raw_data" in data else RawData(),
+        zeros=_zeros(data.get("zeros", {}), n),
     )
+
+
+def _zeros(data: Mapping[str, Any], n: int) -> Zeros:
+    if data and data["within"] not in get_args(Verdict):
+        raise ValueError(f"zeros.within: {data['within']!r:.60} is no verdict")
+    free = [
+        FreeDirection(str(d["name"]), _columns(d["columns"], "zeros.free", (n,)))
+        for d in data.get("free", ())
+    ]
+    counts_from = str(data.get("counts_from", UNKNOWN))
+    return Zeros(counts_from, tuple(free), data.get("within", "ok"))
 
 
 def _runs(data: Any) -> RepeatedRuns | None:

@@ -8,8 +8,8 @@ replay, the report, the comparison and the export never ask which method it was.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import import_module
 from typing import Any, Final, Literal
 
@@ -21,6 +21,7 @@ from rotcal_ros.components import COMPONENTS
 from rotcal_ros.errors import DataError
 from rotcal_ros.in_force import UNKNOWN
 from rotcal_ros.protection import Effect, Protection, unprotected
+from rotcal_ros.raw_data import RawData
 from rotcal_ros.units import DEGREE
 
 SCHEMA: Final = 1
@@ -30,6 +31,14 @@ RUNS: Final = "runs"
 """Where a file has the repeated runs: among the details."""
 
 Verdict = Literal["ok", "suspect", "failed"]
+COUNTS_FROM: Final = (
+    "first angle",
+    "first angle of each group",
+    "mean",
+    "mean of each group",
+    UNKNOWN,
+)
+"""What the deviations of a method count from: there, or on average over there, they are zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +123,69 @@ class Directions:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class FreeDirection:
+    """One number t that the data leave open: deviations are known up to t times ``columns``.
+
+    ``columns`` maps components to (n,) arrays over the angles of the result; what they do to the
+    mean of a curve is of no concern, for no method knows that one. ``name`` says between what
+    the zeros differ, such as "the odd and even table positions".
+    """
+
+    name: str
+    columns: Mapping[str, Floats]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Zeros:
+    """What deviations count from, and what of that no observation joins.
+
+    ``counts_from`` is one of COUNTS_FROM. The zero of a whole curve is nobody's: all methods lack
+    it, and none of the ``free`` directions is it. A result with ``free`` directions is never ok,
+    for its uncertainties hold within each part alone; ``within`` is the verdict on them there.
+    """
+
+    counts_from: str = UNKNOWN
+    free: tuple[FreeDirection, ...] = ()
+    within: Verdict = "ok"
+
+    def __post_init__(self) -> None:
+        if self.counts_from not in COUNTS_FROM:
+            raise DataError(
+                f"counts_from {self.counts_from!r}: expected one of {', '.join(COUNTS_FROM)}"
+            )
+
+    def of(self, component: str, n: int) -> Floats:
+        """Return the columns (n, q) of one component, zeros for directions without it."""
+        columns = [d.columns.get(component, np.zeros(n)) for d in self.free]
+        return np.column_stack(columns) if columns else np.zeros((n, 0))
+
+    def mapped(self, matrix: Floats) -> Zeros:
+        """Return the same for deviations that are ``matrix`` (m, n) @ those of here."""
+        moved = (
+            FreeDirection(d.name, {c: matrix @ column for c, column in d.columns.items()})
+            for d in self.free
+        )
+        return replace(self, free=tuple(moved))
+
+    def open_components(self) -> tuple[str, ...]:
+        """Return the components that some free direction touches, in the order of COMPONENTS."""
+        return tuple(c for c in COMPONENTS if any(c in d.columns for d in self.free))
+
+    def in_words(self, components: Iterable[str] = COMPONENTS) -> str:
+        """Return which offsets of ``components`` are open; empty where there is none."""
+        wanted = set(components)
+        touched: dict[str, set[str]] = {}
+        for direction in self.free:
+            if found := wanted & direction.columns.keys():
+                touched.setdefault(direction.name, set()).update(found)
+        return "; ".join(
+            f"the offset between {name} is not measured "
+            f"({', '.join(c for c in COMPONENTS if c in found)})"
+            for name, found in touched.items()
+        )
+
+
 @dataclass(frozen=True)
 class Result:
     """Deviations of a rotary table with their uncertainties, and how far to trust them.
@@ -127,7 +199,9 @@ class Result:
     ``directions`` maps the components that were measured from both sides to what they are from
     each; ``deviations`` then holds the mean. ``measured_on`` is the compensation table in force
     meanwhile: the hash of the controller's files, "none" or "unknown". ``circumstances`` say who
-    measured what, when and how warm it was; a method leaves them to those who call it.
+    measured what, when and how warm it was; a method leaves them to those who call it. ``zeros``
+    say what the deviations count from, and what of that is open. ``raw_data``: the observations
+    that it rests on, so that nobody counts them twice.
 
     >>> import rotcal_ros as rc
     >>> result = rc.read_result("examples/data/result_ball_plate.json")
@@ -155,6 +229,8 @@ class Result:
     directions: Mapping[str, Directions] = field(default_factory=dict)
     measured_on: str = UNKNOWN
     circumstances: Circumstances = field(default_factory=Circumstances)
+    zeros: Zeros = field(default_factory=Zeros)
+    raw_data: RawData = field(default_factory=RawData)
 
     @property
     def simulated(self) -> bool:
@@ -170,10 +246,28 @@ class Result:
     def verdict_line(self) -> str:
         """The verdict as people read it: never without what it does not cover."""
         verdict = f"{self.verdict} ({SIMULATED})" if self.simulated else self.verdict
+        if self.zeros.free:
+            verdict = f"{verdict}, {self.zeros.in_words()}"
         if not self.protections:
             return f"{verdict}, protection against drift and the like not stated"
         against = ", ".join(self.unprotected)
         return f"{verdict}, not protected against {against}" if against else verdict
+
+    @property
+    def verdict_within(self) -> Verdict:
+        """The verdict on each part with a zero of its own, else the verdict itself."""
+        return self.zeros.within if self.zeros.free else self.verdict
+
+    def doubted(self) -> Result:
+        """Return the result suspect at best, within its parts too."""
+        within, verdict = _at_best_suspect(self.zeros.within), _at_best_suspect(self.verdict)
+        return replace(self, verdict=verdict, zeros=replace(self.zeros, within=within))
+
+    def counted_from(self, counts_from: str, free: Iterable[FreeDirection] = ()) -> Result:
+        """Return the result with its :class:`Zeros`: suspect at best where some are open."""
+        zeros = Zeros(counts_from, tuple(free), self.verdict)
+        verdict = _at_best_suspect(self.verdict) if zeros.free else self.verdict
+        return replace(self, verdict=verdict, zeros=zeros)
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -196,6 +290,14 @@ class Result:
         for what, columns in (("", self.deviations), ("std of ", self.std)):
             for name, values in columns.items():
                 _require_numbers(f"{self.method}: {what}{name}", self.angles, values)
+        for direction in self.zeros.free:
+            for name, values in direction.columns.items():
+                _require_numbers(f"{self.method}: free direction of {name}", self.angles, values)
+        if self.zeros.free and self.verdict == "ok":
+            raise DataError(
+                f"{self.method}: the verdict is ok although {self.zeros.in_words()}: expected "
+                "suspect, nothing bounds the error of such an offset"
+            )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the machine-readable form described in docs/conventions.md (SI, plain types)."""
@@ -218,6 +320,10 @@ class Result:
                 name: {FILE_NAMES.get(key, key): v for key, v in plain_fields(both).items()}
                 for name, both in self.directions.items()
             }
+        if self.zeros.counts_from != UNKNOWN:
+            data["zeros"] = plain_fields(self.zeros) | {
+                "free": [plain_fields(direction) for direction in self.zeros.free]
+            }
         if self.measured_on != UNKNOWN:
             data["measured_on"] = self.measured_on
         data |= {
@@ -233,6 +339,8 @@ class Result:
             "protections": [plain_fields(p) for p in self.protections],
             "details": self.all_details,
         }
+        if self.raw_data.hashes:
+            data["raw_data"] = self.raw_data.to_dict()
         if self.residuals is not None:
             columns = plain_fields(self.residuals)
             data["residuals"] = {FILE_NAMES.get(name, name): c for name, c in columns.items()}
@@ -245,6 +353,9 @@ class Result:
     def to_dataframe(self) -> Any:
         """Return a pandas DataFrame: a row for each angle, SI, ``EXC`` with ``EXC_std`` and so on.
 
+        A component whose zeros are open has ``EXC_free_0`` ... too, the free directions: its
+        values are known up to any multiple of these, and its std holds where they are equal.
+
         pandas is needed for this alone; ImportError says so when it is not there.
         """
         try:
@@ -254,6 +365,8 @@ class Result:
         columns = {"angle_rad": self.angles}
         for name, values in self.deviations.items():
             columns |= {name: values, f"{name}_std": self.std[name]}
+            touching = (d.columns[name] for d in self.zeros.free if name in d.columns)
+            columns |= {f"{name}_free_{k}": column for k, column in enumerate(touching)}
         return pandas.DataFrame(columns)
 
     @classmethod
@@ -262,6 +375,10 @@ class Result:
         from rotcal_ros.result_file import result_from
 
         return result_from(data)
+
+
+def _at_best_suspect(verdict: Verdict) -> Verdict:
+    return "suspect" if verdict == "ok" else verdict
 
 
 def _require_numbers(name: str, angles: Floats, values: Floats) -> None:

@@ -12,9 +12,11 @@ import io
 import json
 import math
 import os
+import re
 import stat
 from collections.abc import Iterable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -123,8 +125,19 @@ def load_json(text: str | bytes, *, finite: bool = True) -> Any:
     return value
 
 
-def load_yaml(text: str, source: str) -> Any:
-    """Return the value that a YAML text states; ConfigurationError, naming ``source``, else."""
+def load_yaml(text: str, source: str, *, strict: bool = True) -> Any:
+    """Return the value that a YAML text states; ConfigurationError, naming ``source``, else.
+
+    ``strict`` is for what people write: what YAML 1.1 and YAML 1.2 read differently is refused
+    with its line, as 1:30 (ninety, or a text), and so is a name that is given twice in its group;
+    dates are texts. Without, all is read by YAML 1.1: what programs have written.
+
+    >>> load_yaml("table_start_deg: 1:30", "my.yaml")
+    Traceback (most recent call last):
+    ...
+    rotcal_ros.errors.ConfigurationError: my.yaml: line 1: 1:30 is 90 in YAML 1.1 and something \
+else in YAML 1.2: write a plain number such as 1.5, or a text in quotes
+    """
     import yaml
 
     if len(text) > LARGEST_YAML:
@@ -134,7 +147,9 @@ def load_yaml(text: str, source: str) -> Any:
         )
     try:
         _check_events(yaml.parse(text, Loader=_loader(yaml)))
-        return yaml.load(text, Loader=_loader(yaml))
+        return _loaded_strictly(text) if strict else yaml.load(text, Loader=_loader(yaml))
+    except _AmbiguousError as error:
+        raise ConfigurationError(f"{source}: {error}") from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
@@ -146,6 +161,110 @@ def load_yaml(text: str, source: str) -> Any:
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
         # What stands behind a tag, as a date that there is not, is nobody's business but yaml's.
         raise ConfigurationError(f"{source}: a value cannot be read: {error}") from error
+
+
+class _AmbiguousError(Exception):
+    """A YAML text says one thing to one reader and another to the next; the line and why."""
+
+
+_TAG: Final = "tag:yaml.org,2002:"
+_ALIKE: Final = {
+    f"{_TAG}bool": re.compile("true|True|TRUE|false|False|FALSE"),
+    f"{_TAG}int": re.compile("[-+]?(0|[1-9][0-9]*)|0x[0-9a-fA-F]+"),
+    f"{_TAG}float": re.compile("[^:_]*"),
+}
+"""What YAML 1.2 takes for the same value, of all that is of this kind in YAML 1.1."""
+
+
+def _loaded_strictly(text: str) -> Any:
+    """Return the value of a text that all readers read alike; raises _AmbiguousError else."""
+    loader = _strict_loader()(text)
+    try:
+        root = loader.get_single_node()
+        if root is None:
+            return None
+        _check_nodes(root, loader)
+        return loader.construct_document(root)
+    finally:
+        loader.dispose()
+
+
+@cache
+def _strict_loader() -> Any:
+    """Return the loader of YAML 1.1 for which a date is a text."""
+    import yaml
+
+    class Strict(_loader(yaml)):  # type: ignore[misc]
+        yaml_implicit_resolvers = {  # noqa: RUF012
+            first: [(tag, pattern) for tag, pattern in resolvers if tag != f"{_TAG}timestamp"]
+            for first, resolvers in _loader(yaml).yaml_implicit_resolvers.items()
+        }
+
+    return Strict
+
+
+def _check_nodes(root: Any, loader: Any) -> None:
+    """Raise _AmbiguousError at the first value or name that two readers take for two things."""
+    waiting, seen = [root], set()
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:  # an alias
+            continue
+        seen.add(id(node))
+        if isinstance(node.value, str):
+            _check_scalar(node, loader)
+        else:
+            pairs = [x for x in node.value if isinstance(x, tuple)]
+            _check_names([key for key, _ in pairs])
+            inner = [part for pair in pairs for part in pair] if pairs else node.value
+            waiting += reversed(inner)
+
+
+def _check_scalar(node: Any, loader: Any) -> None:
+    alike = _ALIKE.get(node.tag)
+    if alike is None or alike.fullmatch(node.value):
+        return
+    text, value = node.value, loader.construct_object(node)
+    if isinstance(value, bool):
+        word = str(value).lower()
+        what = f'{word} in YAML 1.1 and a text in YAML 1.2: write {word}, or "{text}" in quotes'
+    else:
+        plain = "1.5" if ":" in text else value  # who writes 1:30 hardly means 90
+        what = (
+            f"{value} in YAML 1.1 and something else in YAML 1.2: write a plain number such as "
+            f"{plain}, or a text in quotes"
+        )
+    raise _AmbiguousError(f"line {node.start_mark.line + 1}: {text} is {what}")
+
+
+def _check_names(keys: Iterable[Any]) -> None:
+    lines: dict[tuple[str, str], int] = {}
+    for key in keys:
+        if isinstance(key.value, str):
+            name, line = (key.tag, key.value), key.start_mark.line + 1
+            if name in lines:
+                raise _AmbiguousError(
+                    f"line {line}: {key.value} is given a second time, the first is in line "
+                    f"{lines[name]}: keep one of them"
+                )
+            lines[name] = line
+
+
+def line_of(text: str, *names: str) -> int:
+    """Return the line of the last of ``names``, each in the group of the one before it; 0: none.
+
+    ``text`` is YAML that :func:`load_yaml` has read.
+    """
+    import yaml
+
+    node, line = yaml.compose(text, Loader=_loader(yaml)), 0
+    for name in names:
+        pairs = node.value if isinstance(node, yaml.MappingNode) else []
+        found = next(((key, value) for key, value in pairs if key.value == name), None)
+        if found is None:
+            return 0
+        line, node = found[0].start_mark.line + 1, found[1]
+    return line
 
 
 _TOO_DEEP: Final = f"more than {DEEPEST} levels of lists and groups in each other"

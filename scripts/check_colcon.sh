@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The way of a ROS 2 user: builds both packages with colcon, starts a node out of the install
-# folder as `ros2 run rotcal_ros planner` does, and ends it by Ctrl-C.
+# The way of a ROS 2 user: a workspace as docs/install.md makes it, `colcon build` without a word
+# more, a node out of the install folder as `ros2 run rotcal_ros planner` starts it, and Ctrl-C.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 root=$PWD
@@ -15,9 +15,11 @@ scripts/setup.sh
 export PATH=$root/.venv/bin:$PATH AMENT_PREFIX_PATH=$root/.venv
 unset CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 rm -rf "$work"
-mkdir -p "$work"
+mkdir -p "$work/src"
 cd "$work"
-colcon build --base-paths "$root" "$root/msg_defs" --allow-overriding rotcal_msgs rotcal_ros || {
+ln -s "$root" src/rotcal_ros
+ln -s rotcal_ros/msg_defs src/rotcal_msgs
+colcon build || {
     tail -n 30 log/latest_build/*/stderr.log >&2
     exit 1
 }

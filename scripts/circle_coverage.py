@@ -1,13 +1,16 @@
 """How often the stated intervals hold the truth when the circle of the stations is stated.
 
     python scripts/circle_coverage.py [RUNS] [--each LENGTHS]
+    python scripts/circle_coverage.py [RUNS] --error-motion
 
 Simulated runs with an own generator: a tracer 65 mm off the axis of a table with deviations of a
 few arcsec, 24 targets low around it, of which every station sees a few, all lengths from one zero
 or a zero per station; lengths with 0.2 um, the machine with 1 um. The stations leave their circle
 by 0.07 um radially and axially, which is what is stated; in the last cases they go round a rosette
 of 1.5 um, which nobody has stated. Of each case: how many of the 95 % intervals of ECC hold the
-truth, and how often the verdict was ok. Figures of it are in docs/tracer.md.
+truth, and how often the verdict was ok. With --error-motion nothing is stated of the circle, and
+the stations leave it by an error motion along x and y that the solver has to estimate: coverage by
+its size. Figures of it are in docs/tracer.md.
 """
 
 from __future__ import annotations
@@ -102,12 +105,64 @@ def row(case: Case, runs: int, each: int) -> str:
     )
 
 
+SIZES = (0.0, 0.05e-6, 0.1e-6, 0.2e-6, 0.3e-6, 1e-6, 3e-6)
+"""Error motions (m, k = 1) that nobody has stated."""
+LAYOUTS = {
+    "11 angles of 12, 20 low targets": (11, 12, 20, False),
+    "12 angles, 20 low targets": (12, 12, 20, False),
+    "24 angles, 20 low targets": (24, 24, 20, False),
+    "11 angles of 12, 64 in the paper's block": (11, 12, 64, True),
+}
+"""Table positions of how many in a turn, targets, and whether these lie in the paper's block."""
+
+
+def unstated(layout: tuple[int, int, int, bool], size: float, seed: int) -> TracerProblem:
+    """Return the problem of a perfect table with an error motion of ``size`` (m)."""
+    m, turn, n, block = layout
+    rng, fixed = np.random.default_rng([seed, 7]), np.random.default_rng(99)
+    angles = 2.0 * np.pi * np.arange(m) / turn
+    stations = np.column_stack(
+        [RADIUS * np.cos(angles), RADIUS * np.sin(angles), np.full(m, HEIGHT)]
+    )
+    stations[:, :2] += size * rng.standard_normal((m, 2))
+    around, far = fixed.uniform(0.0, 2.0 * np.pi, n), fixed.uniform(0.3, 0.6, n)
+    height = fixed.uniform(0.17, 0.8, n)
+    targets = np.column_stack([far * np.cos(around), far * np.sin(around), height])
+    if block:
+        targets = fixed.uniform([-0.225, -0.3, 0.5], [0.225, 0.3, 0.95], size=(n, 3))
+    seen = targets + TARGET_STD * rng.standard_normal(targets.shape)
+    position, target = np.divmod(np.arange(m * n), n)
+    length = np.linalg.norm(stations[position] - seen[target], axis=1) - 0.3
+    length += LENGTH_STD * rng.standard_normal(len(length))
+    return TracerProblem(position, target, length, LENGTH_STD, targets, TARGET_STD, angles)
+
+
+def unstated_row(name: str, runs: int) -> str:
+    """Return the line of one layout: coverage of its 95 % intervals for each of the sizes."""
+    shares = []
+    for size in SIZES:
+        hits = []
+        for seed in range(runs):
+            result = solve(unstated(LAYOUTS[name], size, seed))
+            std = result.std["ECC"][1:]
+            hits.append(np.mean(np.abs(result.deviations["ECC"][1:]) <= HALF_OF_95_PERCENT * std))
+        shares.append(f"{100 * np.mean(hits):.1f} %")
+    return f"| {name} | {' | '.join(shares)} |"
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("runs", nargs="?", type=int, default=1000)
     parser.add_argument("--each", type=int, action="append")
+    parser.add_argument("--error-motion", action="store_true", help="none is stated")
     given = parser.parse_args()
+    if given.error_motion:
+        print(f"| error motion/um | {' | '.join(f'{size * 1e6:g}' for size in SIZES)} |")
+        print(f"|{' --- |' * (1 + len(SIZES))}")
+        for name in LAYOUTS:
+            print(unstated_row(name, given.runs), flush=True)
+        return
     print("| lengths per station | case | coverage | error/arcsec | U/arcsec | ok |")
     print("| --- | --- | --- | --- | --- | --- |")
     for each in given.each or [6]:

@@ -5,7 +5,8 @@
 Every run measures with a tracer of its own place, targets and noise, by the policy itself, with
 nominal geometry from the plan alone; lengths are exact distances with noise. At the end the
 deviations are estimated by generalised least squares, written here and not in the package, and
-compared with the uncertainty that the policy states. All in docs/policy.md.
+compared with the uncertainty that the policy states, and that which the result of the solver
+states for the same lengths is compared with the goal. All in docs/policy.md.
 """
 
 from __future__ import annotations
@@ -15,19 +16,31 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
+from math import ceil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
-from rotcal_ros.observations import Approach, PointKind
+from rotcal_ros.errors import RotcalError
+from rotcal_ros.methods.tracer import TracerProblem, solve
+from rotcal_ros.observations import Approach, Observation, PointKind
 from rotcal_ros.planning.plan import Plan, Step
 from rotcal_ros.planning.policy.choices import Outcome, Standing
 from rotcal_ros.planning.policy.first_sweep import first_sweep
 from rotcal_ros.planning.policy.lengths import Costs, LengthExperiment
-from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal
+from rotcal_ros.planning.policy.stated import Stated
+from rotcal_ros.planning.policy.until_goal import (
+    RESERVE,
+    RESERVE_PER_SEGMENT,
+    Limits,
+    UntilGoal,
+)
+from rotcal_ros.planning.sequence_forecast import OrderForecast
+from rotcal_ros.planning.tracer_design.optimum import ideal_plan
 from rotcal_ros.planning.tracer_design.scene import Scene, on_table
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
@@ -53,8 +66,10 @@ def candidates(spacing: float) -> tuple[tuple[float, float, float], ...]:
     return tuple(kept)
 
 
-def experiment(spacing: float, per_segment: bool = False) -> LengthExperiment:
-    """Return the experiment of all candidates at all angles."""
+def experiment(
+    spacing: float, per_segment: bool = False, error_motion: float | None = 0.0
+) -> LengthExperiment:
+    """Return the experiment of all candidates at all angles; ``error_motion`` as stated, m."""
     targets = candidates(spacing)
     pairs = enumerate(product(range(len(ANGLES)), range(len(targets))))
     steps = tuple(
@@ -63,7 +78,45 @@ def experiment(spacing: float, per_segment: bool = False) -> LengthExperiment:
     )
     plan = Plan("tracer_multistation", tuple(ANGLES.tolist()), targets, steps)
     scene = Scene(on_table(MOUNT, ANGLES), ANGLES, np.array(targets), TARGET_STD, PLANNED_STD)
-    return LengthExperiment(plan, scene, Costs(STEP_S, TURN_S), per_segment=per_segment)
+    return LengthExperiment(
+        plan, scene, Costs(STEP_S, TURN_S), per_segment=per_segment,
+        solved=partial(result_of, plan, per_segment, error_motion),
+    )  # fmt: skip
+
+
+def result_of(
+    plan: Plan,
+    per_segment: bool,
+    error_motion: float | None,
+    observations: Sequence[Observation],
+) -> Stated:
+    """Return what the solver states of ``observations``, with the noise as planned."""
+    last = {(o.segment if per_segment else 0, o.step): o for o in observations}.values()
+    problem = TracerProblem(
+        position=np.array([o.table_position for o in last]),
+        target=np.array([o.target for o in last]),
+        length=np.array([o.mean[0] for o in last]),
+        length_std=PLANNED_STD,
+        targets=np.array(plan.targets),
+        target_std=TARGET_STD,
+        table_angles=ANGLES,
+        order=np.argsort(np.argsort([o.window_end_ns for o in last])),
+        segment=np.array([o.segment for o in last]) if per_segment else None,
+        error_motion_std=error_motion,
+        start_stations=on_table(MOUNT, ANGLES),
+    )
+    try:
+        result = solve(problem)
+    except RotcalError as error:
+        return Stated(np.inf, doubt=str(error))
+    covariance = result.covariance["ECC"]
+    about_mean = np.trace(covariance) - covariance.sum() / len(covariance)
+    motion = result.details["error_motion"]
+    return Stated(
+        2.0 * float(np.sqrt(about_mean / len(covariance))),
+        motion["likely"] if motion["used"] != motion["stated"] else 0.0,
+        "" if result.verdict == "ok" else result.warnings[0],
+    )
 
 
 class Quick(UntilGoal):
@@ -142,7 +195,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Run:
-    """One calibration: seconds, lengths, whether the goal was met, errors in units of the goal."""
+    """One calibration: seconds, lengths, whether the goal was said to be met, errors within U.
+
+    ``kept``: whether the result of the solver states no more than the goal.
+    """
 
     seconds: float
     lengths: int
@@ -150,6 +206,7 @@ class Run:
     inside: float
     slowest_choice_s: float
     reasons: tuple[str, ...] = ()
+    kept: bool = False
 
 
 def by_policy(cell: Cell) -> Run:
@@ -189,7 +246,10 @@ def _judged(
     spread = np.sqrt(known.variances())
     half = share * GOAL * spread / np.sqrt((spread**2).mean())  # k u of each angle
     inside = float((np.abs(cell.errors(factor)) <= half).mean()) if np.isfinite(share) else np.nan
-    return Run(cell.seconds, len(cell.measured.observations), bool(met), inside, slowest, reasons)
+    own = cell.of.solved(cell.measured.observations) if cell.of.solved else Stated(np.inf)
+    kept = own.uncertainty <= GOAL
+    lengths = len(cell.measured.observations)
+    return Run(cell.seconds, lengths, bool(met), inside, slowest, reasons, kept)
 
 
 def noise_rows(
@@ -211,6 +271,7 @@ def noise_rows(
                 "lengths": float(np.mean([run.lengths for run in found])),
                 "coverage_percent": 100.0 * float(np.mean([run.inside for run in found])),
                 "met_percent": 100.0 * float(np.mean([run.met for run in found])),
+                "kept_percent": 100.0 * float(np.mean([run.kept for run in found])),
                 "slowest_choice_ms": 1e3 * max(run.slowest_choice_s for run in found),
             }
         rows.append(row)
@@ -242,6 +303,25 @@ def blocked_rows(of: LengthExperiment, cases: int) -> list[dict[str, Any]]:
     return rows
 
 
+def cost_of_protection(of: LengthExperiment) -> dict[str, Any]:
+    """Return what the first sweep takes, and how much of that information alone would ask for."""
+    reserve = RESERVE_PER_SEGMENT if of.per_segment else RESERVE
+    steps = np.array(first_sweep(of, reserve * GOAL))
+    every = np.arange(len(of.plan.steps))
+    zeros = 1 if of.per_segment else len(ANGLES)
+    bound = ideal_plan(of.scene, of.lengths(every, of.nothing), zeros, (GOAL / 2.0) ** 2).bound
+    turns = int((np.diff(of.position[steps]) != 0).sum())
+    forecast = OrderForecast(of.posed(of.nothing, 1.0, steps))(np.arange(len(steps)))
+    return {
+        "bound": ceil(bound),
+        "lengths": len(steps),
+        "lengths_s": STEP_S * (len(steps) - 1),
+        "turns_s": TURN_S * turns,
+        "least_turns_s": TURN_S * (len(ANGLES) - 1),
+        **forecast.to_dict(),
+    }
+
+
 def main() -> None:
     """Run the simulations that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -255,6 +335,7 @@ def main() -> None:
     given = parser.parse_args()
     of = experiment(given.spacing, given.zero == "per_segment")
     print(f"{len(of.plan.targets)} targets, {len(of.plan.steps)} candidates")
+    print(json.dumps(cost_of_protection(of)), flush=True)
     found = {
         "noise": noise_rows(of, given.runs, given.true, given.break_after),
         "blocked": blocked_rows(of, given.sectors) if given.sectors else [],

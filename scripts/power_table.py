@@ -39,6 +39,20 @@ uncertainty contains. *Named* says whether the verdict line names the effect ("o
 against ..."). No effect may do more than {TOLERABLE:g} standard uncertainties unnoticed and
 unnamed.
 
+One kind of error has no size here, for no size turns a verdict: an offset between parts of the
+table that nothing joins. 4 arcsec between the odd and even positions of a plate of 6 balls leave
+no trace. Such a result is `suspect` whatever was measured, its verdict line names the parts, and
+export and bridge refuse it, until `rotcal combine` joins them
+([groups](ball_plate.md#closed-form-and-groups)).
+
+Two more have no size, and nothing measured tells them: positions of a table of lengths that are
+all numbered off by one, and a z axis that points down in a table of ball centres. The verdict line
+names them, `numbering` until `plan.tracer_m` states where the tracer stands, and `sign of z`. What
+was captured live has neither: the table's feedback numbers it, touch points show which way is up.
+Of a tracer at several places, targets and places that are both mirrored in z are named likewise,
+unless some beam rises by more than 45 degrees: mirrored it would go through the table, and is
+`suspect`.
+
 Sizes depend on the plan: lengths, redundancy, order. `make power` writes this page again;
 `python scripts/power_table.py --plan CONFIG --output PAGE` measures a plan of yours. The words:
 [conventions](conventions.md#uncertainty).
@@ -85,10 +99,13 @@ def _section(bench: Bench, rows: list[PowerRow]) -> str:
     """Return the table of one method, and what each effect is."""
     plan = bench.calibration.plan
     result = bench.plain(0)
-    lines = [
+    summary = (
         f"{bench.runs} measurements of each size, {len(plan.table_angles)} table angles, "
-        f"{len(plan.steps)} steps. Without any effect {bench.false_alarms()} of {bench.runs} were",
-        f"not ok. Verdict line: `{result.verdict_line}`.",
+        f"{len(plan.steps)} steps. Without any effect {bench.false_alarms()} of {bench.runs} were "
+        f"not ok. Verdict line: `{result.verdict_line}`."
+    )
+    lines = [
+        textwrap.fill(summary, 100),
         "",
         "| effect | treatment | size | error / std | named |",
         "| --- | --- | --- | --- | --- |",

@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # All tests: those without live nodes side by side on all cores, each file in one worker, so that what
-# its tests share is made once. Then the live ones, one at a time, because whole cells beat, stream
-# and record in real time.
+# its tests share is made once. Then the live ones, one at a time unless ROTCAL_LIVE_WORKERS says
+# otherwise, because whole cells beat, stream and record in real time. At the end it says what could
+# not be tried on this machine, and what to install for it.
 #
 # usage: scripts/test.sh [arguments of pytest]
 set -uo pipefail
@@ -9,6 +10,9 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 NONE_SELECTED=5
 result=$NONE_SELECTED
+ROTCAL_NOT_TRIED=$(mktemp)
+export ROTCAL_NOT_TRIED
+trap 'rm -f "$ROTCAL_NOT_TRIED"' EXIT
 
 run() {
     "${VENV:-.venv}/bin/python" -m pytest "$@"
@@ -20,6 +24,13 @@ run() {
 }
 
 export OMP_NUM_THREADS=${OMP_NUM_THREADS:-1}
-run --live never -n auto --dist loadfile --no-loadscope-reorder "$@"
-run --live only "$@"
+side_by_side=(--dist loadfile --no-loadscope-reorder)
+live=()
+[[ ${ROTCAL_LIVE_WORKERS:-1} == 1 ]] || live=(-n "$ROTCAL_LIVE_WORKERS" "${side_by_side[@]}")
+run --live never -n auto "${side_by_side[@]}" "$@"
+run --live only "${live[@]}" "$@"
+if [[ -s $ROTCAL_NOT_TRIED ]]; then
+    echo "Not tried here (tests, reason):"
+    sort "$ROTCAL_NOT_TRIED" | uniq -c
+fi
 exit "$result"

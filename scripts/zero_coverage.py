@@ -57,7 +57,9 @@ def places(plan: str, m: int, n: int) -> Places:
     """Return what is measured, the same in every run."""
     rng = np.random.default_rng(99)
     if plan == "fewest":
-        goal = TracerDesignSettings(zero="one", circle_std_m=7e-8, need_arcsec=1.202)
+        goal = TracerDesignSettings(
+            zero="one", circle_std_m=7e-8, need_arcsec=1.202, error_motion_std_m=0.0
+        )
         few = ordered_design(goal)
         scene, lengths = few.design.scene, few.lengths
         return Places(scene.table_angles, scene.targets, lengths.position, lengths.target)

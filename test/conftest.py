@@ -2,7 +2,9 @@
 
 import os
 import signal
+from pathlib import Path
 
+import hypothesis
 import pytest
 
 from rotcal_ros.sessions.domains import free_domain
@@ -14,6 +16,11 @@ if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     # Started by nohup: nor would they hear of a terminal that is gone.
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
+
+# A busy machine is no fault: examples have no deadline.
+hypothesis.settings.register_profile("quick", max_examples=30, deadline=None)
+hypothesis.settings.register_profile("long", max_examples=300, deadline=None)
+hypothesis.settings.load_profile("long" if os.environ.get("ROTCAL_LONG_TESTS") else "quick")
 
 LIVE = ("ros", "linuxcnc")
 """Marks of tests that start nodes or LinuxCNC."""
@@ -53,9 +60,30 @@ def pytest_collection_modifyitems(config, items):
     config.hook.pytest_deselected(items=next(iter(halves.values())))
 
 
+def pytest_terminal_summary(terminalreporter):
+    """Note for scripts/test.sh what could not be tried here, one reason a line."""
+    place = os.environ.get("ROTCAL_NOT_TRIED")
+    if not place:
+        return
+    skipped = terminalreporter.stats.get("skipped", [])
+    reasons = [str(report.longrepr[2]).removeprefix("Skipped: ") for report in skipped]
+    with Path(place).open("a", encoding="utf-8") as noted:
+        noted.writelines(f"{reason}\n" for reason in reasons if not reason.startswith("long: "))
+
+
 @pytest.fixture(autouse=True)
 def _own_domain(request, monkeypatch):
     """Give each test marked ``ros`` a domain of its own, on this machine only."""
     if request.node.get_closest_marker("ros"):
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(free_domain()))
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(_domain_of_this_worker()))
         monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+
+def _domain_of_this_worker():
+    """Return a free domain that no other worker of this run takes."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    while True:
+        domain = free_domain()
+        if domain % workers == worker:
+            return domain

@@ -20,7 +20,7 @@ def replaced(folder: Path) -> None:
 
 
 def noted(folder: Path) -> None:
-    Journal(folder).note(Entry("applied", 2, "b", "before-2"))
+    Journal(folder).note(Entry("applied", 2, "b", "before-2", "00", "01"))
 
 
 def exported(folder: Path) -> None:
@@ -36,7 +36,7 @@ def is_a_journal(folder: Path, *, done: bool) -> None:
     entries = [entry.time_ns for entry in Journal(folder).entries()]
     assert entries == [1, 2] if done else entries in ([1], [1, 2])
     append_line(folder / "journal.jsonl", b'{"action": "restored", "time_ns": 3, "table_hash": '
-                b'"", "backup": ""}\n')  # fmt: skip
+                b'"", "backup": "", "before_hash": "01", "after_hash": "00"}\n')  # fmt: skip
     assert [entry.time_ns for entry in Journal(folder).entries()] == [*entries, 3]
 
 
@@ -59,7 +59,8 @@ def attempt(work, root: Path, monkeypatch, fault: Fault | None = None):
         faulty.install(patch)
         write_atomically(root / "state.json", OLD)
         append_line(root / "journal.jsonl", json.dumps(
-            {"action": "applied", "time_ns": 1, "table_hash": "a", "backup": "before-1"}
+            {"action": "applied", "time_ns": 1, "table_hash": "a", "backup": "before-1",
+             "before_hash": "", "after_hash": ""}
         ).encode() + b"\n")  # fmt: skip
         faulty.calls.clear()
         faulty.fault = fault

@@ -14,6 +14,7 @@ from snippets import PAGES, PYTHON, ROOT, SHELL, YAML, Block, blocks
 import rotcal_ros as rc
 from rotcal_ros.catalogue.configuration import GROUPS
 from rotcal_ros.catalogue.settings_reference import all_sections
+from rotcal_ros.machine_load import patient
 
 pytestmark = pytest.mark.slow
 
@@ -92,7 +93,7 @@ def reader(tmp_path, program, made):
     def run(text):
         return subprocess.run(
             ["bash", "-euo", "pipefail", "-c", text], cwd=tmp_path, env=env,
-            capture_output=True, text=True, timeout=DEADLINE_S,
+            capture_output=True, text=True, timeout=patient(DEADLINE_S),
         )  # fmt: skip
 
     return run

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
@@ -11,9 +11,16 @@ from numpy.typing import ArrayLike
 
 from rotcal_ros.api.reading import Name
 from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, Machine
+from rotcal_ros.compensation.earlier import to_be_in_force
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.lookup import Correction
-from rotcal_ros.compensation.table import CompensationTable, table_from_result
+from rotcal_ros.compensation.table import (
+    CompensationTable,
+    check_verdict,
+    measured_axis,
+    table_from_result,
+)
 from rotcal_ros.compensation.writing import write_files
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import Approach
@@ -24,7 +31,7 @@ def make_table(
     result: Result,
     *,
     reverse: Result | None = None,
-    axis: str = "C",
+    axis: str = "",
     reference_angle: float | None = None,
     spacing: float | None = None,
     harmonics: int | None = None,
@@ -33,20 +40,25 @@ def make_table(
 
     Correction = -deviation = commanded - actual: add it to the command. ``angles``,
     ``correction_forward``, ``correction_reverse`` and ``std`` (k = 1) are (n,) rad. ``reverse`` is
-    the result of the approach with decreasing angle; ``reference_angle`` (rad) is where the
+    the result of the approach with decreasing angle; ``axis`` is that of the result, which need
+    not be stated, and C where nobody knows it; ``reference_angle`` (rad) is where the
     correction is zero; ``spacing`` (rad) puts rows between the measured angles, on a spline or on
-    the fit of so many ``harmonics``. Raises DataError for a result without ECC or that does not
-    close, ConfigurationError for an impossible axis or spacing.
+    the fit of so many ``harmonics``. Raises DataError for a result without ECC, that does not
+    close, or whose parts have zeros that nothing joins; ConfigurationError for an axis
+    that is not the measured one, and an impossible one or spacing.
 
     >>> import rotcal_ros as rc
     >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
     >>> table.axis, len(table.angles), table.closed
     ('C', 12, True)
     """
+    for measured in (result,) if reverse is None else (result, reverse):
+        if measured.zeros.free:
+            check_verdict(measured)
     return table_from_result(
         result,
         reverse=reverse,
-        axis=axis,
+        axis=measured_axis(result, reverse, axis),
         reference_angle=reference_angle,
         spacing=spacing,
         harmonics=harmonics,
@@ -85,27 +97,47 @@ def write_controller_files(
     settings: Mapping[str, Any] | None = None,
     name: str | None = None,
     accept_unverified: bool = False,
+    replaces: bool = False,
+    add_to: Name | None = None,
+    axis: str = "",
+    serial: str = "",
+    accept: Sequence[str] = (),
+    largest_age_days: float = LARGEST_AGE_DAYS,
 ) -> tuple[Path, ...]:
     """Write the table for one of ``controller_names()`` into ``folder``; return the files.
 
     They are read back and run through the controller's own rule before they are written, all or
     none, and nothing is overwritten. ``spacing`` is the distance of the rows in rad, ``settings``
-    go to the controller, ``name`` begins the file names. Raises DataError for a verdict other
-    than ok or a file that would make things worse, ConfigurationError for what the controller
+    go to the controller, ``name`` begins the file names. ``axis`` and ``serial`` are those of the
+    machine, as far as stated: a table of another one, or of a measurement older than
+    ``largest_age_days``, is refused unless ``accept`` has the word "axis", "serial" or "age".
+    Where the result does not know which table was in force, one of both has to be said:
+    ``replaces`` (none was), or the folder ``add_to`` with the files of that table.
+    Raises DataError for all that, for a verdict other than ok and for a file that would make
+    things worse, ConfigurationError for what the controller
     cannot take or nobody has verified (unless ``accept_unverified``), BagError when not written.
 
     >>> import tempfile
     >>> import rotcal_ros as rc
     >>> table = rc.make_table(rc.read_result("examples/data/result_ball_plate.json"))
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     files = rc.write_controller_files(table, "csv", folder, spacing=10 * rc.DEGREE)
+    ...     files = rc.write_controller_files(table, "csv", folder, replaces=True)
     >>> sorted(file.name for file in files)
     ['c_csv.csv', 'c_csv.provenance.json']
     """
+    now = datetime.now(timezone.utc)
     export = prepare_export(
-        table,
+        to_be_in_force(
+            table,
+            controller,
+            {"the machine (axis, serial)": Machine(axis, serial)},
+            Accepted(tuple(accept), largest_age_days),
+            int(now.timestamp()) * 1_000_000_000,
+            replaces=replaces,
+            add_to=None if add_to is None else Path(add_to),
+        ),
         controller,
-        now=datetime.now(timezone.utc),
+        now=now,
         spacing=spacing,
         settings=settings,
         stem=name,

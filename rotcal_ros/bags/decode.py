@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Nodetype
 
 from rotcal_ros.arrays import Bytes, Ints
 from rotcal_ros.bags.blocks import Block
@@ -19,6 +20,7 @@ from rotcal_ros.bags.message_types import message_types
 from rotcal_ros.errors import BagError
 
 _MAX_LAYOUTS: Final = 64
+_HEADER: Final = (Nodetype.NAME, "std_msgs/msg/Header")
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,8 @@ class Columns:
     """Fields of messages of one shape.
 
     ``rows`` says which messages of the block they are; ``values`` holds one element per row
-    with the wanted fields by their dotted names, and ``layout`` the texts all have in common.
+    with the wanted fields by their dotted names, and ``layout`` the texts all have in common,
+    as far as those were asked for.
     """
 
     rows: Ints
@@ -43,6 +46,8 @@ class Columns:
 class Decoder:
     """Decodes the messages of one channel; ``broken`` counts those that could not be.
 
+    ``begins_with_header`` says that seconds and nanoseconds of a stamp stand first in a message.
+
     Raises BagError when the channel's definition cannot be used.
     """
 
@@ -51,6 +56,8 @@ class Decoder:
         self.broken = 0
         self._store, self.definitions = message_types(channel)
         self._layouts: dict[int, list[tuple[Layout, Bytes]]] = {}
+        fields = self.definitions[channel.type_name][1]
+        self.begins_with_header = bool(fields) and fields[0][1] == _HEADER
 
     def message(self, data: bytes) -> Any | None:
         """Return one message as an object whose attributes are its fields, as in rclpy.
@@ -65,31 +72,36 @@ class Decoder:
         self.broken += 1
         return None
 
-    def columns(self, block: Block, wanted: Sequence[str]) -> Iterator[Columns]:
+    def columns(
+        self, block: Block, wanted: Sequence[str], alike: Collection[str] | None = None
+    ) -> Iterator[Columns]:
         """Yield the ``wanted`` fields of all messages of ``block``, shape by shape.
 
+        Messages of one shape have the texts named by ``alike`` in common, None: all texts.
         Lists that are shorter than wanted and missing fields raise BagError.
         """
         for rows, raw in block.equally_long():
             rest = np.arange(len(rows))
             while len(rest):
-                found = self._layout(raw[rest[0]])
+                found = self._layout(raw[rest[0]], alike)
                 if found is None:
                     self.broken += 1
                     rest = rest[1:]
                     continue
                 layout, template = found
-                same = layout.fits(raw[rest], template)
+                same = layout.fits(raw[rest], template, alike)
                 chosen = rest[same]
                 values = raw[chosen].view(self._dtype(layout, wanted))[:, 0]
                 yield Columns(rows[chosen], values, layout)
                 rest = rest[~same]
 
-    def _layout(self, message: Bytes) -> tuple[Layout, Bytes] | None:
+    def _layout(
+        self, message: Bytes, alike: Collection[str] | None
+    ) -> tuple[Layout, Bytes] | None:
         """Return a layout that fits ``message``, known or new; None when it is broken."""
         known = self._layouts.setdefault(len(message), [])
         for layout, template in known:
-            if layout.fits(message[np.newaxis], template)[0]:
+            if layout.fits(message[np.newaxis], template, alike)[0]:
                 return layout, template
         try:
             layout = work_out_layout(message.tobytes(), self.channel.type_name, self.definitions)
@@ -105,6 +117,6 @@ class Decoder:
         if missing:
             raise BagError(
                 f"topic {self.channel.topic}: {self.channel.type_name} has no field "
-                f"{', '.join(missing)}; it has {', '.join(layout.fields)}"
+                f"{', '.join(missing)}; it has {', '.join(layout.fields) or 'none'}"
             )
         return layout.dtype(wanted)

@@ -40,7 +40,8 @@ class Framing:
     """Walks forward over the records of ``file`` and notes every fault.
 
     Records of more than ``largest`` bytes are not read. After the iteration ``damages`` holds
-    the faults, ``truncated`` the offset where a file without a footer ends (else None),
+    the faults, ``index_faults`` those of the index alone, ``truncated`` the offset where a file
+    without a footer ends (else None),
     ``skipped`` tells whether bytes were left out, ``data_sound`` whether the data section is
     without fault, ``data_proven`` whether a checksum says so, and ``summary_sound`` whether the
     index agrees with its own. Memory is bounded by the largest record, time by the size of the
@@ -49,6 +50,7 @@ class Framing:
 
     def __init__(self, file: BinaryIO, size: int, largest: int) -> None:
         self.damages: list[Damage] = []
+        self.index_faults: list[Damage] = []
         self.truncated: int | None = None
         self.chunked = False
         self.skipped = False
@@ -69,7 +71,8 @@ class Framing:
 
     def reject(self, record: Record, what: str) -> None:
         """Note that the content of the record yielded last is broken."""
-        self.damage(record.offset, what)
+        fault = self.index_fault if self.in_summary and self.data_sound else self.damage
+        fault(record.offset, what)
         self._rejected = True
 
     def settle(self, record: Record, fields_end: int) -> None:
@@ -80,6 +83,11 @@ class Framing:
         """Note a fault."""
         if len(self.damages) < MAX_DAMAGES:
             self.damages.append(Damage(offset, what))
+
+    def index_fault(self, offset: int, what: str) -> None:
+        """Note a fault of the index, without which the data can be read."""
+        if len(self.index_faults) < MAX_DAMAGES:
+            self.index_faults.append(Damage(offset, what))
 
     def records(self) -> Iterator[Record]:
         """Yield all records that can be told apart, up to and with the footer."""
@@ -229,7 +237,8 @@ class Framing:
             stated = int.from_bytes(content[-4:], "little")
             if stated and stated != crc:
                 self.summary_sound = False
-                self.damage(record.offset, "the checksum of the index is wrong")
+                fault = self.index_fault if self.data_sound else self.damage
+                fault(record.offset, "the checksum of the index is wrong")
             self._finish(record.end)
         elif self.in_summary:
             self._summary_crc = self._crc_of(record, zlib.crc32(head, self._summary_crc))

@@ -39,11 +39,14 @@ _MOST_FACTS: Final = 1 << 22
 
 
 class IndexCheck:
-    """Is told of every sound record in file order, and reports where the index disagrees."""
+    """Is told of every sound record in file order, and reports where the index disagrees.
 
-    def __init__(self, report: Report) -> None:
+    ``report_order`` is called for records that are out of place: readers of streams stop there.
+    """
+
+    def __init__(self, report: Report, report_order: Report) -> None:
         self._report = report
-        self._order = RecordOrder(report)
+        self._order = RecordOrder(report_order)
         self._chunk: _ChunkFacts | None = None
         self._chunks, self._attachments, self._notes = _Facts(), _Facts(), _Facts()
         self._indexes = _Facts()

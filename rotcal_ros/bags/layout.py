@@ -1,20 +1,20 @@
 """Where the fields of a serialised message stand, for decoding many messages at once.
 
-Messages of one type mostly differ in numbers only: as long as their texts and the lengths of
-their lists agree, every field stands at the same byte. A layout is worked out from one
-message; it fits all those that are equal to it in size, texts and list lengths.
+As long as the lengths of their texts and lists agree, every field of messages of one type stands
+at the same byte. A layout is worked out from one message; it fits all those that are equal to it
+in size and lengths, and in the texts that are asked for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 
-from rotcal_ros.arrays import Bools, Bytes
+from rotcal_ros.arrays import Bools, Bytes, Ints
 from rotcal_ros.bags.mcap_records import DamagedRecord
 
 Fields = Sequence[tuple[str, Any]]
@@ -22,6 +22,8 @@ Definitions = Mapping[str, tuple[Any, Fields]]
 """Message type -> (constants, fields), as rosbags parses it."""
 
 _ENCAPSULATION: Final = 4
+_ASCII: Final = 0x7F
+"""Largest byte of a text that is UTF-8 whatever stands beside it."""
 NUMBERS: Final = {
     "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1", "uint8": "u1", "int8": "i1",
     "uint16": "u2", "int16": "i2", "uint32": "u4", "int32": "i4", "uint64": "u8", "int64": "i8",
@@ -36,7 +38,8 @@ class Layout:
 
     ``fields`` maps a dotted name (``header.stamp.sec``, ``position``) to (dtype, offset);
     a list of numbers is one field with a shape. ``texts`` maps names to lists of texts.
-    ``fixed`` are (begin, end) ranges of bytes that every message of this shape has in common.
+    ``fixed`` are (begin, end) ranges of bytes that every message of this shape has in common,
+    ``written`` those of the texts by name.
     The fields end at ``end``; some serialisers leave unused bytes behind them, up to ``size``.
     """
 
@@ -45,6 +48,7 @@ class Layout:
     fields: dict[str, tuple[np.dtype[Any], int]] = field(default_factory=dict)
     texts: dict[str, list[str]] = field(default_factory=dict)
     fixed: list[tuple[int, int]] = field(default_factory=list)
+    written: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
 
     def dtype(self, wanted: Sequence[str]) -> np.dtype[np.void]:
         """Return the structured type that reads the ``wanted`` fields from a message."""
@@ -58,14 +62,35 @@ class Layout:
             }
         )
 
-    def fits(self, rows: Bytes, template: Bytes) -> Bools:
-        """Tell which rows have the shape of ``template``, of which this is the layout."""
-        common = np.r_[tuple(slice(begin, end) for begin, end in self.fixed)]
-        wrong = rows[:, common] != template[common]
-        if not wrong.any():
-            return np.ones(len(rows), np.bool_)
-        same: Bools = ~wrong.any(axis=1)
+    def fits(self, rows: Bytes, template: Bytes, alike: Collection[str] | None = None) -> Bools:
+        """Tell which rows have the shape of ``template``, of which this is the layout.
+
+        The texts named by ``alike`` have to be the same, None: all; others to be UTF-8.
+        """
+        ranges, free = list(self.fixed), list[tuple[int, int]]()
+        for name, places in self.written.items():
+            (ranges if alike is None or name in alike else free).extend(places)
+        wrong = rows[:, _bytes(ranges)] != template[_bytes(ranges)]
+        same: Bools = ~wrong.any(axis=1) if wrong.any() else np.ones(len(rows), np.bool_)
+        if free:
+            odd = same & (rows[:, _bytes(free)] > _ASCII).any(axis=1)
+            for row in np.flatnonzero(odd):
+                same[row] = all(_readable(rows[row, begin:end]) for begin, end in free)
         return same
+
+
+def _bytes(ranges: Sequence[tuple[int, int]]) -> Ints:
+    """Return the places of all bytes of some ranges."""
+    return np.concatenate([np.arange(begin, end) for begin, end in ranges])
+
+
+def _readable(text: Bytes) -> bool:
+    """Whether a text is UTF-8."""
+    try:
+        text.tobytes().decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def work_out_layout(message: bytes, type_name: str, definitions: Definitions) -> Layout:
@@ -115,7 +140,9 @@ class _Walk:
     def _numbers(self, name: str, base: str, count: int | None) -> None:
         if base == "string":
             self._check_count(count or 0)
-            self._layout.texts[name] = [self._text() for _ in range(1 if count is None else count)]
+            places = self._layout.written.setdefault(name, [])
+            count = 1 if count is None else count
+            self._layout.texts[name] = [self._text(places) for _ in range(count)]
             return
         if base not in NUMBERS:
             raise DamagedRecord(f"field {name} has the type {base}, which has no fixed size")
@@ -134,10 +161,10 @@ class _Walk:
         order = "little" if self._order == "<" else "big"
         return int.from_bytes(self._message[offset : offset + 4], order)  # type: ignore[arg-type]
 
-    def _text(self) -> str:
+    def _text(self, places: list[tuple[int, int]]) -> str:
         length = self._count()
         offset = self._take(1, length)
-        self._layout.fixed.append((offset, offset + length))
+        places.append((offset, offset + length))
         try:
             return self._message[offset : offset + length].rstrip(b"\0").decode()
         except UnicodeDecodeError:

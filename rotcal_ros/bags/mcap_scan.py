@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,6 +46,8 @@ from rotcal_ros.bags.whole_file import opened
 from rotcal_ros.errors import BagError
 
 _RUN_BYTES: Final = 1 << 20
+_WHOLE: Final = re.compile(r"-?[0-9]{1,18}")
+"""A count that a recorder may have written."""
 _CDR: Final = "cdr"
 _LARGE: Final = (mcap.MESSAGE, mcap.CHUNK, mcap.MESSAGE_INDEX, mcap.ATTACHMENT)
 """Records that hold data; the others hold texts and numbers by name."""
@@ -74,6 +77,7 @@ class McapScan(Scan):
         self._loss_unknown = False
         self._size = 0
         self._damages: list[Damage] = []
+        self._index_faults: list[Damage] = []
         self._truncated: int | None = None
 
     def blocks(self) -> Iterator[Block]:
@@ -89,7 +93,8 @@ class McapScan(Scan):
                 size = file.seek(0, 2)
                 self._unpacker = Unpacker(self._limits, self._size)
                 self._framing = Framing(file, size, self._limits.record_bytes)
-                self._index = IndexCheck(self._framing.damage) if self._check_index else None
+                report = self._framing.index_fault, self._framing.damage
+                self._index = IndexCheck(*report) if self._check_index else None
                 self._read_summary(file, size)
                 yield from self._items(self._framing)
         except OSError as error:
@@ -98,10 +103,12 @@ class McapScan(Scan):
     def verdict(self) -> FileVerdict:
         """Return the verdict on the file, after the iteration."""
         damages = sorted(self._damages, key=lambda damage: damage.offset)
-        state: State = "damaged" if damages else "complete"
+        index_faults = sorted(self._index_faults, key=lambda damage: damage.offset)
+        state: State = "damaged" if damages else "index wrong" if index_faults else "complete"
         if self._truncated is not None:
             state = state if damages else "truncated"
             damages.append(Damage(self._truncated, "the file ends without its closing records"))
+        damages += index_faults
         lost = self._lost if self._promised is None else self._missing(self._promised)
         start_ns, end_ns = self._span or (None, None)
         return FileVerdict(
@@ -285,9 +292,14 @@ class McapScan(Scan):
         self._framing.settle(record, end)
         if self._index is not None:
             self._index.attachment(record, attachment)
-        if self._keeping.has_room(("attachment", attachment.name), len(attachment.data)):
-            self.attachments[attachment.name] = attachment
-        if attachment.name == names.DEFINITIONS:
+        name = attachment.name
+        earlier = self.attachments.get(name, attachment)
+        changed = earlier.data != attachment.data
+        if changed and self._keeping.has_room(("replaced", name), len(earlier.data)):
+            self.replaced[name] = earlier
+        if self._keeping.has_room(("attachment", name), len(attachment.data)):
+            self.attachments[name] = attachment
+        if name == names.DEFINITIONS:
             for channel in parse_definitions(attachment.data):
                 self._definitions.add_copy(channel)
         return attachment
@@ -359,7 +371,7 @@ class McapScan(Scan):
         self._definitions.recover_all(trusted=bool(framing.damages))
         if self._statistics is not None and framing.summary_sound:
             self._compare_statistics(framing, *self._statistics, with_index)
-        self._damages = framing.damages
+        self._damages, self._index_faults = framing.damages, framing.index_faults
 
     def _compare_statistics(
         self, framing: Framing, offset: int, stated: Statistics, with_index: tuple[int, int]
@@ -394,4 +406,4 @@ class McapScan(Scan):
 
 
 def _integers(texts: dict[str, str]) -> dict[str, int]:
-    return {name: int(text) for name, text in texts.items() if text.lstrip("-").isdigit()}
+    return {name: int(text) for name, text in texts.items() if _WHOLE.fullmatch(text)}

@@ -17,6 +17,7 @@ import zstandard
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.mcap_records import DamagedRecord
 from rotcal_ros.bags.reading_limits import LARGEST_MESSAGE
+from rotcal_ros.bags.unpacking import SKIPPABLE, zstd_message
 from rotcal_ros.errors import BagError
 from rotcal_ros.untrusted import open_plain
 
@@ -27,8 +28,6 @@ METADATA_FILE: Final = "metadata.yaml"
 _MAX_METADATA: Final = 16 << 20
 _STATED: Final = re.compile(rb"^\s*compression_(mode|format):[ \t]*[\"']?(\w+)", re.MULTILINE)
 _BLOCK_BYTES: Final = 4 << 20
-_STEP_BYTES: Final = 512
-"""Bytes unpacked at once; zstd can make 32,768 times as many of them."""
 
 
 def decompressor(mode: str, compression: str) -> Unpack | None:
@@ -67,7 +66,7 @@ def stated_compression(metadata: bytes) -> tuple[str, str]:
 
 def looks_packed(message: bytes) -> bool:
     """Tell whether ``message`` is compressed, declared or not: CDR never begins like zstd."""
-    return message.startswith(zstandard.FRAME_HEADER)
+    return message.startswith(zstandard.FRAME_HEADER) or bool(SKIPPABLE.match(message))
 
 
 def unpacked(block: Block, unpack: Unpack, lost: Counter[int]) -> Iterator[Block]:
@@ -99,30 +98,5 @@ def _block(block: Block, rows: list[int], payloads: list[bytes]) -> Block:
 
 
 def _unpack_zstd(data: bytes) -> bytes:
-    try:
-        size = zstandard.frame_content_size(data)  # -1: not stated
-        if size > LARGEST_MESSAGE:
-            raise DamagedRecord(f"a message unpacks to {size} bytes, more than {LARGEST_MESSAGE}")
-        whole: bytes = (
-            _unpack_in_steps(data)
-            if size < 0
-            else zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
-        )
-    except (zstandard.ZstdError, MemoryError) as error:
-        raise DamagedRecord(f"a compressed message cannot be unpacked: {error}") from None
-    return whole
-
-
-def _unpack_in_steps(data: bytes) -> bytes:
-    """Unpack a message of unstated size without allocating much more than is allowed."""
-    unpacker = zstandard.ZstdDecompressor().decompressobj()
-    parts: list[bytes] = []
-    room = LARGEST_MESSAGE
-    for begin in range(0, len(data), _STEP_BYTES):
-        parts.append(unpacker.decompress(data[begin : begin + _STEP_BYTES]))
-        room -= len(parts[-1])
-        if room < 0:
-            raise DamagedRecord(f"a message unpacks to more than {LARGEST_MESSAGE} bytes")
-        if unpacker.eof:
-            return b"".join(parts)
-    raise DamagedRecord("a compressed message is cut off")
+    beyond = f"a message unpacks to more than {LARGEST_MESSAGE} bytes"
+    return zstd_message(data, LARGEST_MESSAGE, beyond)

@@ -67,9 +67,10 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
 def _parsed(channel: ChannelDefinition) -> dict[str, Any]:
     if len(channel.definition) > MAX_DEFINITION:
         raise _Unusable(f"it is longer than {MAX_DEFINITION} characters")
+    text = channel.definition.replace("\r\n", "\n")  # written on Windows
     if channel.encoding == "ros2idl":
-        return dict(get_types_from_idl(channel.definition))
-    return dict(get_types_from_msg(channel.definition, channel.type_name))
+        return dict(get_types_from_idl(text))
+    return dict(get_types_from_msg(text, channel.type_name))
 
 
 class _Tree:

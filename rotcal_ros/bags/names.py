@@ -27,6 +27,8 @@ UNHEARD: Final = "incompatible publisher"
 """How the counters begin that count publishers whom nobody can receive."""
 DROPOUTS: Final = "dropouts"
 """Last name of the recorder's topic that says what is missing, and from when to when."""
+LEFT_ALONE: Final = "left_alone"
+"""Last word of the recorder's topics with what somebody else published on a topic of the run."""
 RUN: Final = "rotcal_run"
 """Metadata record: ``number`` of the run of an interrupted plan that the file belongs to, and
 ``session``, which all files of all its runs have in common; ``earlier`` is RECORDED where the run

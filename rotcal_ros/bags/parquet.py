@@ -15,6 +15,7 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
+from rotcal_ros.bags.session_verdict import judge_session
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.files import sync_folder
 
@@ -55,16 +56,20 @@ def write_topics(
     except FileExistsError:
         raise BagError(f"{folder} exists: name a new folder") from None
     streams: dict[tuple[str, str], _Stream] = {}
+    verdicts = []
     with ExitStack() as open_files:
         for scan, block in read_blocks(files, progress):
-            for number in block.counts() if block is not None else ():
+            if block is None:
+                verdicts.append(scan.verdict())
+                continue
+            for number in block.counts():
                 channel = scan.channels[number]
                 key = (channel.topic, channel.type_name)
                 if key not in streams:
                     target = folder / _file_name(channel.topic, {s.path for s in streams.values()})
                     streams[key] = open_files.enter_context(_Stream(channel, target))
-                assert block is not None
                 streams[key].add(block.select(block.headers["channel"] == number))
+    judge_session(path, verdicts)  # so that a file that is missing is noted
     sync_folder(folder)
     return tuple(stream.summary() for stream in streams.values())
 

@@ -13,6 +13,7 @@ from rotcal_ros.bags.mcap_scan import McapScan
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, FileInfo
 from rotcal_ros.bags.scan import Item, Scan
+from rotcal_ros.bags.unread import note_verdict
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.whole_file import plain_name
 from rotcal_ros.errors import BagError
@@ -86,6 +87,7 @@ def read_blocks(
             if progress is not None:
                 progress(done + scan.position, total)
         done += file.stat().st_size
+        note_verdict(scan.verdict())
         yield scan, None
 
 
@@ -103,6 +105,7 @@ def read_items(
             if progress is not None:
                 progress(done + scan.position, total)
         done += file.stat().st_size
+        note_verdict(scan.verdict())
         yield scan, None
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.settings import load, setting
+from rotcal_ros.untrusted import load_yaml
 
 _GROUP: Final = "reading"
 
@@ -61,19 +62,13 @@ def is_limit(change: str) -> bool:
 
 def changed_limits(changes: Sequence[str]) -> ReadingLimits:
     """Return the limits with ``reading.name=value`` changes; ConfigurationError for all others."""
-    import yaml
-
     values: dict[str, Any] = {}
     for change in changes:
         name, equals, value = change.partition("=")
         group, dot, limit = name.partition(".")
         if group != _GROUP or not dot or not equals:
             raise ConfigurationError(f"--set {change}: expected {_GROUP}.NAME=VALUE")
-        try:
-            values[limit] = yaml.safe_load(value)
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
-            what = " ".join(str(error).split())
-            raise ConfigurationError(f"--set {change}: no value: {what}") from None
+        values[limit] = load_yaml(value, f"--set {change}")
     return load(ReadingLimits, values, f"--set: {_GROUP}")
 
 

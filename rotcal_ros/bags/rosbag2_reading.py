@@ -79,7 +79,7 @@ def read_description(folder: Path) -> BagDescription | None:
 def parse_description(text: str, source: str) -> BagDescription:
     """Return what the text of a ``metadata.yaml`` says; BagError, naming ``source``, else."""
     try:
-        data = load_yaml(text, source)
+        data = load_yaml(text, source, strict=False)
     except ConfigurationError as error:
         raise BagError(str(error)) from error
     if not isinstance(data, dict) or not isinstance(data.get(INFORMATION), dict):
@@ -101,7 +101,7 @@ def recorded_files(notes: Mapping[str, Mapping[str, str]]) -> tuple[str, ...]:
     if not text:
         return ()
     try:
-        known = _description(load_yaml(text, names.ROSBAG2))
+        known = _description(load_yaml(text, names.ROSBAG2, strict=False))
     except (ConfigurationError, KeyError, TypeError, ValueError, AttributeError):
         return ()
     ours = (known.custom or {}).get(LIBRARY_KEY, "").startswith("rotcal_ros")

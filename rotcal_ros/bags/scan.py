@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.records import Attachment, Metadata
@@ -20,13 +21,24 @@ Item = Block | Attachment | Metadata
 """What stands in a file: messages and what is beside them."""
 
 
-class Scan(ABC):
+@dataclass(eq=False)
+class Contents:
+    """What is known beside its messages of a storage file, or of several that are read as one."""
+
+    path: Path
+    channels: dict[int, ChannelDefinition] = field(default_factory=dict)
+    attachments: dict[str, Attachment] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+
+
+class Scan(Contents, ABC):
     """One pass over one storage file; ``position`` is how far it has come, in bytes.
 
     Iterate :meth:`blocks` to the end; ``channels``, ``attachments`` and ``metadata`` fill up on
     the way, and :meth:`verdict` is final afterwards. A block only holds messages of
     channels whose definition is known. ``attachments`` and ``metadata`` hold the last of each
-    name, as far as memory allows.
+    name, as far as memory allows; ``replaced`` an earlier attachment of that name with another
+    content.
     """
 
     def __init__(self, path: Path) -> None:
@@ -35,11 +47,9 @@ class Scan(ABC):
             require_plain(path)
         except OSError as error:
             raise BagError(f"cannot read {path}: {why(error)}") from error
-        self.path = path
+        super().__init__(path)
         self.position = 0
-        self.channels: dict[int, ChannelDefinition] = {}
-        self.attachments: dict[str, Attachment] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
+        self.replaced: dict[str, Attachment] = {}
         self._counts: Counter[int] = Counter()
         self._span: tuple[int, int] | None = None
         self._dropouts = DropoutReader()

@@ -19,6 +19,7 @@ from rotcal_ros.bags.rosbag2_reading import (
     read_description,
     recorded_files,
 )
+from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.bags.verdict import FileVerdict
 from rotcal_ros.bags.whole_file import PACKED
 from rotcal_ros.errors import BagError
@@ -87,8 +88,10 @@ def judge_session(path: Path, verdicts: Sequence[FileVerdict]) -> SessionVerdict
         short += _short(known, present)
         missing |= {text: text for text in (known.custom or {}).get(MISSING_KEY, "").splitlines()}
     before = (text for v in verdicts for text in missing_before_repair(v.notes))
+    lacking = _few(dict.fromkeys((*missing.values(), *short, *before)))
+    note_unread(lacking)
     return SessionVerdict(
-        _few(dict.fromkeys((*missing.values(), *short, *before))),
+        lacking,
         _few(wrong),
         tuple(text for v in verdicts for text in repairs_in_words(v.notes)),
         tuple(_closed(verdicts)),
@@ -183,7 +186,7 @@ def _short(known: BagDescription, present: _Present) -> Iterator[str]:
     """Yield which files hold less than was recorded, though nothing in them says so."""
     for entry in known.files:
         verdict = present.find(entry)
-        if verdict is None or verdict.state != "complete" or entry.messages is None:
+        if verdict is None or not verdict.whole or entry.messages is None:
             continue
         if verdict.messages < entry.messages:
             yield (
@@ -201,15 +204,35 @@ def _differences(known: BagDescription, present: _Present, *, whole: bool) -> It
                 yield f"{METADATA_FILE} does not list {verdict.path.name}"
     for entry in known.files:
         found = present.find(entry)
-        if found is None or found.state != "complete" or entry.messages is None:
+        if found is None:
+            continue
+        yield from _another_name(entry, found)
+        if not found.whole or entry.messages is None:
             continue
         if found.messages > entry.messages:
             yield (
                 f"{METADATA_FILE} lists {entry.messages} messages in {found.path.name}, it "
                 f"holds {found.messages}"
             )
-    if whole and all(v.state == "complete" and id(v) in described for v in present.verdicts):
+    if whole and all(v.whole and id(v) in described for v in present.verdicts):
         yield from _totals(known, present.verdicts)
+
+
+def _another_name(entry: FileEntry, found: FileVerdict) -> Iterator[str]:
+    """Yield that a file has another name than the one listed, or the content of another file."""
+    name = found.path.name
+    if name not in (entry.name, entry.name.removesuffix(PACKED)):
+        yield (
+            f"{METADATA_FILE} lists {entry.name}, which is called {name} here: others do not find "
+            "it; give it its name again, or rebuild the list (rotcal bag reindex)"
+        )
+    elif entry.messages and found.whole and None not in (found.start_ns, entry.start_ns):
+        apart_ns = (found.start_ns or 0) - (entry.start_ns or 0)
+        if abs(apart_ns) > _TOLERANCE_NS:
+            yield (
+                f"{name} begins {apart_ns / 1e9:+.3f} s from what {METADATA_FILE} lists of it: "
+                "it is another file, or files have exchanged their names"
+            )
 
 
 def _totals(known: BagDescription, verdicts: Sequence[FileVerdict]) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
@@ -135,7 +136,9 @@ class SqliteScan(Scan):
         size, room = 0, 4 * self._plain_size + LARGEST_MESSAGE
         try:
             key = "id" if "id" in database.columns("messages") else "rowid"
-            for row in database.connection.execute(_MESSAGES + key):
+            odd = database.connection.execute(_ODD_TIMES).fetchone() is not None
+            by = "CAST(timestamp AS INTEGER)" if odd else "timestamp"
+            for row in database.connection.execute(f"{_MESSAGES}{by}, {key}"):
                 if (message := self._understood(*row)) is None:
                     continue
                 batch.append(message)
@@ -163,8 +166,11 @@ class SqliteScan(Scan):
             self._oddities["messages of no topic"] += 1
             self._unreadable += 1
             return None
+        if not isinstance(time_ns, int) and (time_ns := _whole(time_ns)) is not None:
+            self._oddities["messages whose time is a text or a fraction, read as a whole one"] += 1
         if not isinstance(time_ns, int) or not isinstance(data, bytes):
-            what = "whose size is out of range" if size else "without content or time"
+            large = size and not isinstance(data, bytes)
+            what = "whose size is out of range" if large else "without content or time"
             self._oddities[f"messages {what}"] += 1
             self._lost[number] += 1
             return None
@@ -206,8 +212,21 @@ class SqliteScan(Scan):
 _MESSAGES: Final = (
     "SELECT topic_id, timestamp,"
     f" CASE WHEN length(data) <= {LARGEST_MESSAGE} THEN data END, length(data)"
-    " FROM messages ORDER BY timestamp, "
+    " FROM messages ORDER BY "
 )
+_ODD_TIMES: Final = "SELECT 1 FROM messages WHERE typeof(timestamp) != 'integer' LIMIT 1"
+_TIME: Final = re.compile(rb"\s*([+-]?[0-9]{1,19})(\.[0-9]*)?([eE][+-]?[0-9]{1,3})?\s*")
+_LARGEST_TIME: Final = float(1 << 62)
+
+
+def _whole(time_ns: object) -> int | None:
+    """Return a time that stands there as a text or a fraction; None for what is none."""
+    found = _TIME.fullmatch(time_ns) if isinstance(time_ns, bytes) else None
+    if found is not None:  # a double does not hold all digits of a time of today
+        time_ns = float(found[0]) if found[3] else int(found[1])
+    if isinstance(time_ns, float | int) and abs(time_ns) < _LARGEST_TIME:
+        return int(time_ns)
+    return None
 
 
 def _block(batch: list[tuple[int, int, bytes]]) -> Block:

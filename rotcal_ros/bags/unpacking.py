@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import zlib
+from collections.abc import Iterator
+from contextlib import suppress
 from io import BytesIO
 from typing import Final
 
@@ -14,6 +17,10 @@ from rotcal_ros.bags.mcap_records import ChunkRecord, DamagedRecord
 from rotcal_ros.bags.reading_limits import ReadingLimits, refusal
 
 _LZ4_STEP: Final = 1 << 16
+_ZSTD_STEP: Final = 512
+SKIPPABLE: Final = re.compile(rb"[\x50-\x5f]\x2a\x4d\x18")
+"""Begins a frame that is to be skipped."""
+_CUT_OFF: Final = "a compressed message is cut off"
 
 
 class Unpacker:
@@ -39,14 +46,11 @@ class Unpacker:
 
     def message(self, data: bytes) -> bytes:
         """Return a message that was compressed by itself (zstd); raises DamagedRecord."""
-        try:
-            claimed = zstandard.frame_content_size(data)
-            if claimed < 0:  # rosbag2 always says how large a message is
-                raise DamagedRecord("a compressed message does not say its size")
-            self._grant(claimed, "message")
-            return _zstd(memoryview(data), claimed)
-        except zstandard.ZstdError as error:
-            raise DamagedRecord(f"a message cannot be unpacked: {error}") from None
+        more = f"a message unpacks to more than {self._largest} bytes"
+        beyond = refusal(more, "chunk_bytes", 2 * self._largest)
+        plain = zstd_message(data, self._largest, beyond)
+        self._grant(len(plain), "message")
+        return plain
 
     def _plain(self, chunk: ChunkRecord) -> bytes:
         if chunk.compression == "":
@@ -71,6 +75,49 @@ class Unpacker:
             )
 
 
+def zstd_message(data: bytes, largest: int, beyond: str) -> bytes:
+    """Return what all frames of ``data`` hold (RFC 8878, 3.1); some are to be skipped.
+
+    Raises DamagedRecord, with the words ``beyond`` above ``largest`` bytes.
+    """
+    try:
+        size = zstandard.frame_content_size(data)  # -1: not stated
+        if size > largest:
+            raise DamagedRecord(beyond)
+        if size > 0:
+            with suppress(zstandard.ZstdError):  # there is more than this frame
+                return bytes(
+                    _decompressors.zstd.decompress(
+                        data, max_output_size=size, allow_extra_data=False
+                    )
+                )
+        return b"".join(_frames(data, largest, beyond))
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise DamagedRecord(f"a compressed message cannot be unpacked: {error}") from None
+
+
+def _frames(data: bytes, room: int, beyond: str) -> Iterator[bytes]:
+    """Yield what the frames of ``data`` hold, in steps; a step gives 32,768 times as much."""
+    position = 0
+    while position < len(data) or not data:
+        if SKIPPABLE.match(data, position):
+            position += 8 + int.from_bytes(data[position + 4 : position + 8], "little")
+            if position > len(data):
+                raise DamagedRecord(_CUT_OFF)
+            continue
+        frame = _decompressors.zstd.decompressobj()
+        while not frame.eof:
+            step = data[position : position + _ZSTD_STEP]
+            if not step:
+                raise DamagedRecord(_CUT_OFF)
+            part = frame.decompress(step)
+            position += len(step) - len(frame.unused_data)
+            room -= len(part)
+            if room < 0:
+                raise DamagedRecord(beyond)
+            yield part
+
+
 class _Decompressors(threading.local):
     """One for each thread: to make one takes longer than to unpack a small chunk."""
 
@@ -82,12 +129,21 @@ _decompressors: Final = _Decompressors()
 
 
 def _zstd(packed: memoryview, size: int) -> bytes:
-    """Return what is packed, at most ``size`` bytes; in one step, which needs no window."""
+    """Return what is packed, hardly more than ``size`` bytes; one frame in one step."""
     claimed = zstandard.frame_content_size(packed)
     if claimed > size:
         raise DamagedRecord(f"a frame claims {claimed} bytes instead of {size}")
-    data: bytes = _decompressors.zstd.decompress(packed, max_output_size=max(1, size))
-    return data
+    data = b""
+    with suppress(zstandard.ZstdError):
+        data = _decompressors.zstd.decompress(packed, max_output_size=max(1, size))
+    if len(data) == size:
+        return data
+    with _decompressors.zstd.stream_reader(packed, read_across_frames=True) as reader:
+        parts = []  # several frames, or some that are to be skipped
+        while size >= 0 and (part := reader.read(size + 1)):
+            parts.append(part)
+            size -= len(part)
+    return b"".join(parts)
 
 
 def _lz4(packed: memoryview, size: int) -> bytes:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import Dropout
 
-State = Literal["complete", "truncated", "damaged"]
+State = Literal["complete", "index wrong", "truncated", "damaged"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,8 @@ class TopicCount:
 class FileVerdict:
     """The state of one file.
 
+    "index wrong" says that the data are sound: nothing is lost, but others may not find it.
+
     ``lost_exactly`` is False when messages may be missing beyond those counted in ``topics``:
     what stood behind the end of a truncated file is unknown, and so is the content of a
     damaged chunk whose index is damaged too. ``losses_recorded`` counts from the beginning of
@@ -56,6 +58,11 @@ class FileVerdict:
     notes: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
     @property
+    def whole(self) -> bool:
+        """Whether all data that were written can be read, index or not."""
+        return self.state in ("complete", "index wrong")
+
+    @property
     def messages(self) -> int:
         """Messages that can be read."""
         return sum(topic.messages for topic in self.topics.values())
@@ -70,6 +77,8 @@ class FileVerdict:
         if self.state == "complete":
             return "complete"
         first = self.damages[0]
+        if self.state == "index wrong":
+            return f"data sound, index wrong at byte {first.offset}: {first.what}; nothing is lost"
         lost = f"{self.lost} messages lost" if self.lost else "no message known to be lost"
         more = "" if self.lost_exactly else "; more may be missing"
         return f"{self.state} at byte {first.offset}: {first.what}; {lost}{more}"

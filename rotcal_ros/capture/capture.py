@@ -20,7 +20,7 @@ from rotcal_ros.capture.length import no_shot
 from rotcal_ros.capture.rules import CaptureRules
 from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.capture.streams import NEVER, Stream, StreamCounts
-from rotcal_ros.capture.table import why_not_at_rest
+from rotcal_ros.capture.table import VELOCITY, why_not_at_rest, wrongly_told
 from rotcal_ros.capture.window import TracerStream
 from rotcal_ros.observations import (
     Command,
@@ -92,6 +92,8 @@ class Capture:
         self._set_backs = 0
         self._next_attempt = [0] * len(plan.steps)
         self._pending: deque[Attempt] = deque()
+        self._newest: Attempt | None = None
+        self._had_velocity = False
         self._waiting: Wait | None = None
         self._checks = rules.checks(plan)
         self._remarks: deque[str] = deque(maxlen=100)
@@ -146,7 +148,7 @@ class Capture:
         attempt, wait = self._pending[0], self._waiting
         lag_s = seconds(self._streams.lag_ns(attempt, wait))
         return (
-            f"step {attempt.step.index}, attempt {attempt.number}: waiting for "
+            f"{attempt.step.in_words(attempt.number)}: waiting for "
             f"{self._name(wait.stream)}, now {lag_s:.3g} s behind the other streams"
         )
 
@@ -178,7 +180,19 @@ class Capture:
         found = why_not_at_rest(
             table, attempt.begin_ns, reached_ns, step.table_angle, self._settings
         )
-        return f"step {step.index}, attempt {attempt.number}: {found}"
+        return f"{step.in_words(attempt.number)}: {found}"
+
+    def hopeless(self) -> str:
+        """Return why no attempt will ever be accepted, with what to change; empty: one may be."""
+        if (newest := self._newest) is None:
+            return ""
+        table = self._streams.table
+        self._had_velocity |= bool(np.isfinite(table.values[:, VELOCITY]).any())
+        wrong_unit = wrongly_told(
+            table, newest.begin_ns, newest.step.table_angle, self._had_velocity
+        )
+        attempt = f"step {newest.step.index}, attempt {newest.number}"
+        return f"{attempt}: {wrong_unit}" if wrong_unit else ""
 
     def remarks(self) -> tuple[str, ...]:
         """Return and clear what was wrong with records that belong to no observation."""
@@ -245,6 +259,7 @@ class Capture:
         stamp_ns = sample.stamp_ns
         attempt = Attempt(step, sample.attempt, self._run, [sample], stamp_ns, refusal)
         self._pending.append(attempt)
+        self._newest = attempt
 
     def _add_point(self, attempt: Attempt, sample: ProbeSample) -> None:
         seen = {known.point for known in attempt.samples}
@@ -361,7 +376,7 @@ class Capture:
         outcome = decide(attempt, self._streams, self._settings)
         if late and isinstance(outcome, Observation):
             names = ", ".join(late)
-            self._remarks.append(f"step {attempt.step.index}: no {names} came in time")
+            self._remarks.append(f"{attempt.step.in_words()}: no {names} came in time")
         return outcome if isinstance(outcome, Wait) else self._with_air(attempt, outcome)
 
     def _with_air(self, attempt: Attempt, outcome: Observation) -> Observation:

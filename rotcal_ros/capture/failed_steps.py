@@ -34,10 +34,9 @@ class FailedSteps:
         failed = len(self._steps)
         if not self.limit or max(failed - len(hidden), failed / HIDDEN) < self.limit:
             return ""
-        first, last = self._steps[0][0], self._steps[-1][0]
         found = Commonest.of(r for _, reasons in self._steps for r in reasons)
         assert found is not None
-        steps = f"{failed} steps running ({first} to {last})" if failed > 1 else f"step {first}"
+        steps = f"{failed} steps running" if failed > 1 else "a step"
         return (
             f"given up: {steps} failed; of their attempts {found.in_words()}. Put that right, "
             "then go on with 'rotcal run --resume', which measures these steps again "

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
-from rotcal_ros.observations import Observation
+from rotcal_ros.observations import Observation, place_in_words
 
 ALARM_AFTER: Final = 3
 """Attempts rejected running from which on it is an alarm, no more a mere concern."""
@@ -74,7 +74,8 @@ class Rejections:
         self._told_s[kind] = now_s
         more = self._untold.pop(kind, 0)
         since = f" (and {more} more like this since the last line)" if more else ""
-        return f"step {observation.step}, attempt {observation.attempt} rejected: {reason}{since}"
+        place = place_in_words(observation.table_position, observation.target, observation.attempt)
+        return f"{place} rejected: {reason}{since}"
 
     @property
     def alarming(self) -> bool:

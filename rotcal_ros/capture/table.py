@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import fsum, isnan, pi, remainder
+from typing import Final
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 ANGLE, VELOCITY = range(2)
 """Columns of the table stream, rad and rad/s."""
 
+STANDING_NS: Final = 1_000_000_000
+"""So long a feedback that is wrong by its unit has to last before it is called hopeless."""
 _SAME = 0.05 * DEGREE  # a table this close to its angle is there, in the unit in question
 _CHUNK = 512  # arrivals are found soon or not at all
 
@@ -107,6 +110,24 @@ def why_not_at_rest(
         f"table not at rest in position for a whole window within {limit:.3g} s: "
         f"{off_in_words(angle, velocity, commanded, settings)}"
     )
+
+
+def wrongly_told(table: Stream, since_ns: int, commanded: float, had_velocity: bool) -> str:
+    """Say why nothing will ever be measured with this feedback; empty: nothing is known.
+
+    It has said so for :data:`STANDING_NS`, from ``since_ns`` on at the earliest. One that
+    ``had_velocity`` before lacks it for a while, as while a joint has not begun to obey.
+    """
+    if table.latest is None or table.latest - since_ns < STANDING_NS:
+        return ""
+    rows = table.values[table.index(table.latest - STANDING_NS) :]
+    if had_velocity and np.isnan(rows[-1, VELOCITY]):
+        return ""
+    found = [_wrongly_told(a, v, commanded) for a, v in (rows[0].tolist(), rows[-1].tolist())]
+    near = np.abs(offset(rows[:, ANGLE], commanded)) <= _SAME
+    if not all(found) or (near.any() and not np.isnan(rows[-1, VELOCITY])):
+        return ""
+    return found[-1].removeprefix("; ")
 
 
 def off_in_words(

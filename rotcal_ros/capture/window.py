@@ -173,7 +173,7 @@ def clock_jump(tracer: TracerStream, begin_ns: int, last: int) -> str:
     return (
         f"the stamps of the tracer readings jump ahead by {pauses[at[0]] * NANOSECOND:.3g} s from "
         f"{int(number[at[0]])} to {int(number[at[0] + 1])}: their clock was set, "
-        "or the instrument pauses by itself (topics.length_single_shot)"
+        "or the instrument stood still (one that always does: topics.length_single_shot)"
     )
 
 

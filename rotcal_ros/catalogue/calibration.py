@@ -28,6 +28,8 @@ from rotcal_ros.planning.plan import Plan, Point, Step
 from rotcal_ros.planning.policy.as_listed import AsListed
 from rotcal_ros.planning.policy.choices import Policy
 from rotcal_ros.planning.policy.names import AS_LISTED, UNTIL_GOAL
+from rotcal_ros.protection import Protection
+from rotcal_ros.raw_data import RawData
 from rotcal_ros.results import Result
 
 _DATED_NS: Final = 10**17
@@ -90,7 +92,11 @@ class Calibration:
             result = replace(result, measured_on=measured_on)
         conflicts = frame_conflicts(self.configuration.cell, self.plan, result, frames)
         warnings = (*result.warnings, *conflicts)
-        return replace(result, warnings=warnings, circumstances=self._circumstances(used))
+        result = _numbered_by_feedback(result, used)
+        raw = replace(RawData.of(used, _DATED_NS), influence=result.raw_data.influence)
+        return replace(
+            result, warnings=warnings, circumstances=self._circumstances(used), raw_data=raw
+        )
 
     def _circumstances(self, used: Sequence[Observation]) -> Circumstances:
         """Return under which circumstances the observations ``used`` were made."""
@@ -145,8 +151,12 @@ class Calibration:
         return Stations() if find is None else find(self.configuration)
 
     def in_force(self, announced: Iterable[str]) -> tuple[str, ...]:
-        """Return what configuration and cell say about the table in force."""
-        return (self.configuration.cell.table_in_force, *announced)
+        """Return what configuration and cell say about the table in force.
+
+        A configuration that says "unknown" says nothing.
+        """
+        stated = self.configuration.cell.table_in_force
+        return (*(() if stated == UNKNOWN else (stated,)), *announced)
 
     def trials(self, observations: Iterable[Observation]) -> Trials:
         """Prepare Monte Carlo trials about the observations that count."""
@@ -264,6 +274,19 @@ def prepare_whole(configuration: Configuration) -> Calibration:
         except PlanError as error:
             raise PlanError(f"{configuration.source}: plan: {error}") from error
     return calibration
+
+
+def _numbered_by_feedback(result: Result, used: Sequence[Observation]) -> Result:
+    """Return the result; what was captured cannot be numbered off, as a table written down can."""
+    if any(not o.window_end_ns for o in used):
+        return result
+    captured = Protection(
+        "numbering",
+        "harmless",
+        "all was captured while the table's own feedback stood at the commanded angle",
+    )
+    protections = [captured if p.effect == captured.effect else p for p in result.protections]
+    return replace(result, protections=tuple(protections))
 
 
 def last_accepted(observations: Iterable[Observation]) -> dict[RunStep, Observation]:

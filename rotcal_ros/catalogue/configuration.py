@@ -7,6 +7,7 @@ file starts the nodes through ROS 2's launch, through ``rotcal run``, and solves
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,13 +29,14 @@ from rotcal_ros.identity import Identity
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.page.settings import PageSettings
 from rotcal_ros.planning.cell_settings import CellSettings
+from rotcal_ros.planning.health_settings import HealthSettings
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
 from rotcal_ros.planning.safety_settings import SafetySettings
 from rotcal_ros.plugins import nearest
 from rotcal_ros.ros2_control.settings import TableAdapterSettings
 from rotcal_ros.settings import declarations, load, to_mapping
-from rotcal_ros.untrusted import load_yaml, read_text, why
+from rotcal_ros.untrusted import line_of, load_yaml, read_text, why
 
 SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "cell": CellSettings,
@@ -42,6 +44,7 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
     "air": AirSettings,
     "planner": PlannerSettings,
     "safety": SafetySettings,
+    "health": HealthSettings,
     "recorder": RecorderSettings,
     "bridge": BridgeSettings,
     "dme": DmeSettings,
@@ -53,10 +56,12 @@ SHARED_GROUPS: Final[Mapping[str, type[Any]]] = {
 }
 """Groups of settings that are the same for all methods."""
 GROUPS: Final = (
-    "identity", "cell", "plan", "capture", "air", "solver", "planner", "safety", "recorder",
-    "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
+    "identity", "cell", "plan", "capture", "air", "solver", "planner", "safety", "health",
+    "recorder", "bridge", "dme", "instrument", "table_adapter", "topics", "page", "simulation",
 )  # fmt: skip
 """All groups, in the order in which a configuration is written."""
+ALL_NODES: Final = "/**"
+PARAMETERS: Final = "ros__parameters"
 USE_SIM_TIME: Final = "use_sim_time"
 """Parameter of ROS's own beside the groups: all nodes follow ``/clock``."""
 SIMULATION: Final = "simulation"
@@ -99,6 +104,7 @@ class Configuration:
     solver: Any
     planner: PlannerSettings
     safety: SafetySettings
+    health: HealthSettings
     recorder: RecorderSettings
     bridge: BridgeSettings
     dme: DmeSettings
@@ -252,8 +258,23 @@ def node_parameters(configuration: Configuration) -> str:
         values = to_mapping(getattr(configuration, group))
         given = {n: v for n, v in values.items() if f"{group}.{n}" in configuration.given}
         parameters[group] = _without_none(given)
-    document = {"/**": {"ros__parameters": {n: v for n, v in parameters.items() if v != {}}}}
-    return str(yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
+    document = {ALL_NODES: {PARAMETERS: {n: v for n, v in parameters.items() if v != {}}}}
+    return str(yaml.dump(document, Dumper=_Quoting, sort_keys=False, default_flow_style=None))
+
+
+class _Quoting(yaml.SafeDumper):  # type: ignore[misc]
+    """Quotes texts that ROS would take for true, or for a number, as y and 1e3."""
+
+
+_TAKEN_FOR_MORE: Final = re.compile("[yYnN]|[-+.0-9].*")
+
+
+def _text_for_ros(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = '"' if _TAKEN_FOR_MORE.fullmatch(text) else None
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Quoting.add_representer(str, _text_for_ros)
 
 
 def _without_none(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -267,7 +288,7 @@ def dump_configuration(method: str, groups: Mapping[str, Mapping[str, Any]]) -> 
     names = [*(name for name in GROUPS if name in groups), *(groups.keys() - set(GROUPS))]
     parameters = {"method": method, **{name: groups[name] for name in names}}
     text: str = yaml.safe_dump(
-        {"/**": {"ros__parameters": parameters}}, sort_keys=False, default_flow_style=None
+        {ALL_NODES: {PARAMETERS: parameters}}, sort_keys=False, default_flow_style=None
     )
     return text
 
@@ -280,15 +301,33 @@ def _parameters(text: str, source: str) -> tuple[str, dict[str, Any]]:
     """Return the name of the method and the raw groups of a configuration."""
     document = load_yaml(text, source)
     try:
-        values = dict(document["/**"]["ros__parameters"])
+        _require_alone(text, source, document, ALL_NODES)
+        _require_alone(text, source, document[ALL_NODES], PARAMETERS)
+        values = dict(document[ALL_NODES][PARAMETERS])
         method = values.pop("method")
     except (KeyError, TypeError, ValueError):
         raise ConfigurationError(
-            f"{source}: expected a ROS 2 parameter file with '/**: ros__parameters: method: ...'"
+            f"{source}: expected a ROS 2 parameter file with "
+            f"'{ALL_NODES}: {PARAMETERS}: method: ...'"
         ) from None
     if not isinstance(method, str):
         raise ConfigurationError(f"{source}: method must be a name, found {method!r:.80}")
     return method, values
+
+
+def _require_alone(text: str, source: str, group: Any, name: str) -> None:
+    """Raise ConfigurationError where something that nobody reads stands beside ``name``."""
+    if not (isinstance(group, Mapping) and name in group):
+        return
+    for other in group:
+        if other != name:
+            above = () if name == ALL_NODES else (ALL_NODES,)
+            line = line_of(text, *above, str(other))
+            raise ConfigurationError(
+                f"{source}: {f'line {line}: ' if line else ''}{other!r:.80} stands beside "
+                f"{name!r}, where nobody reads it: take it out, or put it where it belongs, in a "
+                f"group below '{ALL_NODES}: {PARAMETERS}:'"
+            )
 
 
 def _change(parameters: dict[str, Any], change: str) -> None:

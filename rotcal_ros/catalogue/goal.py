@@ -42,9 +42,9 @@ class GoalStanding:
         papers = self.compared.papers
         sign = "<=" if self.reached <= self.goal else ">"
         return (
-            f"goal: U {self.reached / ARCSEC:.2f} {sign} {self.goal / ARCSEC:.2f} arcsec by "
-            f"{self.measured} of {self.candidates} lengths, {self.compared.own.seconds:.0f} s at "
-            f"the paper's pace; its {papers.lengths} take {papers.seconds:.0f} s to "
+            f"goal: rms of U {self.reached / ARCSEC:.2f} {sign} {self.goal / ARCSEC:.2f} arcsec "
+            f"by {self.measured} of {self.candidates} lengths, {self.compared.own.seconds:.0f} s "
+            f"at the paper's pace; its {papers.lengths} take {papers.seconds:.0f} s to "
             f"{papers.uncertainty / ARCSEC:.2f}"
         )
 

@@ -115,8 +115,7 @@ class Method:
 
     ``check_plan`` raises PlanError for a plan whose data could never be solved, before anything is
     measured. ``plan_files`` are files that stand for lists of the group ``plan``, by the settings
-    that name them. ``older_plans`` are the plans that earlier versions made of the same
-    configuration: bags of theirs are read with them.
+    that name them.
 
     ``trials`` prepares Monte Carlo trials about accepted observations: their outputs are the
     deviations of the result, component by component in the order of ``COMPONENTS``. ``check``
@@ -142,7 +141,6 @@ class Method:
     stations: Callable[[Configuration], Stations] | None = None
     gauge: Callable[[Floats, Curves], dict[str, Floats]] = counted_from_the_first
     joins_runs: bool = False
-    older_plans: tuple[Callable[[Configuration], Plan], ...] = ()
     trials: Callable[[Configuration, Plan, Observed], Trials] | None = None
     check: Callable[[Configuration, Plan, Observed], tuple[str, ...]] | None = None
     adaptive: Callable[[Configuration, Plan], Adaptive] | None = None

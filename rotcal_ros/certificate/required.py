@@ -33,7 +33,7 @@ def require(result: Result) -> None:
         lines = "\n".join(f"  {name}: {why}" for name, why in missing.items())
         raise ConfigurationError(
             "a calibration certificate needs more than this result tells, see below: give it in "
-            "the configuration, or with --setup or --set for a bag that was recorded before (the "
+            "the configuration, or with --setup or --set for a bag (the "
             "group identity changes no number)",
             lines,
         )

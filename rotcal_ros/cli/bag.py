@@ -143,6 +143,8 @@ def choices(bag: Path, as_json: bool) -> int:
     for row in rows:
         what = "stop" if row["step"] is None else f"step {row['step']}"
         tell(f"run {row['run']} {row['number']:5} {what}: {row['reason']}")
+    if not rows:
+        say(f"{bag}: no choice of a planner was recorded, so there is nothing to ask again")
     for text in differing:
         say(text)
     return 1 if differing else 0
@@ -165,7 +167,9 @@ def repair(bag: Path, output: Path | None, limits: ReadingLimits, as_json: bool)
     from rotcal_ros.bags.session_identity import require_one_session
 
     require_one_session(bag_files(bag), limits)
-    folder = output or bag.with_name(f"{bag.stem if bag.is_file() else bag.name}_repaired")
+    if output is None and bag.name in ("", ".."):  # as in: cd BAG; rotcal bag repair .
+        bag = bag.resolve()
+    folder = output or bag.parent / (f"{bag.stem if bag.is_file() else bag.name}_repaired")
     with progress("repairing") as shown:
         outcome = repair_bag(bag, folder, shown, limits)
     if as_json:
@@ -211,7 +215,10 @@ def _print(summary: dict[str, Any]) -> None:
             tell(f"{name:9} {summary[name]}")
     if summary["attachments"]:
         tell(f"attached  {', '.join(summary['attachments'])}")
-    for sentence in losses_in_words(summary["losses_recorded"]):
+    for sentence in (
+        *filter(None, [summary["contradiction"]]),
+        *losses_in_words(summary["losses_recorded"]),
+    ):
         say(sentence)
     for sentence in chain.from_iterable(
         summary["session"][kind] for kind in ("missing", "differing", "repaired", "closed")

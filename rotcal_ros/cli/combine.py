@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
+from rotcal_ros.cli.console import (
+    VERDICT_EXIT_CODES,
+    NamedFile,
+    json_option,
+    path_type,
+    print_json,
+)
 from rotcal_ros.cli.curve_options import polygon_faces, reference_option
 from rotcal_ros.report.terminal.console import say
 
@@ -17,7 +23,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("sources", nargs=-1, required=True, type=path_type, metavar="A B [C ...]")
-@click.option("-o", "--output", type=path_type, help="Write the result there, as JSON.")
+@click.option("-o", "--output", type=NamedFile(".json"), help="Write the result there, as JSON.")
 @click.option(
     "--enlarge",
     # The names of ENLARGEMENTS, whose module takes a second to load; a test compares them.
@@ -43,10 +49,11 @@ def command(
 ) -> int:
     """Combine results of one table: result.json, bags, sessions, reference tables (.csv).
 
-    Generalised least squares with all covariances; the zero of every input is unknown. The
-    inputs must be independent of each other. Where they contradict each other (chi-square) the
-    uncertainties are enlarged and the verdict is suspect; an input that failed is refused. The
-    exit code is 0 for the verdict ok and 1 for suspect.
+    Generalised least squares with all covariances; the zero of every input is unknown. Inputs
+    that rest on the same observations vary together: they count once. Where they contradict each
+    other (chi-square) the uncertainties are enlarged and the verdict is suspect, as it is where
+    they agree better than independent measurements do; an input that failed is refused. The exit
+    code is 0 for the verdict ok and 1 for suspect.
     """
     from rotcal_ros.evaluation.combination import combine
     from rotcal_ros.files import write_atomically

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.cli.console import draw, json_option, path_type, print_json
+from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, print_json
 from rotcal_ros.cli.curve_options import (
     align_option,
     component_option,
@@ -33,7 +33,10 @@ if TYPE_CHECKING:
 @component_option
 @align_option
 @click.option(
-    "-o", "--output", type=path_type, help="Draw the curves and E_n there: .svg or .html."
+    "-o",
+    "--output",
+    type=NamedFile(".svg", ".html", bare=False),
+    help="Draw the curves and E_n there: .svg or .html.",
 )
 @json_option
 def command(
@@ -48,15 +51,18 @@ def command(
     """Compare results of one table pair by pair: result.json, bags, sessions, references (.csv).
 
     A reference table has the columns angle_deg, deviation_arcsec and u_arcsec, the last one unless
-    --reference-u states it. The
+    --reference-u states it. A file of several evaluations (rotcal solve --balls ... -o) counts as
+    all of them. Results of the same data vary together, which counts. The
     offset that no method can know is taken off. The exit code is 1 when some pair disagrees
     by more than chance explains (|E_n| singly and together).
     """
     from rotcal_ros.evaluation.compare import compare_all
 
-    if len(sources) < 2 or len(set(sources)) < len(sources):
-        raise click.UsageError("give at least two different results to compare")
+    if len(set(sources)) < len(sources):
+        raise click.UsageError("give each result only once")
     curves = _read(sources, polygon, component, reference_std)
+    if len(curves) < 2:
+        raise click.UsageError("give at least two different results to compare")
     comparisons = compare_all(curves, align_order)
     if output is not None:
         from rotcal_ros.report.comparison import comparison_page, curves_and_errors
@@ -76,10 +82,14 @@ def command(
 def _read(
     sources: tuple[Path, ...], polygon: Path | None, component: str, reference_std: float | None
 ) -> dict[str, MeasuredCurve]:
-    from rotcal_ros.recordings.sources import read_curve
+    from rotcal_ros.recordings.sources import read_curves
 
     faces = polygon_faces(polygon, sources)
-    return {str(source): read_curve(source, component, faces, reference_std) for source in sources}
+    return {
+        name: curve
+        for source in sources
+        for name, curve in read_curves(source, component, faces, reference_std).items()
+    }
 
 
 def _plain(comparisons: Mapping[tuple[str, str], Comparison], component: str) -> Mapping[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -22,6 +22,30 @@ VERDICT_EXIT_CODES: Final[Mapping[str, int]] = {"ok": 0, "suspect": 1, "failed":
 path_type = click.Path(path_type=Path)
 
 
+class NamedFile(click.Path):
+    """A file to write whose ending says what is in it: one of ``endings``, or none at all.
+
+    Any other name is refused before anything is done: nobody gets HTML in a file called PDF.
+    """
+
+    def __init__(self, *endings: str, bare: bool = True) -> None:
+        super().__init__(path_type=Path)
+        self.endings, self.bare = endings, bare
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; a usage error for an ending that lies."""
+        path = Path(str(super().convert(value, param, ctx)))
+        known = path.suffix.lower() in self.endings or (self.bare and not path.suffix)
+        if not known:
+            self.fail(
+                f"{path.name!r} does not say what is written: expected a name that ends in "
+                f"{' or '.join(self.endings)}",
+                param,
+                ctx,
+            )
+        return path
+
+
 def json_option(function: Function) -> Function:
     """Add ``--json`` (argument ``as_json``): only JSON on standard output, the rest on error."""
     return click.option(
@@ -38,10 +62,8 @@ def print_json(data: str | Mapping[str, Any]) -> None:
 
 
 def draw(output: Path, forms: Mapping[str, Callable[[], str]]) -> None:
-    """Write the form of a drawing that the suffix of ``output`` asks for."""
-    if output.suffix not in forms:
-        raise click.UsageError(f"cannot draw {output.name}: name a {' or '.join(forms)} file")
-    write_atomically(output, forms[output.suffix]())
+    """Write the form of a drawing that the ending of ``output`` asks for."""
+    write_atomically(output, forms[output.suffix.lower()]())
     say(f"drawn: {output.absolute()}")
 
 
@@ -65,7 +87,7 @@ def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
         ]
         if "seconds" in outcome:
             parts.append(f"{outcome['seconds']:.0f} s")
-        print_verdict(outcome["verdict_line"], ", ".join(parts))
+        print_marks(outcome["marks"], ", ".join(parts))
         for name, path in outcome.get("files", {}).items():
             tell(f"{name + ':':<14}{path}")
         print_line(outcome.get("goal_line", ""))
@@ -73,8 +95,18 @@ def print_outcome(outcome: Mapping[str, Any], *, as_json: bool = False) -> int:
 
 
 def print_verdict(verdict_line: str, text: str) -> None:
-    """Print the last line: the verdict, what it does not cover, and what it rests on."""
+    """Print the verdict on something that is no result, and what it rests on."""
     colour = "green" if verdict_line == "ok" else "yellow"
     if not verdict_line.startswith("ok"):
         colour = "red"
     tell(f"verdict {verdict_line}: {text}", colour=colour)
+
+
+def print_marks(marks: Sequence[Mapping[str, str]], text: str) -> None:
+    """Print the marks of an outcome in their colours; ``text`` is what the first one rests on."""
+    from rotcal_ros.evaluation.marks import Mark
+
+    about, *against = (Mark(**mark) for mark in marks)
+    tell(f"{about.line}: {text}", colour=about.colour)
+    for mark in against:
+        tell(mark.line, colour=mark.colour)

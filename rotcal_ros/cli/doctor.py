@@ -21,6 +21,7 @@ from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.distribution import SUPPORTED, distribution, rclpy_version
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.escapes import printable
+from rotcal_ros.machine_load import patient
 from rotcal_ros.middleware import middleware
 from rotcal_ros.sessions.domains import free_domain
 
@@ -80,6 +81,7 @@ def checks(output: Path) -> Iterator[Check]:
         yield (path := loopback())
         if path.ok:
             yield nodes()
+            yield rate(output)
     yield writable(output)
     yield space(output)
 
@@ -163,16 +165,23 @@ def nodes() -> Check:
     return Check("Nodes", ok, found, "'rotcal run' would meet the same; report it with this line")
 
 
-def _try(module: str) -> tuple[bool, str]:
+def rate(output: Path) -> Check:
+    """Let recorder and capture do their work for 5 s, beside whatever this machine does now."""
+    ok, found = _try("rate_trial", str(_existing(output)))
+    advice = "give the calibration a machine, or cores, of its own (docs/busy_computer.md)"
+    return Check("Rate", ok, found, advice)
+
+
+def _try(module: str, *arguments: str) -> tuple[bool, str]:
     """Run a trial of the nodes' room as a process; return whether it went well and its word."""
     private = {"ROS_DOMAIN_ID": str(free_domain()), **middleware(os.environ)}
     try:
         run = subprocess.run(
-            [sys.executable, "-m", f"rotcal_ros.nodes.{module}"],
+            [sys.executable, "-m", f"rotcal_ros.nodes.{module}", *arguments],
             env=os.environ | private,
             capture_output=True,
             text=True,
-            timeout=TRIAL_DEADLINE_S,
+            timeout=patient(TRIAL_DEADLINE_S),
             check=False,
         )
         ok, lines = run.returncode == 0, (run.stdout or run.stderr).strip().splitlines()

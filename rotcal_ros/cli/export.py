@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -18,9 +19,11 @@ from rotcal_ros.report.terminal.console import say, tell
 from rotcal_ros.units import DEGREE
 
 if TYPE_CHECKING:
+    from rotcal_ros.compensation.agreement import Accepted, Machine
     from rotcal_ros.compensation.export import ExportFiles
     from rotcal_ros.compensation.table import CompensationTable
     from rotcal_ros.recordings.sources import Source
+    from rotcal_ros.results import Result
 
 VOLUMETRIC: Final = "volumetric"
 """Not a controller: all deviations that were measured, as CSV and JSON."""
@@ -38,8 +41,9 @@ DEFAULT_AXIS: Final = "C"
     help="Controller, or 'volumetric'.",
 )
 @click.option("-o", "--out", "--output", "out", type=path_type, required=True, help="Folder.")
-@click.option("--spacing", type=float, metavar="DEG", help="Distance of the rows.")
+@click.option("--spacing", type=float, metavar="DEG", help="Distance of the rows; else chosen.")
 @click.option("--axis", help=f"Letter of the axis; default: the bag's, {DEFAULT_AXIS} else.")
+@click.option("--serial", metavar="NUMBER", help="Serial number of the item it is for.")
 @click.option("--reference", type=float, metavar="DEG", help="Angle with correction zero.")
 @click.option("--reverse", type=path_type, metavar="BAG|TABLE|RESULT", help="The other direction.")
 @click.option("--harmonics", type=int, metavar="N", help="Fit N harmonics, not a spline.")
@@ -57,6 +61,13 @@ DEFAULT_AXIS: Final = "C"
 @click.option("--name", help="File name without extension; default: axis_controller.")
 @click.option("--replace", is_flag=True, help="No table was in force during the measurement.")
 @click.option("--add-to", type=path_type, metavar="FOLDER", help="Files of the table in force.")
+@click.option(
+    "--accept",
+    multiple=True,
+    metavar="axis|serial|age",
+    help="Contradiction that is meant: another axis, item, or an old measurement.",
+)
+@click.option("--max-age", type=float, metavar="DAYS", help="Largest age of the measurement.")
 @click.option("--accept-unverified", is_flag=True, help="Write what nobody has verified yet.")
 @json_option
 def command(
@@ -67,6 +78,7 @@ def command(
     out: Path,
     spacing: float | None,
     axis: str | None,
+    serial: str | None,
     reference: float | None,
     reverse: Path | None,
     harmonics: int | None,
@@ -76,6 +88,8 @@ def command(
     name: str | None,
     replace: bool,
     add_to: Path | None,
+    accept: tuple[str, ...],
+    max_age: float | None,
     accept_unverified: bool,
     as_json: bool,
 ) -> int:
@@ -84,45 +98,107 @@ def command(
     The files are read back and applied by the controller's own rule before they are written,
     all or none, and nothing is ever overwritten. Only the verdict ok may be fed. What was measured
     with a table in force is what that one leaves: it is added to it, --add-to. Where it is not
-    known which was in force, --replace or --add-to must say it.
+    known which was in force, --replace or --add-to must say it. Axis and serial number have to be
+    those of the machine, the measurement younger than --max-age (30 days unless it says so): what
+    contradicts is refused, unless --accept says that it is meant.
 
     --machine-ini is read for what it says about the joint, and a copy of it that uses the table is
     written beside the table. The same as --set machine_ini=FILE.
     """
+    from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted, Machine, words_of
+    from rotcal_ros.compensation.earlier import to_be_in_force
     from rotcal_ros.compensation.export import prepare_export
-    from rotcal_ros.compensation.volumetric import volumetric_files
     from rotcal_ros.compensation.writing import write_files
 
     changes = tuple(option for option in options if _of_configuration(option))
-    settings = _settings(
-        tuple(option for option in options if option not in changes), revolutions, machine_ini
-    )
+    own = tuple(option for option in options if option not in changes)
     forward = _read(source, setup, targets, changes)
-    backward = None if reverse is None else _read(reverse, setup, targets, changes)
-    measured = forward.axis or axis or DEFAULT_AXIS
-    sources = {**forward.sha256, **(backward.sha256 if backward else {})}
-    if controller == VOLUMETRIC:
-        letter = axis or measured
-        stem = name or f"{letter}_{VOLUMETRIC}".lower()
-        _show(write_files(volumetric_files(forward.result, stem, letter), out), as_json)
-        return 0
-    if replace and add_to is not None:
-        raise ConfigurationError("--replace and --add-to exclude each other")
-    table = _table(forward, backward, measured, harmonics, spacing)
-    export = prepare_export(
-        _combined(table, controller, add_to, replace=replace),
-        controller,
+    asked = _Asked(
+        machine=Machine(axis or "", serial or ""),
+        accepted=Accepted(words_of(accept), LARGEST_AGE_DAYS if max_age is None else max_age),
+        measured_axis=_axis_of(forward) or axis or DEFAULT_AXIS,
         now=datetime.now(timezone.utc),
-        axis=axis,
+    )
+    if controller == VOLUMETRIC:
+        _refuse_unused({
+            "--spacing": spacing, "--reference": reference, "--reverse": reverse,
+            "--harmonics": harmonics, "--revolutions": revolutions,
+            "--machine-ini": machine_ini, "--set": own, "--replace": replace,
+            "--add-to": add_to, "--accept-unverified": accept_unverified,
+        })  # fmt: skip
+        _show(_write_volumetric(forward.result, asked, name, out), as_json)
+        return 0
+    backward = None if reverse is None else _read(reverse, setup, targets, changes)
+    table = _table(forward, backward, asked.measured_axis, harmonics, spacing)
+    export = prepare_export(
+        to_be_in_force(
+            table,
+            controller,
+            asked.machines,
+            asked.accepted,
+            asked.now_ns,
+            replaces=replace,
+            add_to=add_to,
+        ),
+        controller,
+        now=asked.now,
         spacing=_radians(spacing),
         reference_angle=_radians(reference),
-        settings=settings,
+        settings=_settings(own, revolutions, machine_ini),
         stem=name,
         accept_unverified=accept_unverified,
-        sources=sources,
+        sources={**forward.sha256, **(backward.sha256 if backward else {})},
     )
     _show_export(export, write_files(export.with_machine_files(), out), as_json)
     return 0
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What ``machine`` the person exports for, what is ``accepted``, and what was measured."""
+
+    machine: Machine
+    accepted: Accepted
+    measured_axis: str
+    now: datetime
+
+    @property
+    def now_ns(self) -> int:
+        return int(self.now.timestamp()) * 1_000_000_000
+
+    @property
+    def machines(self) -> dict[str, Machine]:
+        return {"the export (--axis, --serial)": self.machine}
+
+
+def _refuse_unused(options: dict[str, Any]) -> None:
+    """Raise ConfigurationError for what a volumetric table would leave unheeded."""
+    unsaid = (None, (), False)
+    if given := [n for n, value in options.items() if not any(value is no for no in unsaid)]:
+        raise ConfigurationError(
+            f"{', '.join(given)}: not for a volumetric table, which holds the deviations as they "
+            "were measured; leave it out"
+        )
+
+
+def _write_volumetric(
+    result: Result, asked: _Asked, name: str | None, out: Path
+) -> tuple[Path, ...]:
+    """Write all deviations of ``result``; what contradicts is refused or said."""
+    from rotcal_ros.compensation.agreement import Machine, require
+    from rotcal_ros.compensation.volumetric import volumetric_files
+    from rotcal_ros.compensation.writing import write_files
+    from rotcal_ros.in_force import in_words
+
+    measured = Machine(asked.measured_axis, result.circumstances.identity.serial)
+    begun_ns = result.circumstances.begun_ns or 0
+    for note in require(measured, begun_ns, asked.machines, asked.accepted, asked.now_ns):
+        say(f"warning: {note}")
+    say(in_words(result.measured_on))
+    letter = asked.machine.axis or asked.measured_axis
+    return write_files(
+        volumetric_files(result, name or f"{letter}_{VOLUMETRIC}".lower(), letter), out
+    )
 
 
 def _settings(
@@ -170,9 +246,9 @@ def _table(
     """Return the correction table at the measured angles, or on rows of a harmonic fit."""
     from rotcal_ros.compensation.table import table_from_result
 
-    if backward is not None and backward.axis not in (None, axis):
+    if backward is not None and _axis_of(backward) not in ("", axis):
         raise ConfigurationError(
-            f"the forward run is of axis {axis}, the reverse run of axis {backward.axis}"
+            f"the forward run is of axis {axis}, the reverse run of axis {_axis_of(backward)}"
         )
     return table_from_result(
         forward.result,
@@ -184,16 +260,9 @@ def _table(
     )
 
 
-def _combined(
-    table: CompensationTable, controller: str, add_to: Path | None, *, replace: bool
-) -> CompensationTable:
-    """Return the table as it is, or added to the earlier export in ``add_to``."""
-    from rotcal_ros.compensation.adding import combined
-    from rotcal_ros.compensation.earlier import read_earlier
-
-    if add_to is not None:
-        return combined(table, lambda: read_earlier(add_to, controller, table.axis), "add")
-    return combined(table, lambda: None, "replace" if replace else "as_measured")
+def _axis_of(source: Source) -> str:
+    """Return the axis that was measured, as session, bag or result say; empty: not known."""
+    return source.axis or source.result.circumstances.axis
 
 
 def _show(paths: Iterable[Path], as_json: bool, **facts: Any) -> None:

@@ -57,12 +57,13 @@ def _of_pattern(pattern: Configuration) -> dict[str, Any]:
 
     plan, solver, simulation = pattern.plan, pattern.solver, pattern.simulation
     angles = ("table_start_deg", "table_step_deg", "table_positions", "table_angles_deg")
-    noise = ("length_std_m", "length_std_relative", "rejection_significance", "slip_m")
+    noise = ("length_std_relative", "rejection_significance", "slip_m")
     return {
         **{name: getattr(plan, name) for name in angles},
         **{name: getattr(solver, name) for name in noise},
+        "length_std_m": pattern.planner.expected_std_m or solver.length_std_m,
         "target_std_m": (solver.target_std_m,) * 3,
-        "error_motion_std_m": solver.error_motion_std_m or 0.0,
+        "error_motion_std_m": solver.error_motion_std_m,
         "circle_std_m": solver.circle_std_m,
         "zero": SHARED if solver.zero == "per_segment" else PER_STATION,
         "mount_m": simulation.tracer.mount_m,

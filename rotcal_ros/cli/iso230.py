@@ -6,14 +6,17 @@ from pathlib import Path
 
 import click
 
-from rotcal_ros.cli.console import draw, json_option, path_type, print_json
+from rotcal_ros.cli.console import NamedFile, draw, json_option, path_type, print_json
 from rotcal_ros.units import ARCSEC
 
 
 @click.command()
 @click.argument("source", type=path_type, metavar="RUNS")
 @click.option(
-    "-o", "--output", type=path_type, help="Draw the diagrams of the standard there (.svg)."
+    "-o",
+    "--output",
+    type=NamedFile(".svg", bare=False),
+    help="Draw the diagrams of the standard there (.svg).",
 )
 @click.option(
     "--device",

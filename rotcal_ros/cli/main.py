@@ -19,6 +19,9 @@ UNREADABLE: Final = 2
 BROKEN_PIPE: Final = 141
 """As the shell reports a program that SIGPIPE ended."""
 
+OF_PIP_ALONE: Final = ("mcap", "rosbags")
+"""What no package of a distribution can ask for: package.xml leaves it to people."""
+
 VERBS: Final[Mapping[str, str]] = {
     "run": "Run the nodes of one cell and calibrate.",
     "attach": "Show a calibration that runs in the background.",
@@ -90,9 +93,21 @@ class LazyGroup(click.Group):
     def invoke(self, context: click.Context) -> None:
         """Run a verb; an error becomes one red line and an exit code, not a traceback.
 
-        A verb may return its exit code. Wrong usage is click's own matter. Who reads standard
-        output may have read enough (``| head``): that ends the verb without a word.
+        A verb may return its exit code. What it could not read of a bag, and has not told, is told
+        behind it, in a line each, and makes a good exit code 1. Wrong usage is click's own matter.
+        Who reads standard output may have read enough (``| head``): that ends the verb without a
+        word.
         """
+        from rotcal_ros.bags.unread import unread
+
+        with unread() as missing:
+            code = self._code_of(context)
+        for text in (text for text, by_verb in missing.items() if not by_verb):
+            _complain(f"not all was read: {text}")
+        context.exit(code or int(bool(missing)))
+
+    def _code_of(self, context: click.Context) -> int:
+        """Run a verb and return its exit code."""
         try:
             code = super().invoke(context)
             sys.stdout.flush()
@@ -108,15 +123,16 @@ class LazyGroup(click.Group):
             if context.params["debug"]:
                 raise
             code = _explain(error)
-        context.exit(code if isinstance(code, int) else 0)
+        return code if isinstance(code, int) else 0
 
 
 @click.group(
     cls=LazyGroup,
     context_settings={"help_option_names": ["-h", "--help"]},
     subcommand_metavar="VERB ...",
-    epilog="Exit codes: 0 good, 1 the verdict is bad, 2 wrong usage or unreadable input, "
-    "3 not enough or contradictory data, 130 interrupted, 141 the reader of the output left.",
+    epilog="Exit codes: 0 good, 1 the verdict is bad or not all of a bag was read, 2 wrong usage "
+    "or unreadable input, 3 not enough or contradictory data, 130 interrupted, 141 the reader of "
+    "the output left.",
 )
 @click.version_option(__version__, prog_name="rotcal")
 @click.option("--debug", is_flag=True, help="Show the traceback of an error.")
@@ -144,10 +160,16 @@ def _explain(error: Exception) -> int:
     if isinstance(error, RotcalError):
         _complain(str(error), *error.log.splitlines())
         return error.exit_code
-    if isinstance(error, OSError) and error.strerror:
+    if isinstance(error, ModuleNotFoundError) and error.name in OF_PIP_ALONE:
+        _complain(f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}")
+    elif isinstance(error, OSError) and error.strerror:
         _complain(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)
     else:
-        _complain(f"unexpected {type(error).__name__}: {error} ('rotcal --debug ...' shows where)")
+        from rotcal_ros.plugins import culprit
+
+        place = culprit(error)
+        what = f"unexpected {type(error).__name__}{f' {place}' if place else ''}: {error}"
+        _complain(f"{what} ('rotcal --debug ...' shows where)")
     return UNREADABLE
 
 

@@ -119,7 +119,9 @@ def _print_angles(plan: CheckPlan) -> None:
         [
             Column("angle/deg", plan.angles / DEGREE, ".4f"),
             Column("lengths", lengths),
-            Column("U/arcsec", COVERAGE_FACTOR * plan.std / ARCSEC, ".3f"),
+            Column(
+                f"U (k = {COVERAGE_FACTOR:g})/arcsec", COVERAGE_FACTOR * plan.std / ARCSEC, ".3f"
+            ),
             Column("valid up to/arcsec", plan.acceptance / ARCSEC, ".3f"),
         ]
     )

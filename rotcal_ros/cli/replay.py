@@ -7,7 +7,13 @@ from pathlib import Path
 
 import click
 
-from rotcal_ros.cli.console import INTERRUPTED, VERDICT_EXIT_CODES, path_type, print_verdict
+from rotcal_ros.cli.console import (
+    INTERRUPTED,
+    VERDICT_EXIT_CODES,
+    NamedFile,
+    path_type,
+    print_marks,
+)
 from rotcal_ros.report.terminal.console import say, tell
 
 LEAST_RATE, LARGEST_RATE = 0.01, 100.0
@@ -34,7 +40,10 @@ def _rate(_context: click.Context, _option: click.Parameter, value: float) -> fl
 )
 @click.option("--no-finish", is_flag=True, help="Do not ask a live solver for the result.")
 @click.option(
-    "--result", type=path_type, metavar="FILE", help="Keep the result of the live solver as JSON."
+    "--result",
+    type=NamedFile(".json"),
+    metavar="FILE",
+    help="Keep the result of the live solver as JSON.",
 )
 @click.option(
     "--wait-for", "nodes", multiple=True, metavar="NODE", help="Begin when this node is there."
@@ -78,7 +87,7 @@ def command(
     if "verdict_line" not in outcome:
         tell("replayed")
         return 1 if outcome.get("different") else 0
-    print_verdict(outcome["verdict_line"], "result of the live solver")
+    print_marks(outcome["marks"], "result of the live solver")
     return 1 if outcome["different"] else VERDICT_EXIT_CODES[outcome["verdict"]]
 
 

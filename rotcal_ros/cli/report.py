@@ -1,17 +1,20 @@
-"""``rotcal report``: the self-contained HTML page of a recording or a result."""
+"""``rotcal report``: the self-contained page, or the PDF, of a recording or a result."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.cli.console import VERDICT_EXIT_CODES
+from rotcal_ros.cli.console import VERDICT_EXIT_CODES, NamedFile
 from rotcal_ros.cli.input_options import set_option, setup_options
 from rotcal_ros.errors import BagError
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.session_folder import SessionFolder
+
+if TYPE_CHECKING:
+    from rotcal_ros.results import Result
 
 
 @click.command()
@@ -21,14 +24,20 @@ from rotcal_ros.session_folder import SessionFolder
 @click.option(
     "-o",
     "--output",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="The page to write; unless given report.html of the session, else NAME_report.html "
-    "beside it. Never overwrites, never writes into a bag.",
+    type=NamedFile(".html", ".pdf", ".xml"),
+    help="The page to write, .html or .pdf (printed by Chromium); unless given report.html of the "
+    "session, else NAME_report.html beside it. Never overwrites, never writes into a bag.",
 )
 @click.option(
     "--truth",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="truth.json of a simulation, drawn beside the result.",
+)
+@click.option(
+    "--in-force",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Files of the table on which it was measured: does that table act?",
 )
 @click.option(
     "--dcc",
@@ -54,6 +63,7 @@ def command(
     changes: tuple[str, ...],
     output: Path | None,
     truth: Path | None,
+    in_force: Path | None,
     dcc: bool,
     sign: Path | None,
     certificate: Path | None,
@@ -64,9 +74,12 @@ def command(
 
     RESULT (.json): about a result as it is, be it a combination or one whose bag is elsewhere.
     """
+    ending = "" if output is None else output.suffix.lower()
+    if ending and dcc != (ending == ".xml"):
+        raise click.UsageError("a certificate (--dcc) is .xml, a report .html or .pdf")
     if dcc:
-        if truth:
-            raise click.UsageError("a certificate has no room for --truth")
+        if truth or in_force:
+            raise click.UsageError("a certificate has no room for --truth and --in-force")
         from rotcal_ros.cli.certificate import write_certificate
         from rotcal_ros.recordings.inputs import Input
 
@@ -77,11 +90,13 @@ def command(
     # Figures take a second to load; a wrong option should not wait for them.
     from rotcal_ros.recordings.inputs import Input
     from rotcal_ros.recordings.sources import read_source
+    from rotcal_ros.report.printing import require_writable
     from rotcal_ros.report.recorded import write_measured, write_result
 
     session = SessionFolder(source)
     source = session.bag if session.bag.is_dir() else source
     output = output or page_beside(source)
+    require_writable(output)
     if bag := bag_around(output, source):
         raise BagError(f"{output} would lie inside the bag {bag}; name a file beside it with -o")
     if output.exists():
@@ -89,11 +104,23 @@ def command(
     injected = None if truth is None else _truth(truth)
     given = Input(source, setup, targets, changes)
     if source.suffix == ".json":
-        result = write_result(read_source(source, given), output, injected)
+        result = write_result(read_source(source, given), output, injected, in_force)
     else:
-        result = write_measured(given.read(), output, injected)
+        result = write_measured(given.read(), output, injected, in_force)
     say(f"report: {output.absolute()}")
-    return VERDICT_EXIT_CODES[result.verdict]
+    return max(VERDICT_EXIT_CODES[result.verdict], _acting(result, in_force))
+
+
+def _acting(result: Result, in_force: Path | None) -> int:
+    """Say whether the table acts on which ``result`` was measured; 1 where it does not."""
+    if in_force is None:
+        return 0
+    from rotcal_ros.compensation.earlier import effect_in_force
+
+    effect = effect_in_force(result, in_force)
+    if effect is not None:
+        say(f"warning: {effect.wrong}" if effect.wrong else f"table acts: {effect.in_words()}")
+    return 1 if effect is not None and effect.wrong else 0
 
 
 def _truth(path: Path) -> dict[str, Any]:

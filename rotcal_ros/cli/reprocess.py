@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.cli.completion import configurations
 from rotcal_ros.cli.console import json_option, path_type, print_json
 from rotcal_ros.report.terminal.console import progress, say, tell
@@ -131,6 +132,7 @@ def _followed(running: Iterable[Outcome], total: int, dataset: ResultsDataset) -
             shown(tally.bags, total)
             if outcome.error:
                 say(f"{outcome.source}: {outcome.error}")
+            note_unread(f"{outcome.source}: {text}" for text in outcome.unread)
     return tally
 
 

@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from rotcal_ros.cli.completion import configurations
-from rotcal_ros.cli.console import json_option, path_type, print_json
+from rotcal_ros.cli.console import NamedFile, json_option, path_type, print_json
 from rotcal_ros.cli.reliability import SEED
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.protection import TOLERABLE
@@ -40,7 +40,9 @@ if TYPE_CHECKING:
 )
 @click.option("--clock", is_flag=True, help="Also let the simulated cell measure CONFIG as it is.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Of the search.")
-@click.option("-o", "--output", type=path_type, help="Write the pairs in the best order there.")
+@click.option(
+    "-o", "--output", type=NamedFile(".csv"), help="Write the pairs in the best order there."
+)
 @json_option
 def command(
     configuration: Path,

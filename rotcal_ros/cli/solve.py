@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rotcal_ros.cli.console import VERDICT_EXIT_CODES, json_option, path_type, print_json
+from rotcal_ros.cli.console import (
+    VERDICT_EXIT_CODES,
+    NamedFile,
+    json_option,
+    path_type,
+    print_json,
+)
 from rotcal_ros.cli.input_options import set_option, setup_options
 from rotcal_ros.errors import DataError
 from rotcal_ros.report.terminal.console import progress, say, tell
@@ -47,7 +53,7 @@ if TYPE_CHECKING:
     type=click.IntRange(min=1),
     help="Ball plate: evaluate every n-th step of the grid only.",
 )
-@click.option("-o", "--output", type=path_type, help="Write the result there, as JSON.")
+@click.option("-o", "--output", type=NamedFile(".json"), help="Write the result there, as JSON.")
 @json_option
 def command(
     source: Path,

@@ -36,6 +36,11 @@ PLAN_FILE = "plan.yaml"
 @click.option(
     "--set", "changes", multiple=True, metavar="NAME=VALUE", help="Change a setting of the goal."
 )
+@click.option(
+    "--confidence",
+    type=click.FloatRange(0.5, 0.99),
+    help="Probability with which the result's own U meets the goal.  [default: 0.95]",
+)
 @click.option("--plain", is_flag=True, help="The plain minimum, whose lengths check nothing.")
 @click.option(
     "-o", "--output", type=path_type, metavar="FOLDER", help="Write targets, pairs and plan here."
@@ -46,14 +51,18 @@ def command(
     need: str | None,
     like: Path | None,
     changes: tuple[str, ...],
+    confidence: float | None,
     plain: bool,
     output: Path | None,
     as_json: bool,
 ) -> int:
     """Find few lengths of a laser tracer that reach a wanted uncertainty of ECC.
 
-    Prints the plan's uncertainty, the bound that no plan can beat, and how well its lengths check
-    each other. GOAL.yaml has settings by name: docs/settings.md lists them.
+    Prints the uncertainty that results will state, as simulated measurements of the plan do, what
+    that assumes, the bound that no plan can beat, how well its lengths check each other, and what
+    the protection against drift costs.
+
+    GOAL.yaml has settings by name: docs/settings.md lists them.
     """
     from rotcal_ros.planning.tracer_design.ordering import ordered_design
 
@@ -67,6 +76,8 @@ def command(
         )
     if plain:
         settings = replace(settings, checked=False)
+    if confidence is not None:
+        settings = replace(settings, confidence=confidence)
     with progress("plans") as shown:
         found = ordered_design(settings, progress=shown)
     data = found.to_dict()
@@ -102,11 +113,10 @@ def _needed(need: str | None) -> list[str]:
 
 def _write(folder: Path, found: OrderedDesign, pattern: Configuration | None) -> None:
     """Write targets, pairs in their order, and a configuration that measures them."""
-    import yaml
-
     from rotcal_ros.catalogue.configuration import dump_configuration
     from rotcal_ros.catalogue.tracer.plan_tables import write_pairs, write_targets
     from rotcal_ros.files import write_atomically
+    from rotcal_ros.untrusted import load_yaml
 
     settings, scene, lengths = found.design.settings, found.design.scene, found.lengths
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,9 +125,15 @@ def _write(folder: Path, found: OrderedDesign, pattern: Configuration | None) ->
     write_pairs(folder / PAIRS_FILE, [*pairs])
     groups: dict[str, Any] = {}
     if pattern is not None:
-        groups = dict(yaml.safe_load(pattern.text)["/**"]["ros__parameters"])
+        groups = dict(load_yaml(pattern.text, pattern.source)["/**"]["ros__parameters"])
         groups.pop("method")
-    groups["solver"] = {**groups.get("solver", {}), **_counted_on(settings)}
+    solver = dict(groups.get("solver", {}))
+    for name in (
+        "circle_std_m",
+        "error_motion_std_m",
+    ):  # of the plan alone
+        solver.pop(name, None)
+    groups["solver"] = {**solver, **_counted_on(settings, pattern)}
     groups["plan"] = {
         "table_angles_deg": [round(a / DEGREE, 12) for a in scene.table_angles.tolist()],
         "targets_file": TARGETS_FILE,
@@ -127,42 +143,80 @@ def _write(folder: Path, found: OrderedDesign, pattern: Configuration | None) ->
     say(f"written: {(folder / PLAN_FILE).absolute()}, {TARGETS_FILE}, {PAIRS_FILE}")
 
 
-def _counted_on(settings: TracerDesignSettings) -> dict[str, Any]:
+def _counted_on(settings: TracerDesignSettings, pattern: Configuration | None) -> dict[str, Any]:
     """Return the settings of a solver that knows what the plan has counted on."""
     from rotcal_ros.planning.tracer_design.settings import SHARED
 
     known: dict[str, Any] = {
+        "variant": "joint",
+        "datum": "prior",
+        "zero": "per_station",
         "length_std_m": settings.length_std_m,
         "length_std_relative": settings.length_std_relative,
         "target_std_m": settings.target_std_m[0],
+        "rejection_significance": settings.rejection_significance,
     }
+    if pattern is not None and settings.length_std_m == pattern.planner.expected_std_m:
+        known["length_std_m"] = pattern.solver.length_std_m  # the readings' scatter joins it
     if settings.zero == SHARED:
         known["zero"] = "per_segment"
         known["slip_m"] = settings.slip_m
-        known["rejection_significance"] = settings.rejection_significance
     if settings.circle_std_m is not None:
         known["circle_std_m"] = settings.circle_std_m
-    if settings.circle_std_m is not None or settings.error_motion_std_m:
-        known["error_motion_std_m"] = settings.error_motion_std_m
+    if settings.error_motion is not None:
+        known["error_motion_std_m"] = settings.error_motion
     return known
 
 
+def _assumed(settings: TracerDesignSettings) -> str:
+    """Return what the promise rests on, in words."""
+    motion = settings.error_motion
+    if motion is None:
+        table = (
+            "a table without error motion, which is not stated, so that the solver estimates it "
+            "(error_motion_std_m states it, for fewer lengths)"
+        )
+    elif motion:
+        table = f"error motion of the table {motion / MICROMETRE:.3g} um (k = 1)"
+    else:
+        table = "a table without error motion, stated as 0"
+    if settings.circle_std_m is not None:
+        table += f", stations on a circle to {settings.circle_std_m / MICROMETRE:.3g} um"
+    relative = settings.length_std_relative
+    growing = f" and {relative * 1e6:.3g} um/m" if relative else ""
+    mount = ", ".join(f"{value:g}" for value in settings.mount_m)
+    return (
+        f"assumed: a length {settings.length_std_m / MICROMETRE:.3g} um{growing} (k = 1, readings "
+        f"and all), a target {max(settings.target_std_m) / MICROMETRE:.3g} um, the tracer at "
+        f"{mount} m; {table}"
+    )
+
+
 def _print(data: dict[str, Any], settings: TracerDesignSettings) -> None:
-    rms, largest = data["expanded_rms_arcsec"], data["expanded_largest_arcsec"]
     click.echo(
         f"{data['lengths']} lengths from {data['stations']} stations to {data['targets']} targets"
     )
     click.echo(
-        f"U(ECC), k = 2: {rms:.3f} arcsec rms, {largest:.3f} at the worst angle (wanted "
-        f"{settings.need_arcsec:g} and {settings.largest_arcsec:g})"
+        f"U(ECC), k = 2, that results state: with a probability of {100 * data['confidence']:g} % "
+        f"at most {_number(data['promised_rms_arcsec'], 1.0, '.3f')} arcsec rms, "
+        f"{_number(data['promised_largest_arcsec'], 1.0, '.3f')} at the worst angle (wanted "
+        f"{settings.need_arcsec:g} and {settings.largest_arcsec:g}); in the middle "
+        f"{_number(data['expanded_rms_arcsec'], 1.0, '.3f')} and "
+        f"{_number(data['expanded_largest_arcsec'], 1.0, '.3f')}"
     )
+    click.echo(
+        f"of {data['runs']} simulated runs {100 * data['met']:.1f} % end ok and meet the goal; "
+        f"{100 * data['suspected']:.1f} %, sound as they are, are not called ok, which no length "
+        "changes: they count as missed, and are to be measured again"
+    )
+    click.echo(_assumed(settings))
     click.echo(
         f"ideal plan, with fractions of lengths: {data['ideal']:.1f}; bound: no plan in this "
         f"volume, checked or not, has fewer than {data['bound']} (gap {100.0 * data['gap']:.1f} %)"
     )
     if data["checked_bound"]:
         click.echo(f"the wanted redundancy alone asks for {data['checked_bound']}")
-    _print_order(data, settings.max_unseen)
+    _print_order(data, settings)
     detectable, share = data["largest_detectable_m"], data["largest_undetected_in_u"]
     click.echo(
         f"smallest redundancy {data['smallest_redundancy']:.2f}, largest minimal detectable error "
@@ -171,17 +225,34 @@ def _print(data: dict[str, Any], settings: TracerDesignSettings) -> None:
     )
     if not settings.checked:
         say(
-            "warning: this is the plain minimum, its lengths do not check each other: one wrong "
-            "length spoils the result unseen"
+            "warning: this is the plain minimum, its lengths do not check each other: "
+            f"an error of any size stays unseen in {data['unchecked']} of {data['lengths']}, and "
+            "one wrong length spoils the result; it is not planned to keep the promise, and "
+            f"{100 * data['met']:.0f} % of simulated results have a verdict ok and meet the goal"
         )
 
 
-def _print_order(data: dict[str, Any], limit: float) -> None:
-    unseen = data["unseen_std"]
+def _print_order(data: dict[str, Any], settings: TracerDesignSettings) -> None:
+    limit = settings.max_unseen
+    unseen, hidden = data["unseen_std"], data["quickest_unseen_std"]
     drift, knock = (_number(unseen[name], 1.0) for name in ("drift", "knock"))
     click.echo(
-        f"expected time {data['time_s']:.0f} s in the order {data['order']}; unseen drift at most "
+        f"expected time {data['time_s']:.0f} s, {data['lengths_s']:.0f} s for the lengths and "
+        f"{data['turns_s']:.0f} s for turns, in the order {data['order']}; unseen drift at most "
         f"{drift}, unseen knock {knock} standard uncertainties"
+    )
+    checks = (
+        f"that each has a redundancy of {settings.min_redundancy:g}, that an undetected error "
+        f"does at most {settings.max_undetected:g} U, and the promise"
+        if settings.checked
+        else "whole lengths and the promise"
+    )
+    click.echo(
+        f"what protection costs: {data['lengths'] - data['bound']} lengths more than the bound, "
+        f"for {checks}; {data['time_s'] - data['quickest_s']:.0f} s more than the quickest order "
+        f"({data['quickest_s']:.0f} s), in which a drift may do "
+        f"{_number(hidden['drift'], 1.0)}, a knock {_number(hidden['knock'], 1.0)} standard "
+        f"uncertainties unseen (max_unseen {limit:g})"
     )
     if any(value is None or value > limit for value in unseen.values()):
         say(
@@ -190,6 +261,6 @@ def _print_order(data: dict[str, Any], limit: float) -> None:
         )
 
 
-def _number(value: float | None, unit: float) -> str:
-    """Return a number; of a length that nothing checks there is none."""
-    return "any" if value is None else format(value / unit, ".3g")
+def _number(value: float | None, unit: float, digits: str = ".3g") -> str:
+    """Return a number; of what nothing checks there is none."""
+    return "any" if value is None else format(value / unit, digits)

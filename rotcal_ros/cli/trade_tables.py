@@ -56,6 +56,7 @@ def tracer_table(
         **PAPER_ANGLES,
         need_arcsec=need_arcsec,
         target_std_m=(target_um * MICROMETRE,) * 3,
+        error_motion_std_m=0.0,
         min_elevation_deg=elevation_deg,
         zero=PER_STATION if zero == "station" else SHARED,
         spacing_m=SPACING_M,
@@ -67,7 +68,8 @@ def tracer_table(
         )  # fmt: skip
     title = (
         f"laser tracer, {settings.table_positions} table angles, for U(ECC) <= {need_arcsec:g} "
-        f"arcsec (k = 2, rms), a zero per {zero}; every length checked"
+        f"arcsec (k = 2, rms), a zero per {zero}; every length checked; a table without error "
+        "motion"
     )
     columns = [
         column_of("R/mm", [row.radius for row in rows], 1e-3, ".1f"),

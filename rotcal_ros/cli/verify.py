@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +20,7 @@ from rotcal_ros.cli.console import (
     print_line,
     print_verdict,
 )
-from rotcal_ros.report.terminal.console import tell
+from rotcal_ros.report.terminal.console import say, tell
 from rotcal_ros.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -37,7 +40,7 @@ if TYPE_CHECKING:
 @click.option(
     "--check", multiple=True, metavar="GROUP.NAME=VALUE", help="Change the second measurement."
 )
-@click.option("--spacing", default=10.0, show_default=True, help="deg between rows of the tables.")
+@click.option("--spacing", default=0.0, help="deg between rows of the tables; default: chosen.")
 @click.option(
     "--to",
     "controllers",
@@ -51,6 +54,7 @@ if TYPE_CHECKING:
 @click.option(
     "--resume", type=path_type, metavar="FOLDER", help="Go on with an interrupted verification."
 )
+@click.option("--loaded", is_flag=True, help="The real control has loaded the table: go on.")
 @json_option
 def command(
     configuration: Path | None,
@@ -63,18 +67,25 @@ def command(
     again: bool,
     keep_previous: bool,
     resume: Path | None,
+    loaded: bool,
     as_json: bool,
 ) -> int:
-    """Measure the simulated cell of CONFIG, give its control the table, and measure again.
+    """Measure the cell of CONFIG, give its control the table, and measure again.
+
+    A simulated control gets the table by itself. The table of a real cell you load into its
+    control (the first --to, or the controller of its group bridge), and say that you have: on the
+    terminal, or later with --resume FOLDER --loaded.
 
     OUTPUT is the first run and holds all that 'rotcal run' leaves; OUTPUT/after is the second
     one, OUTPUT/verification.json has the figures. The exit code is 0 when no more is left than the
     uncertainties explain. Ctrl-C cancels; --resume goes on, with the options as they were.
     """
-    from rotcal_ros.sessions.verification import Request, begin
+    from rotcal_ros.sessions.verification import Request, begin, confirm_loaded
 
     if (configuration is None) == (resume is None):
         raise click.UsageError("give a CONFIG, or --resume FOLDER")
+    if loaded and resume is None:
+        raise click.UsageError("--loaded goes with --resume FOLDER: first there is none to load")
     if configuration is not None:
         folder = (output or Path("out") / configuration.stem).absolute()
         request = Request(check, spacing, controllers, accept_unverified, again)
@@ -82,7 +93,24 @@ def command(
     else:
         assert resume is not None
         folder = resume.absolute()
+    if loaded:
+        confirm_loaded(folder)
     return _verify(folder, as_json)
+
+
+def _loaded(folder: Path, files: Sequence[Path]) -> bool:
+    """Ask on the terminal whether the files are in the control."""
+    say(
+        "load this table into the control, restart it or do what makes it active there, and let "
+        f"the axis find its reference: {', '.join(map(str, files))}"
+    )
+    later = f"to go on when it is loaded: rotcal verify --resume {folder} --loaded"
+    if sys.stdin.isatty():
+        with suppress(click.Abort):
+            if click.prompt("'loaded' when it is, 'later' to end here", err=True) == "loaded":
+                return True
+    say(later)
+    return False
 
 
 def _verify(folder: Path, as_json: bool) -> int:
@@ -94,7 +122,7 @@ def _verify(folder: Path, as_json: bool) -> int:
     from rotcal_ros.sessions.verification import verify
 
     click.get_current_context().with_resource(lasting_output(folder / "verify.log"))
-    verified = verify(folder)
+    verified = verify(folder, _loaded)
     if verified is None:
         return INTERRUPTED
     verification, written = verified
@@ -115,7 +143,8 @@ def _verify(folder: Path, as_json: bool) -> int:
 
 def _print(verification: Verification) -> None:
     before, after = verification.before, verification.after
-    for name, letter in (("accuracy", "A"), ("systematic", "E"), ("repeatability", "R")):
+    figures = (("accuracy", "A"), ("systematic", "E"), ("repeatability", "R"))
+    for name, letter in figures if verification.iso else ():
         first, second = (getattr(verification.iso[w], name) for w in ("before", "after"))
         click.echo(
             f"ISO 230-2 {letter}:   {first / ARCSEC:.3f} arcsec before, "
@@ -124,13 +153,15 @@ def _print(verification: Verification) -> None:
     if verification.again is not None:
         click.echo(
             f"measured E:    {verification.again.systematic / ARCSEC:.3f} arcsec after what was "
-            "left was added to the table (true angle, both directions: "
-            f"{verification.iso['again'].systematic / ARCSEC:.3f})"
+            "left was added to the table"
         )
+    if verification.effect is not None:
+        click.echo(verification.wrong or f"table acts:    {verification.effect.in_words()}")
     for line in verification.reserves:
         click.echo(line)
+    mark = f" ({SIMULATED})" if verification.simulated else ""
     print_verdict(
-        f"{verification.verdict} ({SIMULATED})",
+        f"{verification.verdict}{mark}",
         f"measured E {before.systematic / ARCSEC:.3f} arcsec before, "
         f"{after.systematic / ARCSEC:.3f} after compensation, "
         f"{verification.ratio:.0f} times smaller",

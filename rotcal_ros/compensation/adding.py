@@ -16,10 +16,11 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.between import between_std
+from rotcal_ros.compensation.effect import effect_on
 from rotcal_ros.compensation.held import HeldTable
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.compensation.resample import resample
-from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable, check_verdict
 from rotcal_ros.curves.directional import DirectionalCurve
 from rotcal_ros.curves.interpolation import SAME_ANGLE, interpolation_matrix
 from rotcal_ros.errors import DataError
@@ -42,9 +43,12 @@ def combined(
 
     ``in_force`` returns the table that it may be added to, None where there is none. What was
     measured with no table in force replaces, what was measured on top of one adds to this very
-    one; where that is not known, the ``word`` of a person decides. Raises DataError, with the
-    reason, for every other combination.
+    one, unless what it leaves shows that it does not act as it should (:mod:`.effect`); where that
+    is not known, the ``word`` of a person decides. Raises DataError, with the reason, for every
+    other combination.
     """
+    if table.open_zeros:
+        check_verdict(table)
     _refuse_word(table, word)
     if table.measured_on == UNKNOWN:
         note = f"'{word}' is the word of a person: {in_words(UNKNOWN)}"
@@ -62,6 +66,12 @@ def combined(
             f"not added: {in_words(table.measured_on)}, and the one to add to is "
             f"{held.in_force[:12]}; measure again with what the controller holds now"
         )
+    acts = effect_on(table, held)
+    if acts is not None and acts.wrong:
+        raise DataError(
+            f"not added: {acts.wrong}. Mend that and measure again, or take the table away "
+            "(restore), measure without one and replace it"
+        )
     return added(table, held)
 
 
@@ -72,8 +82,9 @@ def _refuse_word(table: CompensationTable, word: Combination) -> None:
     if table.measured_on == UNKNOWN and word == "as_measured":
         raise DataError(
             f"{in_words(UNKNOWN)}. Say it: 'replace' if there was none, 'add' if it was the one "
-            "that the controller holds now (rotcal export --replace, --add-to; bridge.combine); "
-            "before measuring: cell.table_in_force"
+            "that the controller holds now (rotcal export --replace, --add-to; "
+            "rc.write_controller_files replaces, add_to; bridge.combine); before measuring: "
+            "cell.table_in_force"
         )
     if table.measured_on == NONE and word == "add":
         raise DataError(f"not added: {in_words(NONE)}; let it replace the table in force")

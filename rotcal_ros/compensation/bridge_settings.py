@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 from rotcal_ros import plugins
+from rotcal_ros.compensation.agreement import LARGEST_AGE_DAYS, Accepted
 from rotcal_ros.compensation.network_settings import AdsSettings, OpcUaSettings
 from rotcal_ros.compensation.options import parse_options
 from rotcal_ros.errors import ConfigurationError
@@ -26,7 +27,10 @@ class BridgeSettings:
     )
     options: tuple[str, ...] = setting((), doc="controller settings, each as NAME=VALUE")
     spacing_deg: float = setting(
-        10.0, doc="deg, distance of the rows", minimum=1e-3, maximum=180.0
+        0.0,
+        doc="deg, distance of the rows; 0: as wide as leaves less than a third of U between them",
+        minimum=0.0,
+        maximum=180.0,
     )
     reference_deg: float | None = setting(
         None, doc="deg, angle with correction zero; none: the table's own"
@@ -70,6 +74,16 @@ class BridgeSettings:
         "not know which was in force",
         choices=("as_measured", "replace", "add"),
     )
+    accept: tuple[str, ...] = setting(
+        (),
+        doc="contradictions between a table and this cell that a person accepts: axis, serial "
+        "(number of the item), age (of the measurement)",
+    )
+    max_age_days: float = setting(
+        LARGEST_AGE_DAYS,
+        doc="days, largest age of the measurement that a table comes from",
+        minimum=1e-3,
+    )
     answer_timeout_s: float = setting(
         5.0, doc="s, after which the controller counts as silent", minimum=0.01, maximum=600.0
     )
@@ -78,6 +92,7 @@ class BridgeSettings:
     ads: AdsSettings = group(AdsSettings)
 
     def __post_init__(self) -> None:
+        self.accepted  # noqa: B018  a misspelt word is told here
         if self.transport != "folder":
             getattr(self, self.transport).check()
             if not self.controller_folder:
@@ -91,6 +106,11 @@ class BridgeSettings:
 
         # Long before a table arrives, which may be hours after the start.
         make_controller(self.controller, self.controller_settings, "options")
+
+    @property
+    def accepted(self) -> Accepted:
+        """What a person accepts; ConfigurationError for a word that accepts nothing."""
+        return Accepted(self.accept, self.max_age_days)
 
     @property
     def controller_settings(self) -> dict[str, Any]:

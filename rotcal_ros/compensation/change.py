@@ -52,7 +52,7 @@ def _span(provenance: str) -> tuple[float, float] | None:
         side = load_json(provenance)
         return side[FIRST_ANGLE_DEG] * DEGREE, side[LAST_ANGLE_DEG] * DEGREE
     except (ValueError, TypeError, KeyError):
-        return None  # written by hand, or before the span was noted
+        return None  # written by hand
 
 
 def _correction(

@@ -98,6 +98,14 @@ class Controller(ABC):
     def resolution(self, table: CompensationTable) -> float:
         """Return the step (rad) of the values in the files of ``table``."""
 
+    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
+        """Return ``files`` with the line ``text`` as a comment, where their form has comments.
+
+        What is read from them stays the same.
+        """
+        del text
+        return dict(files)
+
     def for_axis(self, axis: str) -> Controller:
         """Return the controller with what the machine's own files say about ``axis``.
 

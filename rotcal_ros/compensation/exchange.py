@@ -49,15 +49,20 @@ class Exchange:
         try:
             self._write(held, wanted)
         except ControllerError as error:
-            self._put_back(before, entry, error)
-            raise ControllerError(f"{error}; the old table was put back") from error
+            done = self._put_back(before, entry, error)
+            raise ControllerError(f"{error}; {done}") from error
         self._end(entry, words[1], wanted)
         return entry
 
-    def _put_back(self, before: Contents, entry: Entry, error: ControllerError) -> None:
+    def _put_back(self, before: Contents, entry: Entry, error: ControllerError) -> str:
+        """Bring back what was there before, and return in words what had to be done."""
         try:
-            self._write(self.store.read(before), before)
+            found = self.store.read(before)
+            self._write(found, before)
             self._end(entry, "rolled_back", before)
+            if found == texts_of(before):
+                return "the controller holds what it held before, nothing had to be put back"
+            return "the old table was put back"
         except (ControllerError, OSError) as second:
             raise ControllerError(
                 f"{error}; putting the old table back failed too ({second}): it is not known "

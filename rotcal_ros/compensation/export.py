@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from datetime import datetime
+from datetime import datetime, timezone
 from typing import Any, Final
 
 import numpy as np
@@ -15,22 +15,26 @@ from rotcal_ros.circumstances import NOTHING_MEASURED, SIMULATED
 from rotcal_ros.compensation.controller import Controller, Lag
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.held import in_force_of
-from rotcal_ros.compensation.quality import ResidualBudget, residual_budget
+from rotcal_ros.compensation.quality import (
+    ResidualBudget,
+    chosen_rows,
+    demanded,
+    residual_budget,
+)
 from rotcal_ros.compensation.resample import averaged, resample
 from rotcal_ros.compensation.table import (
     SIGN_CONVENTION,
     CompensationTable,
     check_verdict,
 )
-from rotcal_ros.compensation.writing import PROVENANCE, check_stem, of_the_controller
-from rotcal_ros.components import check_axis
+from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, check_stem, of_the_controller
+from rotcal_ros.components import COVERAGE_FACTOR, check_axis
 from rotcal_ros.curves.interpolation import SAME_ANGLE
 from rotcal_ros.curves.measured import gaps_of
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.in_force import in_words, known_hash
-from rotcal_ros.units import ARCSEC, DEGREE
+from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
 
-SCHEMA: Final = 1
 WRITTEN: Final = "written"
 CONFIRMATION: Final = "confirmation_sha256"
 CONTENTS: Final = "contents_sha256"
@@ -87,7 +91,8 @@ def prepare_export(
     """Return the files for ``controller_name``, after they were read back and simulated.
 
     ``axis`` is the axis they are meant for (refused when the table is another's), ``spacing``
-    and ``reference_angle`` are radians, ``settings`` go to the controller, ``stem`` is the file
+    and ``reference_angle`` are radians (without a spacing see :func:`chosen_rows`),
+    ``settings`` go to the controller, ``stem`` is the file
     name without extension (else axis and controller, and that of a simulation says so),
     ``sources`` maps what the numbers come from (a bag, a result) to its SHA-256. What nobody has
     verified about a controller is refused unless ``accept_unverified``.
@@ -96,21 +101,19 @@ def prepare_export(
     ConfigurationError for limits, names and settings. Writes nothing.
     """
     controller = make_controller(controller_name, settings).for_axis(table.axis)
-    check_verdict(table)
-    _refuse_rest(table)
-    _require_axis(table, axis)
-    if not accept_unverified:
-        _refuse_unverified(controller)
+    _refuse(table, controller, axis, accept_unverified=accept_unverified)
     marked = f"_{SIMULATED.lower()}" if table.simulated else ""
     name = check_stem(stem or default_stem(table.axis, controller_name) + marked)
     shifted = resample(table, reference_angle=reference_angle)
-    rows = resample(shifted, spacing)
+    rows = chosen_rows(shifted, controller) if spacing is None else resample(shifted, spacing)
     files = controller.write(rows, name)
+    if table.simulated:
+        files = controller.marked(files, NOTHING_MEASURED)
     rule = controller.read(files)
     lag = controller.lag(rule, rows)
     residual = residual_budget(shifted, rows, controller, rule, lag)
     _refuse_harm(residual, lag, controller.facts.title)
-    warnings = (*_warnings(table, controller), *lag.notes)
+    warnings = (*_warnings(table, controller), *_too_wide(shifted, rows, residual), *lag.notes)
     side = {
         **_origin(table, now, sources or {}),
         "controller": controller_name,
@@ -120,15 +123,29 @@ def prepare_export(
         "warnings": list(warnings),
     }
     confirmation = _confirmation(side)
-    text = json.dumps({**side, CONFIRMATION: confirmation}, indent=1, allow_nan=False) + "\n"
     return ExportFiles(
-        files={**files, f"{name}{PROVENANCE}": text},
+        files={**files, f"{name}{PROVENANCE}": _text({**side, CONFIRMATION: confirmation})},
         residual=residual,
         warnings=warnings,
         table=rows,
         confirmation=confirmation,
         controller=controller,
     )
+
+
+def _refuse(
+    table: CompensationTable, controller: Controller, axis: str | None, *, accept_unverified: bool
+) -> None:
+    """Raise DataError or ConfigurationError for a table that may not be fed to ``controller``."""
+    check_verdict(table)
+    _refuse_rest(table)
+    _require_axis(table, axis)
+    if not accept_unverified:
+        _refuse_unverified(controller)
+
+
+def _text(side: Mapping[str, Any]) -> str:
+    return json.dumps(side, indent=1, allow_nan=False) + "\n"
 
 
 def _confirmation(side: Mapping[str, Any]) -> str:
@@ -198,6 +215,20 @@ def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ..
     return (*reserve, *known, *unverified)
 
 
+def _too_wide(
+    table: CompensationTable, rows: CompensationTable, residual: ResidualBudget
+) -> tuple[str, ...]:
+    if residual.interpolation <= demanded(table):
+        return ()
+    widest = float(np.max(gaps_of(rows.angles, rows.period))) / DEGREE
+    return (
+        f"between rows {widest:.6g} deg apart the control leaves up to "
+        f"{residual.interpolation / ARCSEC:.2g} arcsec, more than a third of U "
+        f"({COVERAGE_FACTOR * residual.std / ARCSEC:.2g} arcsec): take narrower rows if the "
+        "controller holds them (no spacing stated chooses them)",
+    )
+
+
 def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str]) -> dict[str, Any]:
     """Return what the numbers come from."""
     return {
@@ -205,6 +236,9 @@ def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str])
         WRITTEN: now.isoformat(timespec="seconds"),
         "axis": table.axis,
         "item": table.item,
+        "serial": table.serial,
+        "measured_from": _day(table.measured_from_ns),
+        "measured_until": _day(table.measured_until_ns),
         "simulated": table.simulated,
         "method": table.method,
         "verdict": table.verdict,
@@ -216,6 +250,14 @@ def _origin(table: CompensationTable, now: datetime, sources: Mapping[str, str])
         "in_force": standing(table),
         "sign_of_the_table": SIGN_CONVENTION,
     }
+
+
+def _day(time_ns: int) -> str:
+    """Return the time (ns since 1970) for people; empty for 0, which is not known."""
+    if not time_ns:
+        return ""
+    time = datetime.fromtimestamp(time_ns * NANOSECOND, timezone.utc)
+    return time.isoformat(timespec="seconds")
 
 
 def _controller_facts(controller: Controller) -> dict[str, Any]:

@@ -65,7 +65,8 @@ class Fanuc(Controller):
     facts = Facts(
         title="Fanuc",
         sign="slot = step of -(actual - commanded), in detection units x magnification",
-        wrap="3625 = 360, slots reference + 1 .. reference + N, sum zero, slot(reference) = last",
+        wrap="3605#0 = 0, 3625 = 360, slots reference + 1 .. reference + N, sum zero, "
+        "slot(reference) = last",
         unit="detection unit x magnification, whole numbers -7 .. +7",
         source="B-63980EN/01 p. 100, A-77810E, B-63522EN/02 p. 222, B-63330EN/03 p. 25",
     )

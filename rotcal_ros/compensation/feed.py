@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from rotcal_ros.compensation.adding import Combination, combined
+from rotcal_ros.compensation.agreement import NO_MACHINE, Machine, agreeing
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.busy import work_of
 from rotcal_ros.compensation.change import largest_change
@@ -17,7 +18,7 @@ from rotcal_ros.compensation.controller_store import ControllerStore
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.exchange import Exchange
 from rotcal_ros.compensation.export import default_stem
-from rotcal_ros.compensation.held import HeldTable, held_table, in_force_of
+from rotcal_ros.compensation.held import HeldTable, held_table, in_force_of, machine_of
 from rotcal_ros.compensation.journal import (
     Action,
     Contents,
@@ -31,7 +32,7 @@ from rotcal_ros.compensation.offer import Offer, make_offer
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.errors import ControllerError, DataError, RotcalError
-from rotcal_ros.in_force import NONE, UNKNOWN
+from rotcal_ros.in_force import NONE, UNKNOWN, known_hash
 from rotcal_ros.units import ARCSEC, NANOSECOND
 
 
@@ -52,7 +53,8 @@ class Feed:
     """The feed of one controller for one axis.
 
     ``now_ns`` returns the time (ns since 1970). ``store`` replaces that of the settings.
-    ``simulated``: the cell is, so that its tables may be too.
+    ``simulated``: the cell is, so that its tables may be too. ``serial`` is the number of the item
+    in the cell, empty where it is not known, ``stated`` what its settings say is in force.
     """
 
     def __init__(
@@ -63,9 +65,12 @@ class Feed:
         store: ControllerStore | None = None,
         *,
         simulated: bool = False,
+        serial: str = "",
+        stated: str = UNKNOWN,
     ) -> None:
         self.settings, self.axis = settings, axis
         self._takes_simulated = simulated or settings.accept_simulated
+        self._cell, self._stated = Machine(axis, serial), stated
         self._now_ns = now_ns
         self._controller = make_controller(settings.controller, settings.controller_settings)
         self._store = store or make_store(settings, self._controller)
@@ -79,12 +84,16 @@ class Feed:
         Returns the files: a new folder below the output folder, or the one that holds these
         very files already. Raises RotcalError, and forgets the table before, when it cannot
         be fed to this controller. A table that was measured on top of the one in force is
-        added to it, see :func:`combined`.
+        added to it, see :func:`combined`; it has to belong to this cell, see :func:`agreeing`.
         """
         self.forget()
         word = cast(Combination, self.settings.combine)
-        table = combined(table, self._held, word)
-        self.offer = make_offer(table, stamp_ns, self.settings, self.axis, self._now_ns())
+        self._refuse_journal(table, stamp_ns, word)
+        now_ns = self._now_ns()
+        table = combined(self._agreeing(table, stamp_ns, now_ns), self._held, word)
+        if table.adds_to:
+            self._agreeing(table, stamp_ns, now_ns, machine_of(self._present()))
+        self.offer = make_offer(table, stamp_ns, self.settings, self.axis, now_ns)
         return self.offer.paths
 
     def forget(self) -> None:
@@ -101,11 +110,39 @@ class Feed:
         )
 
     def in_force(self) -> str:
-        """Return which table the controller holds: its hash, "none", or "unknown"."""
+        """Return which table the controller holds: its hash, "none", or "unknown".
+
+        Files that are not there prove nothing: "none" is what the journal says too, or, before
+        the first change, the settings. See :meth:`contradiction`.
+        """
         if not self.settings.controller_folder or self._journal.unfinished():
             return UNKNOWN
         held = in_force_of(self._present())
-        return UNKNOWN if held == NONE and not self._journal.entries() else held
+        return held if held != NONE else self._noted()
+
+    def contradiction(self, held: str) -> str:
+        """Return in words what contradicts that ``held`` is in force; empty when nothing does."""
+        if held == UNKNOWN and known_hash(noted := self._last_noted()):
+            return (
+                f"the controller shows no table, and by the journal it was given {noted[:12]}: "
+                "look at it; restore takes a table away, or brings it back, so that this is known"
+            )
+        if self._stated not in (UNKNOWN, held) and held != UNKNOWN:
+            return (
+                f"cell.table_in_force says {self._stated[:12]}, and the controller holds "
+                f"{held[:12]}: correct the setting, or leave it to this bridge"
+            )
+        return ""
+
+    def _noted(self) -> str:
+        """Return what is in force where no file is seen."""
+        if not self._journal.entries():
+            return NONE if self._stated == NONE else UNKNOWN
+        return UNKNOWN if known_hash(self._last_noted()) else NONE
+
+    def _last_noted(self) -> str:
+        history = self._journal.history()
+        return history[-1][1] if history else ""
 
     def open(self) -> str:
         """Become the only one who feeds the controller; return what was left unfinished."""
@@ -128,6 +165,7 @@ class Feed:
         self._refuse_another_base(offer)
         offer.refuse_changed()
         old = self._store.read(offer.files)
+        self._agreeing(offer.table, offer.stamp_ns, self._now_ns(), machine_of(old))
         rows = offer.export.table.angles
         change = largest_change(self._controller, old, offer.files, rows)
         self._refuse_large(change, self.settings.max_change_arcsec)
@@ -164,7 +202,7 @@ class Feed:
     def next_restore(self) -> str:
         """Return the hash that undoes the last change; empty when there is nothing to undo."""
         entry = self._journal.to_undo()
-        return "" if entry is None else self._journal.before_hash(entry)
+        return "" if entry is None else entry.before_hash
 
     def unfinished(self) -> str:
         """Return in words a change that was begun and never ended; empty if there is none."""
@@ -181,7 +219,7 @@ class Feed:
         return (
             f"{what}, begun at {_utc(entry.time_ns)}, was never finished: the "
             f"controller holds {found or 'neither the old nor the new files whole'}; restore "
-            f"{self._journal.before_hash(entry)} before the axis moves"
+            f"{entry.before_hash} before the axis moves"
         )
 
     def close(self) -> None:
@@ -233,6 +271,30 @@ class Feed:
                 f"the table is stale: it was made {age:.0f} s before the controller's old table "
                 "was restored; measure again with what the controller holds now"
             )
+
+    def _refuse_journal(self, table: CompensationTable, stamp_ns: int, word: Combination) -> None:
+        """Refuse a table that is said to be the whole, where the journal knows that it is not."""
+        claim = f"measured with '{NONE}' in force"
+        if table.measured_on == UNKNOWN and word == "replace":
+            claim = "bridge.combine says 'replace'"
+        elif table.measured_on != NONE:
+            return
+        times = (table.measured_from_ns or stamp_ns, table.measured_until_ns or stamp_ns)
+        for since_ns, held in self._journal.held_while(*times):
+            if known_hash(held):
+                raise DataError(
+                    f"{claim}, but by the journal of this bridge the controller held the table "
+                    f"{held[:12]} then (since {_utc(since_ns)}): what was measured is what that "
+                    "table left, and in its place it would be lost. Measure again, with what is "
+                    "in force announced by this bridge (take 'none' out of cell.table_in_force)"
+                )
+
+    def _agreeing(
+        self, table: CompensationTable, stamp_ns: int, now_ns: int, held: Machine = NO_MACHINE
+    ) -> CompensationTable:
+        """Return ``table`` if it belongs to this cell, and to what the table in force is for."""
+        machines = {"this cell": self._cell, "the table in force": held}
+        return agreeing(table, machines, self.settings.accepted, now_ns, stamp_ns)
 
     def _refuse_unused(self, offer: Offer) -> None:
         """Refuse a table that the machine's own files would ignore, or read in another way."""

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.agreement import NO_MACHINE, Machine
 from rotcal_ros.compensation.controller import Controller, Rule
 from rotcal_ros.compensation.journal import contents_hash
-from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
+from rotcal_ros.compensation.writing import PROVENANCE, SCHEMA, of_the_controller
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.errors import DataError
 from rotcal_ros.in_force import NONE
@@ -25,6 +26,7 @@ class HeldTable:
 
     ``in_force`` is the hash of the files. ``angles`` (n,), ``period`` and ``reference_angle``
     (rad) are as in a :class:`CompensationTable`; ``first`` (rad) is where the travel begins.
+    ``machine`` is what it was made for.
     """
 
     in_force: str
@@ -33,6 +35,7 @@ class HeldTable:
     period: float
     reference_angle: float
     first: float
+    machine: Machine = NO_MACHINE
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
         """Return the correction (rad) at ``angle`` (rad), that of a circle in the first turn."""
@@ -58,16 +61,17 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
 
     Raises DataError when they do not tell where the rows are, BagError when they are damaged.
     """
-    side = [text for name, text in files.items() if name.endswith(PROVENANCE)]
     try:
-        known = load_json(side[0])
+        known = load_json(_side(files))
+        if known["schema"] != SCHEMA:
+            raise ValueError(f"its schema is {known['schema']!r:.20}, expected {SCHEMA}")
         angles = np.array(known["row_angles_deg"], dtype=np.float64) * DEGREE
         period = TURN if known["closed"] else 0.0
         reference = float(known["reference_angle_deg"]) * DEGREE
-    except (IndexError, ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError) as error:
         raise DataError(
             "the rows of the table in force are not known: its side file "
-            f"(*{PROVENANCE}) is missing, damaged or of an earlier version; measure without a "
+            f"(*{PROVENANCE}) is missing, damaged or of another schema; measure without a "
             "table and replace it"
         ) from error
     return HeldTable(
@@ -77,4 +81,19 @@ def held_table(controller: Controller, files: Mapping[str, str]) -> HeldTable:
         period=period,
         reference_angle=reference,
         first=controller.travel[0] if period else 0.0,
+        machine=machine_of(files),
     )
+
+
+def machine_of(files: Mapping[str, str]) -> Machine:
+    """Return what ``files`` were made for, as far as the side file among them says it."""
+    try:
+        known = load_json(_side(files))
+        axis, serial = (known.get(name, "") for name in ("axis", "serial"))
+    except (ValueError, TypeError, AttributeError):
+        return Machine()
+    return Machine(*(text if isinstance(text, str) else "" for text in (axis, serial)))
+
+
+def _side(files: Mapping[str, str]) -> str:
+    return next((text for name, text in files.items() if name.endswith(PROVENANCE)), "")

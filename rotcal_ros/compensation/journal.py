@@ -28,7 +28,7 @@ class Entry:
     """One event at ``time_ns``; ``backup`` names the folder with what was there before.
 
     ``before_hash`` and ``after_hash`` (:func:`contents_hash`) are what the controller held and
-    what it was to hold; empty in journals from before they were noted. ``table_hash`` is empty for
+    what it was to hold; ``table_hash`` is empty for
     contents that are not known to be a table of ours. ``in_force`` is what the controller holds
     from then on, as :func:`in_force_of`; empty while that is open.
     """
@@ -37,8 +37,8 @@ class Entry:
     time_ns: int
     table_hash: str
     backup: str
-    before_hash: str = ""
-    after_hash: str = ""
+    before_hash: str
+    after_hash: str
     in_force: str = ""
 
 
@@ -116,16 +116,12 @@ class Journal:
     def kept_before(self, entry: Entry) -> dict[str, str | None]:
         """Return what was there before ``entry``; ControllerError when it was changed since."""
         files = self.kept(entry.backup)
-        if entry.before_hash not in ("", contents_hash(files)):
+        if entry.before_hash != contents_hash(files):
             raise ControllerError(
                 f"the old table in {self.folder / entry.backup} is not what was kept there: "
                 "somebody changed it; look at it and copy it by hand if it is good"
             )
         return files
-
-    def before_hash(self, entry: Entry) -> str:
-        """Return the hash of what was there before ``entry``."""
-        return entry.before_hash or contents_hash(self.kept(entry.backup))
 
     def to_undo(self) -> Entry | None:
         """Return the last change that was not undone, also one that a crash cut off."""
@@ -141,18 +137,15 @@ class Journal:
 
     def _undo(self, stack: list[Entry], restored: Entry) -> None:
         """Take away the changes that are undone; a restore of anything else is a change itself."""
-        if stack[-1].action != "restoring":  # a journal from before restores were announced
-            stack.pop()
-            return
         for place in range(len(stack) - 2, -1, -1):
-            if self.before_hash(stack[place]) == restored.after_hash:
+            if stack[place].before_hash == restored.after_hash:
                 del stack[place:]
                 return
 
     def change_from(self, kept_hash: str) -> Entry | None:
         """Return the last change before which the controller held what has this hash."""
         begun = (e for e in reversed(self.entries()) if e.action in BEGUN)
-        return next((e for e in begun if self.before_hash(e) == kept_hash), None)
+        return next((e for e in begun if e.before_hash == kept_hash), None)
 
     def unfinished(self) -> Entry | None:
         """Return the change that was begun and of which nobody noted the end."""
@@ -167,6 +160,12 @@ class Journal:
     def history(self) -> list[tuple[int, str]]:
         """Return since when (ns) the controller has held which table, as far as it was noted."""
         return [(e.time_ns, e.in_force) for e in self.entries() if e.in_force]
+
+    def held_while(self, from_ns: int, until_ns: int) -> tuple[tuple[int, str], ...]:
+        """Return since when (ns) which tables were held between two times, as far as was noted."""
+        history = self.history()
+        before = [event for event in history if event[0] <= from_ns]
+        return (*before[-1:], *(event for event in history if from_ns < event[0] <= until_ns))
 
     def table_of(self, held_hash: str) -> str:
         """Return the hash of the table that was applied as these contents; empty: not known."""

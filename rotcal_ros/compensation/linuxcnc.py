@@ -24,7 +24,13 @@ from rotcal_ros.compensation.linuxcnc_following import Following, lag
 from rotcal_ros.compensation.linuxcnc_ini import Ini
 from rotcal_ros.compensation.linuxcnc_machine import AGENT, SERVO_PERIOD_NS, Joint
 from rotcal_ros.compensation.parsing import only_file
-from rotcal_ros.compensation.rows import columns_deg, every_turn, fixed, require_at_most
+from rotcal_ros.compensation.rows import (
+    columns_deg,
+    every_turn,
+    fixed,
+    require_at_most,
+    with_line,
+)
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
 from rotcal_ros.curves.interpolation import TURN
 from rotcal_ros.errors import BagError, ConfigurationError
@@ -126,6 +132,14 @@ class LinuxCnc(Controller):
         values = zip(LINES, (f"{stem}.comp", self.file_type), strict=True)
         ini = [f"[JOINT_{self.joint}]", *(f"{key} = {value}" for key, value in values)]
         return {f"{stem}.comp": "\n".join(lines) + "\n", f"{stem}.ini": "\n".join(ini) + "\n"}
+
+    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
+        """Return the files with a comment: behind the numbers of a row, where LinuxCNC stops."""
+        texts = with_line(files, ".ini", 0, f"# {text}")
+        return {
+            name: file.replace("\n", f" # {text}\n", 1) if name.endswith(".comp") else file
+            for name, file in texts.items()
+        }
 
     def read(self, files: Mapping[str, str]) -> LoadedComp:
         """Read table and ini lines; BagError for all that LinuxCNC would swallow in silence."""

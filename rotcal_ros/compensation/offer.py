@@ -68,7 +68,7 @@ def make_offer(
         settings.controller,
         now=datetime.fromtimestamp(now_ns * NANOSECOND, timezone.utc),
         axis=axis,
-        spacing=settings.spacing_deg * DEGREE,
+        spacing=settings.spacing_deg * DEGREE or None,
         reference_angle=None if reference is None else reference * DEGREE,
         settings=settings.controller_settings,
         # The controller knows its file under one name, whatever is in it.

@@ -23,6 +23,8 @@ NODE_ID: Final = re.compile(r"(ns=\d+;)?[isgb]=.+")
 CHUNK_BYTES: Final = 8192
 """Of one write: below the smallest message that a server must take."""
 OVERWRITE: Final = ua.OpenFileMode.Write | ua.OpenFileMode.EraseExisting
+READING: Final = ua.Variant(ua.OpenFileMode.Read.value, ua.VariantType.Byte)
+PART: Final = ua.Variant(CHUNK_BYTES, ua.VariantType.Int32)
 CHANGING: Final = {"CreateFile", "Delete", "MoveOrCopy"}
 NEW: Final = "new_"
 OLD: Final = "old_"
@@ -107,11 +109,18 @@ class ServerFolder:
         await self._write(node_id, data or b"")
 
     async def _read(self, node_id: ua.NodeId) -> bytes:
-        data = b""
-        async with UaFile(self._client.get_node(node_id)) as file:
-            if await file.get_size():
-                while part := await file.read():
-                    data += part
+        """Return what is read until nothing comes any more.
+
+        What a server says of the size of a file is no proof of what it holds, 0 least of all.
+        """
+        file, data = self._client.get_node(node_id), b""
+        handle = await file.call_method("0:Open", READING)
+        handle = ua.Variant(handle, ua.VariantType.UInt32)
+        try:
+            while part := await file.call_method("0:Read", handle, PART):
+                data += part
+        finally:
+            await file.call_method("0:Close", handle)
         return data
 
     async def _write(self, node_id: ua.NodeId, data: bytes) -> None:

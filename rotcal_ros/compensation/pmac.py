@@ -24,6 +24,7 @@ from rotcal_ros.compensation.rows import (
     even_interval_deg,
     mean_deg,
     require_zero_at_start,
+    with_line,
 )
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
@@ -86,10 +87,16 @@ class Pmac(Controller):
         columns = (up, down) if both else (mean_deg(table),) * 2
         comp, back = (np.rint(c / unit_deg).astype(np.int64) for c in columns)
         comp = comp - comp[0]
-        lines = [f"#{motor} DEFINE COMP {n},{turn}", " ".join(map(str, comp[1:]))]
+        # COMP is rejected while any BLCOMP is there (Turbo PMAC Software Reference p. 303).
+        lines = [f"#{motor} DELETE BLCOMP", f"#{motor} DELETE COMP"]
+        lines += [f"#{motor} DEFINE COMP {n},{turn}", " ".join(map(str, comp[1:]))]
         if both:
             lines += self._way_back(comp - back, n)
         return {f"{stem}.pmc": "\n".join([*lines, "I51=1"]) + "\n"}
+
+    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
+        """Return the files with a comment, which the host takes out."""
+        return with_line(files, ".pmc", 0, f"; {text}")
 
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read the commands back; BagError unless both tables are complete and end with zero."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,12 +11,19 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.between import CERTAIN
 from rotcal_ros.compensation.controller import Controller, Lag, Rule
 from rotcal_ros.compensation.lookup import Correction
-from rotcal_ros.compensation.resample import averaged
+from rotcal_ros.compensation.resample import averaged, resample
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.units import ARCSEC, DEGREE
 
 POINTS_PER_ROW = 24
+SHARE_OF_U: Final = 1.0 / 3.0
+SPACINGS_DEG: Final = (
+    30.0, 20.0, 15.0, 10.0, 7.5, 6.0, 5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.2, 1.0, 0.75, 0.5,
+)  # fmt: skip
+"""Distances of rows that divide a turn, the widest first."""
 NO_LAG = Lag()
 SAMPLING = 1.02
 """A maximum over so fine a grid can miss the true one by less than this factor."""
@@ -72,6 +79,58 @@ class ResidualBudget:
         )
 
 
+def demanded(table: CompensationTable) -> float:
+    """Return what the lines between the rows may leave, rad: a third of U (k = 2).
+
+    More would be seen in a measurement of the same kind. Infinite where U is not known.
+    """
+    return COVERAGE_FACTOR * table.largest_std * SHARE_OF_U or np.inf
+
+
+def chosen_rows(table: CompensationTable, controller: Controller) -> CompensationTable:
+    """Return ``table`` on the widest rows between which the control leaves what is demanded.
+
+    Its own rows come first. Where no rows that ``controller`` takes are narrow enough, those that
+    leave least are returned. Raises ConfigurationError, with the reason for its own rows, when the
+    controller takes none at all.
+    """
+    best, least, refused = None, np.inf, None
+    for spacing in (None, *(degrees * DEGREE for degrees in SPACINGS_DEG)):
+        try:
+            rows = resample(table, spacing)
+            controller.write(rows, "x")
+        except ConfigurationError as error:
+            refused = refused or error
+            continue
+        left = left_between(table, rows, controller)
+        if left <= demanded(table):
+            return rows
+        if left < least:
+            best, least = rows, left
+    if best is None:
+        assert refused is not None
+        raise refused
+    return best
+
+
+def left_between(
+    table: CompensationTable, rows: CompensationTable, controller: Controller
+) -> float:
+    """Return how far (rad) the control is at most from the curve of ``table`` between ``rows``."""
+    grid = _fine_grid(table, rows)
+    smooth, written = table, rows
+    if controller.one_direction:
+        smooth, written = averaged(table), averaged(rows)
+    columns = (written.correction_forward, written.correction_reverse)
+    return SAMPLING * max(
+        _largest(
+            _neighbours(written, column, grid, controller.staircase)
+            - Correction(smooth)(grid, approach)
+        )
+        for column, approach in zip(columns, DIRECTIONS, strict=True)
+    )
+
+
 def residual_budget(
     table: CompensationTable,
     rows: CompensationTable,
@@ -86,15 +145,12 @@ def residual_budget(
     """
     grid = _fine_grid(table, rows)
     needed = [Correction(table)(grid, approach) for approach in DIRECTIONS]
-    goal, written, direction = needed, rows, 0.0
+    direction = 0.0
     if controller.one_direction:
         goal = [Correction(averaged(table))(grid, approach) for approach in DIRECTIONS]
-        written = averaged(rows)
         direction = SAMPLING * _largest(np.subtract(needed, goal))
     steepest = SAMPLING * _largest(np.gradient(np.array(needed), grid, axis=1))
-    columns = (written.correction_forward, written.correction_reverse)
-    lines = np.array([_neighbours(written, c, grid, controller.staircase) for c in columns])
-    interpolation = SAMPLING * _largest(lines - np.array(goal)[:, None, :])
+    interpolation = left_between(table, rows, controller)
     rounding = controller.resolution(rows) / 2.0
     rounding += steepest * controller.position_resolution
     sampling = CERTAIN * table.between_std

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from rotcal_ros.arrays import Floats
@@ -38,6 +40,15 @@ def fixed(value: float, decimals: int) -> str:
     """Return ``value`` with ``decimals`` places and never a negative zero."""
     text = f"{value:.{decimals}f}"
     return text.lstrip("-") if float(text) == 0.0 else text
+
+
+def with_line(files: Mapping[str, str], suffix: str, place: int, line: str) -> dict[str, str]:
+    """Return ``files`` with one ``line`` more at ``place`` in those that end with ``suffix``."""
+    texts = dict(files)
+    for name in (name for name in files if name.endswith(suffix)):
+        lines = files[name].splitlines(keepends=True)
+        texts[name] = "".join([*lines[:place], f"{line}\n", *lines[place:]])
+    return texts
 
 
 def every_turn(first: int, turns: int, angles: Floats, *values: Floats) -> tuple[Floats, ...]:

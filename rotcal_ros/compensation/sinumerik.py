@@ -26,6 +26,7 @@ from rotcal_ros.compensation.rows import (
     fixed,
     mean_deg,
     require_at_most,
+    with_line,
 )
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
@@ -107,6 +108,10 @@ class Sinumerik(Controller):
             lines += _cec(self.first_cec_table + 1, axis, self._cec_sign * down, spacing, -1)
         return {f"{stem}.ini": "\n".join([*lines, "M17"]) + "\n"}
 
+    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
+        """Return the files with a comment below the head."""
+        return with_line(files, ".ini", 2, f"; {text}")
+
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read ENC_COMP or a pair of CEC tables back; BagError when something is missing."""
         name, values = _assignments(files)
@@ -169,7 +174,7 @@ def _assignments(files: Mapping[str, str]) -> tuple[str, dict[tuple[str, ...], s
         if match:
             name_and_indices = (match.group(1), *match.group(2).split(","))
             values[name_and_indices] = match.group(3)
-        elif not re.fullmatch(r"%_N_\w+_INI|CHANDATA\(1\)|M17|", line.strip()):
+        elif not re.fullmatch(r"%_N_\w+_INI|CHANDATA\(1\)|M17|;.*|", line.strip()):
             raise BagError(
                 f"{name}, line {row}: {line!r} is not an assignment such as "
                 "$AA_ENC_COMP[0,1,C1]=0.005"

@@ -86,8 +86,8 @@ class Smoothieware(Controller):
     )
     one_direction = True
     unverified = (
-        "that the firmware of the machine has the module: a proposal of January 2026 brings it, "
-        "the released one has it not",
+        "that the firmware of the machine has the module: proposal 221 of January 2026, which "
+        "brings it, was closed without being merged, and the released firmware has it not",
     )
 
     letter: str = setting(

@@ -33,6 +33,12 @@ from rotcal_ros.units import ARCSEC, DEGREE
 
 COLUMNS: Final = ("angles", "correction_forward", "correction_reverse", "std", "std_reverse")
 DIRECTIONS: Final = (Approach.POSITIVE, Approach.NEGATIVE)
+LINK: Final = (
+    "What links them: a second result of the same table that sees both from one zero (mirror, "
+    "tracer, autocollimator with polygon, a plate whose ball steps share no factor with the grid, "
+    "such as 12 balls), joined by 'rotcal combine'; or solver.group_allowance_m, if it is known "
+    "how far apart they are at most"
+)
 SIGN_CONVENTION: Final = "correction = -(actual - commanded); add it to the commanded angle"
 
 
@@ -51,7 +57,11 @@ class CompensationTable:
     ``verdict_line`` is the verdict with what it does not cover; empty where that is not known, as
     in a message. ``measured_on`` is the table in force during the measurement (hash of the
     controller's files, "none" or "unknown"), ``adds_to`` the one that the corrections contain.
-    ``item`` says what was measured, empty where that is not known; ``simulated``: nothing was.
+    ``item`` says what was measured and ``serial`` is its number, empty where that is not known;
+    ``simulated``: nothing was. ``measured_from_ns`` and ``measured_until_ns`` are when (ns since
+    1970) the first and the last measurement that counts was made; 0: not known.
+    ``open_zeros`` says which offsets within the table nobody has measured, so that no uncertainty
+    holds between its parts; empty: none. Such a table is fed to nobody, see :func:`check_verdict`.
     Raises DataError when the arrays do not fit together.
 
     >>> import rotcal_ros as rc
@@ -78,6 +88,10 @@ class CompensationTable:
     adds_to: str = ""
     item: str = ""
     simulated: bool = False
+    serial: str = ""
+    measured_from_ns: int = 0
+    measured_until_ns: int = 0
+    open_zeros: str = ""
 
     def __post_init__(self) -> None:
         check_axis(self.axis)
@@ -146,24 +160,54 @@ class CompensationTable:
         if self.between_std or self.widest_gap:
             digest.update(b"between\0")
             scalars = np.append(scalars, [self.between_std, self.widest_gap])
-        for name in ("measured_on", "adds_to"):
-            if (known := getattr(self, name)) not in ("", UNKNOWN):
+        for name in ("measured_on", "adds_to", "serial", "measured_from_ns", "measured_until_ns"):
+            if (known := getattr(self, name)) not in ("", 0, UNKNOWN):
                 digest.update(f"{name} {known}\0".encode())
         if self.simulated or self.item:
             digest.update(f"simulated {self.simulated} {self.item}\0".encode())
+        if self.open_zeros:
+            digest.update(f"open {self.open_zeros}\0".encode())
         for block in (scalars, *columns):
             digest.update(np.asarray(block, dtype="<f8").tobytes())
         return digest.hexdigest()
 
 
 def check_verdict(origin: Result | CompensationTable) -> None:
-    """Raise DataError unless the verdict is "ok": nothing else may move an axis."""
+    """Raise DataError unless the verdict is "ok" and all values count from one zero.
+
+    Nothing else may move an axis. Export and bridge alike ask here.
+    """
+    open_zeros = origin.zeros.in_words() if isinstance(origin, Result) else origin.open_zeros
+    if open_zeros:
+        raise DataError(f"{open_zeros}, so nothing bounds its error. {LINK}; nothing was written")
     if origin.verdict != "ok":
         why = f" ({'; '.join(origin.warnings)})" if origin.warnings else ""
         raise DataError(
             f"the verdict of the {origin.method} result is '{origin.verdict}'{why}: only 'ok' may "
             "be fed to a controller; nothing was written"
         )
+
+
+def measured_axis(
+    result: Result, reverse: Result | None = None, axis: str = "", default: str = "C"
+) -> str:
+    """Return the axis that was measured: as the results say, else ``axis``, else ``default``.
+
+    Raises ConfigurationError where they contradict each other or a stated ``axis``.
+    """
+    forward = result.circumstances.axis
+    backward = "" if reverse is None else reverse.circumstances.axis
+    if forward and backward and forward != backward:
+        raise ConfigurationError(
+            f"the forward run is of axis {forward}, the reverse run of axis {backward}"
+        )
+    known = forward or backward
+    if known and axis and check_axis(axis) != known:
+        raise ConfigurationError(
+            f"axis {known} was measured, and the table would be called that of axis {axis}: leave "
+            "the axis out; a table that is meant for another one is accepted where files are made"
+        )
+    return known or axis or default
 
 
 def table_from_result(
@@ -199,6 +243,9 @@ def table_from_result(
     at = weights(curve, np.append(rows, reference))
     columns = _columns(curve, at)
     left_out = () if harmonics is None else (_left_out(curve, harmonics),)
+    circumstances = [r.circumstances for r in (result, reverse) if r is not None]
+    begun = [c.begun_ns or 0 for c in circumstances]
+    ended = [c.ended_ns or 0 for c in circumstances]
     return CompensationTable(
         axis=axis,
         method=result.method,
@@ -217,7 +264,17 @@ def table_from_result(
         measured_on=_measured_on(result, reverse),
         item=_item(result, reverse),
         simulated=result.simulated or (reverse is not None and reverse.simulated),
+        serial=_serial(result, reverse),
+        measured_from_ns=min(begun) if all(begun) else 0,
+        measured_until_ns=max(ended) if all(ended) else 0,
+        open_zeros=_open_zeros(result, reverse),
     )
+
+
+def _open_zeros(result: Result, reverse: Result | None) -> str:
+    """Return which offsets of ECC either of the directions leaves open, in words."""
+    every = [result] if reverse is None else [result, reverse]
+    return "; ".join(dict.fromkeys(words for r in every if (words := r.zeros.in_words(["ECC"]))))
 
 
 class _Columns(NamedTuple):
@@ -282,12 +339,20 @@ def _item(result: Result, reverse: Result | None) -> str:
     return "; other direction: ".join(titles)
 
 
+def _serial(result: Result, reverse: Result | None) -> str:
+    """Return the number of the item of both directions, which do not contradict each other."""
+    known = (r.circumstances.identity.serial for r in (result, reverse) if r is not None)
+    return next(filter(None, known), "")
+
+
 def _measured_on(result: Result, reverse: Result | None) -> str:
     """Return the table in force in both measurements; DataError when it was not the same one."""
-    states = [result.measured_on, UNKNOWN if reverse is None else reverse.measured_on]
+    states = [r.measured_on for r in (result, reverse) if r is not None]
+    if UNKNOWN in states:
+        return UNKNOWN
     if clash := contradiction(states):
         raise DataError(f"{clash}: measure both directions with the same table in force")
-    return UNKNOWN if reverse is not None and UNKNOWN in states else agreed(states)
+    return agreed(states)
 
 
 def _worse(result: Result, reverse: Result | None) -> Verdict:

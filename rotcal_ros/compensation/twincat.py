@@ -15,7 +15,12 @@ import numpy as np
 
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, matches, only_file
-from rotcal_ros.compensation.rows import columns_deg, even_interval_deg, require_at_most
+from rotcal_ros.compensation.rows import (
+    columns_deg,
+    even_interval_deg,
+    require_at_most,
+    with_line,
+)
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import BagError
@@ -43,6 +48,14 @@ class TwinCat(Controller):
         1500, doc="P-COMP-00059 of the machine; the list has fewer rows", minimum=4
     )
 
+    axis_number: int = setting(
+        0,
+        doc="logical number of the axis, for the list header (kopf.achs_nr); 0: no header, the "
+        "System Manager writes it",
+        minimum=0,
+        maximum=65535,
+    )
+
     def write(self, table: CompensationTable, stem: str) -> dict[str, str]:
         """Return the compensation list; raises ConfigurationError above ``max_points``."""
         spacing = even_interval_deg(table, "TwinCAT CNC", UNIT_DEG)
@@ -61,18 +74,25 @@ class TwinCat(Controller):
             "bilateral": bilateral,
             "modulo": 1,
         }
-        lines = [f"kw.ssfk.{key} {value}" for key, value in head.items()]
+        lines = [f"kopf.achs_nr {self.axis_number}", f"kopf.log_achs_name {table.axis}"]
+        lines = lines if self.axis_number else []
+        lines += [f"kw.ssfk.{key} {value}" for key, value in head.items()]
         for k in range(n):
             lines.append(f"kw.ssfk.table[{k}].pos {pos[k]}")
             if bilateral:
                 lines.append(f"kw.ssfk.table[{k}].neg {neg[k]}")
         return {f"{stem}.lis": "\n".join(lines) + "\n"}
 
+    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
+        """Return the files with a comment."""
+        return with_line(files, ".lis", 0, f"# {text}")
+
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read a compensation list; BagError unless it is one turn in units of 0.0001 deg."""
         name, text = only_file(files, ".lis")
-        found = matches(name, text, r"kw\.ssfk\.([\w\[\].]+)\s+(\S+)", "kw.ssfk.unit 1")
-        values = {match[1]: integer(match[2], where) for where, match in found}
+        line = r"kw\.ssfk\.([\w\[\].]+)\s+(\S+)|kopf\.(achs_nr\s+\d+|log_achs_name\s+\S+)|#.*"
+        found = matches(name, text, line, "kw.ssfk.unit 1")
+        values = {match[1]: integer(match[2], where) for where, match in found if match[1]}
         n = values.get("kw_nr_max", 0)
         covered = values.get("interval", 0) * max(n - 1, 0)
         head = (values.get("unit"), values.get("modulo"), covered)

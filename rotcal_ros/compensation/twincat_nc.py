@@ -17,7 +17,13 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, number, only_file
-from rotcal_ros.compensation.rows import columns_deg, even_interval_deg, fixed, mean_deg
+from rotcal_ros.compensation.rows import (
+    columns_deg,
+    even_interval_deg,
+    fixed,
+    mean_deg,
+    with_line,
+)
 from rotcal_ros.compensation.rules import PeriodicTable
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import BagError
@@ -96,10 +102,14 @@ class TwinCatNc(Controller):
             lines += _declaration(f"{table.axis}_{way}", way, angles, column * self._sign)
         return {f"{stem}.st": "\n".join([*lines, "END_VAR"]) + "\n"}
 
+    def marked(self, files: Mapping[str, str], text: str) -> dict[str, str]:
+        """Return the files with a comment."""
+        return with_line(files, ".st", 0, f"(* {text} *)")
+
     def read(self, files: Mapping[str, str]) -> PeriodicTable:
         """Read the declarations back; BagError unless they are one table, or one for each way."""
         name, text = only_file(files, ".st")
-        body = re.fullmatch(r"VAR_GLOBAL\n(.*)END_VAR\n", text, re.DOTALL)
+        body = re.fullmatch(r"(?:\(\*[^*]*\*\)\n)?VAR_GLOBAL\n(.*)END_VAR\n", text, re.DOTALL)
         found = list(TABLE.finditer(body[1])) if body else []
         if body is None or TABLE.sub("", body[1]):
             raise BagError(

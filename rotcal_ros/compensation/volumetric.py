@@ -18,6 +18,7 @@ from rotcal_ros.compensation.table import check_verdict
 from rotcal_ros.compensation.writing import check_stem
 from rotcal_ros.components import COMPONENTS, TRANSLATIONS, check_axis, unit_of
 from rotcal_ros.errors import BagError, DataError
+from rotcal_ros.in_force import in_words, known_hash
 from rotcal_ros.results import Result
 
 SIGN: Final = "deviation = actual - commanded; angles counter-clockwise about +z"
@@ -51,13 +52,15 @@ def volumetric_files(result: Result, stem: str, axis: str = "C") -> dict[str, st
         "method": result.method,
         "simulated": result.simulated,
         "item": result.circumstances.identity.title,
+        "serial": result.circumstances.identity.serial,
+        "measured_on": result.measured_on,
         "verdict": result.verdict,
         "verdict_line": result.verdict_line,
         "not_protected": list(result.unprotected),
         "angles_rad": result.angles.tolist(),
         "deviations": {name: values.tolist() for name, values in deviations.items()},
         "std": {name: values.tolist() for name, values in std.items()},
-        "warnings": [*result.warnings, *_one_sided(result, names)],
+        "warnings": [*result.warnings, *_one_sided(result, names), *_on_top(result)],
     }
     table, facts = "\n".join(lines) + "\n", json.dumps(data, indent=1) + "\n"
     found = parsing.numbers(f"{stem}.csv", table.splitlines()[1:], len(columns), ",")
@@ -80,6 +83,10 @@ def _columns(result: Result, names: list[str]) -> tuple[dict[str, Floats], dict[
             own = np.sqrt(np.maximum(np.diag(both.covariance), 0.0))
             std[f"{name}_forward"], std[f"{name}_reverse"] = np.split(own, 2)
     return deviations, std
+
+
+def _on_top(result: Result) -> list[str]:
+    return [in_words(result.measured_on)] if known_hash(result.measured_on) else []
 
 
 def _one_sided(result: Result, names: list[str]) -> list[str]:

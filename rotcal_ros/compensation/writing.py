@@ -14,6 +14,8 @@ from rotcal_ros.files import make_folder, scratch_folder, sync_folder, write_dur
 
 PROVENANCE: Final = ".provenance.json"
 """How the name of the file ends that is for people and not for the controller."""
+SCHEMA: Final = 1
+"""Of these side files, by which a reader knows the meaning of their entries."""
 
 
 def write_files(files: Mapping[str, str], folder: Path) -> tuple[Path, ...]:

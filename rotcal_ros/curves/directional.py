@@ -54,58 +54,19 @@ class DirectionalCurve:
 def directional_curve(result: Result, reverse: Result | None = None) -> DirectionalCurve:
     """Return what ``result`` knows of both sides, or it with an independent ``reverse`` result.
 
-    Positions that coincide after a turn are averaged, as by :func:`measured_curve`. Results of
-    earlier versions hold repeated runs of both sides without their covariance, see
-    :func:`directions_of_runs`. Raises DataError when the curves do not close or are at other
-    angles, ConfigurationError when both sides are known already and ``reverse`` comes on top.
+    Positions that coincide after a turn are averaged, as by :func:`measured_curve`. Raises
+    DataError when the curves do not close or are at other angles, ConfigurationError when both
+    sides are known already and ``reverse`` comes on top.
     """
-    own = _own(result)
+    own = result.directions.get(COMPONENT)
     if reverse is None:
         return _single(result) if own is None else _merged(result, own)
-    if own is not None or _own(reverse) is not None:
+    if own is not None or COMPONENT in reverse.directions:
         raise ConfigurationError(
             f"a result ({result.method}) holds both directions already: leave out the second "
             "result of the reverse direction, or give two results of one direction each"
         )
     return _independent(measured_curve(result), measured_curve(reverse))
-
-
-def directions_of_runs(result: Result) -> Directions | None:
-    """Return both directions from the repeated runs of a result, None where it has none.
-
-    Their joint covariance is not among the runs. The mean and the reversal are taken for
-    independent, and the reversal for as uncertain as if nothing that all arrivals share were in
-    the uncertainty of the mean: n arrivals from each side leave N / (2 n) in a mean, twice that in
-    its difference from the first, and 2 N / n in the reversal. That is an upper bound.
-    """
-    runs = result.runs
-    if runs is None or runs.forward is None or runs.reverse is None:
-        return None
-    at = np.flatnonzero(np.isin(runs.targets, result.angles))
-    forward, reverse = (_row_means(side[at]) for side in (runs.forward, runs.reverse))
-    if len(at) != len(result.angles) or not np.any(np.isfinite(forward + reverse)):
-        return None
-    both = np.isfinite(forward) & np.isfinite(reverse)
-    if np.count_nonzero(both) < 2:
-        return None
-    half = (forward - reverse)[both] / 2.0
-    mean = result.deviations[COMPONENT][both]
-    covariance = result.covariance[COMPONENT][np.ix_(both, both)]
-    own = np.eye(len(half)) * np.max(np.diag(covariance)) / 2.0
-    blocks = [[covariance + own, covariance - own], [covariance - own, covariance + own]]
-    return Directions(result.angles[both], mean + half, mean - half, np.block(blocks))
-
-
-def _own(result: Result) -> Directions | None:
-    return result.directions.get(COMPONENT) or directions_of_runs(result)
-
-
-def _row_means(table: Floats) -> Floats:
-    """Return the mean of what there is in each row (k, n), NaN for a row of nothing."""
-    there = np.isfinite(table)
-    count = there.sum(axis=1)
-    total = np.where(there, table, 0.0).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _single(result: Result) -> DirectionalCurve:

@@ -101,18 +101,31 @@ def harmonic_basis(angles: Floats, order: int) -> Floats:
     return np.column_stack(columns)
 
 
-def without_harmonics(angles: Floats, order: int) -> Floats:
+def without_harmonics(angles: Floats, order: int, free: Floats | None = None) -> Floats:
     """Return the projection (n, n) that takes offset and harmonics up to ``order`` off n values.
 
-    Unweighted, so that nothing leans on an angle whose value is zero by definition. Raises
-    DataError when the ``angles`` are too few to leave anything.
+    And the columns of ``free`` (n, q), too. Unweighted, so that nothing leans on an angle whose
+    value is zero by definition. Raises DataError when the ``angles`` leave nothing.
     """
-    basis = harmonic_basis(angles, order)
-    n, unknowns = basis.shape
-    if n <= unknowns:
-        raise DataError(f"{n} common angles: more than {unknowns} are needed to compare")
-    q, _ = np.linalg.qr(basis)
-    return np.asarray(np.eye(n) - q @ q.T, dtype=np.float64)
+    basis = unknown_basis(angles, order, free)
+    return np.asarray(np.eye(len(angles)) - basis @ basis.T, dtype=np.float64)
+
+
+def unknown_basis(angles: Floats, order: int, free: Floats | None = None) -> Floats:
+    """Return an orthonormal basis (n, u) of offset, harmonics up to ``order`` and ``free`` (n, q).
+
+    Raises DataError when they leave nothing of n values.
+    """
+    columns = harmonic_basis(angles, order)
+    if free is not None:
+        columns = np.hstack([columns, free])
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = u[:, s > 1e-9 * s[0]]
+    if len(angles) <= basis.shape[1]:
+        raise DataError(
+            f"{len(angles)} common angles: more than {basis.shape[1]} are needed to compare"
+        )
+    return np.asarray(basis, dtype=np.float64)
 
 
 def harmonic_estimator(nodes: Floats, order: int, covariance: Floats) -> Floats:

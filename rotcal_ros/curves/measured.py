@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -12,6 +12,7 @@ from rotcal_ros.arrays import Floats
 from rotcal_ros.components import unit_of
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, wrapped
 from rotcal_ros.errors import DataError
+from rotcal_ros.raw_data import RawData
 from rotcal_ros.results import Result
 from rotcal_ros.units import DEGREE
 
@@ -27,7 +28,11 @@ class MeasuredCurve:
 
     ``period`` is 2 pi when the angles go round, with no angle twice, and 0 for an arc.
     ``verdict_line`` is that of the result it comes from, empty for a reference without one;
-    ``simulated``: it comes from a simulation.
+    ``simulated``: it comes from a simulation. The deviation is known up to any multiple of the
+    columns of ``free`` (n, q), besides a constant. ``free_names`` (q,) are those of offsets of
+    this component alone, empty for others; ``open_zeros`` says in words which offsets are open.
+    ``raw_data``: what it rests on, whose influence is that on this curve alone, as merged as its
+    values. ``serial`` and ``axis`` are of the item and axis that were measured; empty: not known.
     """
 
     angles: Floats
@@ -36,6 +41,17 @@ class MeasuredCurve:
     period: float
     verdict_line: str = ""
     simulated: bool = False
+    raw_data: RawData = field(default_factory=RawData)
+    free: Floats | None = None
+    free_names: tuple[str, ...] = ()
+    open_zeros: str = ""
+    serial: str = ""
+    axis: str = ""
+
+    @property
+    def free_columns(self) -> Floats:
+        """The free directions (n, q), none where nothing is open."""
+        return np.zeros((len(self.angles), 0)) if self.free is None else self.free
 
 
 def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
@@ -53,6 +69,12 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
         period=curve.period,
         verdict_line=result.verdict_line,
         simulated=result.simulated,
+        free=merge @ result.zeros.of(component, len(result.angles)),
+        free_names=tuple(d.name if [*d.columns] == [component] else "" for d in result.zeros.free),
+        open_zeros=result.zeros.in_words([component]),
+        raw_data=result.raw_data.of_curve(component).tied(merge),
+        serial=result.circumstances.identity.serial,
+        axis=result.circumstances.axis,
     )
 
 

@@ -195,7 +195,7 @@ class DmeClient:
         if s.tool:
             tools = [line.strip().strip('"') for line in self._do(call("EnumTools"))]
             if s.tool not in tools:
-                raise DmeError(f"no tool {s.tool!r}; the machine has {', '.join(tools)}")
+                raise DmeError(f"no tool {s.tool!r}; the machine has {', '.join(tools) or 'none'}")
             self._do(call("ChangeTool", s.tool), s.motion_timeout_s)
         known = "\n".join(self._do(call("EnumAllProp", Call("Tool"))))
         wanted = {"Approach": s.approach_m, "Search": s.search_m}

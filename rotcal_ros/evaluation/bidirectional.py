@@ -30,7 +30,8 @@ def read_runs(text: str, name: str) -> BidirectionalRuns:
     reader = csv_rows(text, name)
     head = tuple(cell.strip() for cell in next(reader, []))
     if head != HEADER:
-        raise BagError(f"{name}: the columns are {', '.join(head)}, expected {', '.join(HEADER)}")
+        columns = ", ".join(head) or "none"
+        raise BagError(f"{name}: the columns are {columns}, expected {', '.join(HEADER)}")
     for row, cells in enumerate(reader, start=2):
         if cells:
             key, deviation = _row(cells, f"{name}, line {row}")
@@ -64,9 +65,13 @@ def runs_of(result: Result) -> BidirectionalRuns | None:
     """Return the repeated runs of a result where both directions have two or more, else None.
 
     What the covariance of the result holds beyond the scatter of the runs is common to them all.
-    DataError names an arrival that is missing.
+    DataError names an arrival that is missing, or offsets between targets that are open.
     """
     runs = result.runs
+    if runs is not None and (words := result.zeros.in_words(["ECC"])):
+        raise DataError(
+            f"{words}: figures of ISO 230-2 are ranges over all targets, nothing bounds them"
+        )
     if runs is None or runs.forward is None or runs.reverse is None or runs.forward.shape[1] < 2:
         return None
     measured = BidirectionalRuns(runs.targets, runs.forward, runs.reverse)

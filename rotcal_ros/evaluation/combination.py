@@ -1,13 +1,15 @@
 """The best estimate of a table's deviations from several results: methods, campaigns, references.
 
-Generalised least squares with the full covariance of every input, whose zeros are unknown. The
-inputs are taken for independent.
+Generalised least squares with the full covariance of every input, whose zeros are unknown. Inputs
+that rest on the same observations vary together, see :mod:`.shared_data`; all others are taken
+for independent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, replace
+from functools import reduce
 from itertools import combinations
 from typing import Any, Final
 
@@ -18,10 +20,12 @@ from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.curves.interpolation import interpolation_matrix
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.evaluation.compare import SURE
+from rotcal_ros.evaluation.common_angles import require_one_table
+from rotcal_ros.evaluation.compare import SURE, TOO_ALIKE, too_alike
 from rotcal_ros.evaluation.component_groups import (
     ENLARGEMENTS,
     GROUPS,
+    OPEN,
     Curves,
     Enlargement,
     Group,
@@ -29,8 +33,10 @@ from rotcal_ros.evaluation.component_groups import (
 )
 from rotcal_ros.evaluation.joined_angles import Joined, union
 from rotcal_ros.evaluation.joined_protection import join_protections
+from rotcal_ros.in_force import UNKNOWN, agreed
 from rotcal_ros.protection import Protection
-from rotcal_ros.results import Result, Verdict
+from rotcal_ros.raw_data import RawData
+from rotcal_ros.results import FreeDirection, Result, Verdict, Zeros
 
 METHOD: Final = "combination"
 
@@ -39,7 +45,8 @@ METHOD: Final = "combination"
 class CombinationInput:
     """One input: its curves by component, where it comes from, and how far to trust it.
 
-    ``circumstances`` are None for a reference that tells none.
+    ``verdict`` is that on each part with a zero of its own. ``circumstances`` are None for a
+    reference that tells none; ``measured_on`` is the table in force, see :mod:`..in_force`.
     """
 
     name: str
@@ -49,6 +56,9 @@ class CombinationInput:
     warnings: tuple[str, ...] = ()
     protections: tuple[Protection, ...] = ()
     circumstances: Circumstances | None = None
+    zeros: Zeros = field(default_factory=Zeros)
+    raw_data: RawData = field(default_factory=RawData)
+    measured_on: str = UNKNOWN
 
     @property
     def simulated(self) -> bool:
@@ -69,10 +79,13 @@ class CombinationInput:
                 name,
                 source.method,
                 {c: measured_curve(source, c) for c in source.components},
-                source.verdict,
+                source.verdict_within,
                 source.warnings,
                 source.protections,
                 source.circumstances,
+                source.zeros,
+                source.raw_data,
+                source.measured_on,
             )
         if measured.verdict == "failed":
             why = f" ({'; '.join(measured.warnings)})" if measured.warnings else ""
@@ -100,8 +113,11 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
     table. The angles are those of all inputs; a component that was measured at some of them only
     is interpolated at the others, and a warning says so. When the inputs contradict each other
     (chi-square, 1 % over all groups of components) the uncertainties are enlarged as ``enlarge``
-    says and the verdict is suspect. The order of the inputs does not matter. Raises DataError
-    for inputs that cannot be joined.
+    says and the verdict is suspect. An offset that one input leaves open, such as that between two
+    groups of table positions, comes from the others, and a sentence says from which and what it
+    adds to U. A component whose offset no input tells is left out where others are whole; where
+    none is, all stay and the result keeps the open :class:`Zeros`. The order of the inputs does
+    not matter. Raises DataError for inputs that cannot be joined.
     """
     if enlarge not in ENLARGEMENTS:
         raise ConfigurationError(
@@ -113,6 +129,7 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
             f"inputs {', '.join(names) or 'none'}: give at least one, and each only once: a "
             "second time it would be taken for an independent measurement"
         )
+    _require_one_table(inputs)
     _require_different(inputs)
     curves = {measured.name: measured.curves for measured in inputs}
     found = {c for own in curves.values() for c in own}
@@ -128,6 +145,18 @@ def combine(inputs: Sequence[CombinationInput], enlarge: Enlargement = "birge") 
         for group, own in zip(present, owners, strict=True)
     ]
     return Combination(_result(groups, inputs), tuple(groups))
+
+
+def _require_one_table(inputs: Sequence[CombinationInput]) -> None:
+    """Raise DataError where inputs say that they are of two items, two axes or two tables."""
+    known = [(m.name, m.circumstances) for m in inputs if m.circumstances]
+    require_one_table({
+        "serial number": {name: around.identity.serial for name, around in known},
+        "axis": {name: around.axis for name, around in known},
+        "compensation in force": {
+            m.name: m.measured_on[:12] for m in inputs if m.measured_on != UNKNOWN
+        },
+    })  # fmt: skip
 
 
 def _require_different(inputs: Sequence[CombinationInput]) -> None:
@@ -146,19 +175,20 @@ def _result(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> Resu
     """Put the groups together: one set of angles, one verdict."""
     joined = {c: own for group in groups for c, own in group.joined.items()}
     angles = union([own.angles for own in joined.values()], any(o.period for o in joined.values()))
-    deviations, covariance = {}, {}
-    for group in groups:
-        for c, own in group.joined.items():
-            to_all = _to_all(own, angles)
-            if to_all is not None:
-                deviations[c] = to_all @ group.values(c)
-                covariance[c] = to_all @ group.covariance(c) @ to_all.T
+    deviations, covariance, zeros, left_out = _curves(groups, inputs, angles)
+    closed = {c: own for c, own in joined.items() if c not in " ".join(left_out)}
     doubtful = [m for m in inputs if m.verdict != "ok"]
     warnings = [f"{m.name} is {m.verdict} ({'; '.join(m.warnings)})" for m in doubtful]
     warnings += [group.in_words() for group in groups if not group.consistent]
+    warnings += [
+        f"{group.name}: {TOO_ALIKE} (chi2/dof {group.chi2_of_noise / group.dof:.2f})"
+        for group in groups
+        if too_alike(group.chi2_of_noise, group.dof, SURE / len(groups))
+    ]
+    notes = [link.in_words() for group in groups for link in group.links] + left_out
     chi2, dof = sum(group.chi2 for group in groups), sum(group.dof for group in groups)
     step_deviation, step_std = _adjacent(deviations, covariance)
-    return Result(
+    result = Result(
         method=METHOD,
         angles=angles,
         deviations=deviations,
@@ -168,17 +198,79 @@ def _result(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> Resu
         dof=dof,
         n_observations=sum(len(c.angles) for m in inputs for c in m.curves.values()),
         verdict="suspect" if warnings else "ok",
-        warnings=(*warnings, *_interpolated(joined, angles, deviations), *_unlinked(groups)),
+        warnings=(*warnings, *_interpolated(closed, angles, deviations), *_unlinked(groups)),
         adjacent_deviations=step_deviation,
         adjacent_std=step_std,
         details=_details(groups, inputs),
         protections=join_protections(
-            {m.name: m.protections for m in inputs}, _largest_shares(groups)
+            {m.name: _linked(m.protections, m.name, groups) for m in inputs},
+            _largest_shares(groups),
         ),
         circumstances=Circumstances.joined(
             [m.circumstances for m in inputs if m.circumstances is not None]
         ),
+        raw_data=reduce(RawData.joined, (m.raw_data for m in inputs)),
+        measured_on=agreed(m.measured_on for m in inputs),
+    ).counted_from("mean", zeros)
+    open_zeros = [result.zeros.in_words()] if result.zeros.free else []
+    return replace(result, warnings=(*result.warnings, *open_zeros, *notes))
+
+
+def _curves(
+    groups: Sequence[Group], inputs: Sequence[CombinationInput], angles: Floats
+) -> tuple[dict[str, Floats], dict[str, Floats], list[FreeDirection], list[str]]:
+    """Return deviations and covariances at ``angles``, what is open, and what is left out."""
+    whole = any(not group.open_of(c).shape[1] for group in groups for c in group.joined)
+    deviations, covariance = {}, {}
+    left_out: dict[str, list[str]] = {}
+    free: list[FreeDirection] = []
+    for group in groups:
+        maps = {
+            c: to_all
+            for c, own in group.joined.items()
+            if (to_all := _to_all(own, angles)) is not None
+        }
+        words = _names_of_open(group, inputs)
+        for c, to_all in maps.items():
+            if whole and group.open_of(c).shape[1]:
+                left_out.setdefault(words, []).append(c)
+                continue
+            deviations[c] = to_all @ group.values(c)
+            covariance[c] = to_all @ group.covariance(c) @ to_all.T
+        for column in () if whole else group.open.T:
+            parts = {c: to_all @ column[group.columns[c]] for c, to_all in maps.items()}
+            touched = {c: part for c, part in parts.items() if np.max(np.abs(part)) > OPEN}
+            free.append(FreeDirection(words, touched))
+    notes = [
+        f"{', '.join(names)} left out: no input tells the offset between {words}"
+        for words, names in left_out.items()
+    ]
+    return deviations, covariance, free, notes
+
+
+def _names_of_open(group: Group, inputs: Sequence[CombinationInput]) -> str:
+    """Return between what the zeros of a group's inputs differ, in words."""
+    names = dict.fromkeys(
+        direction.name
+        for m in inputs
+        for direction in m.zeros.free
+        if direction.columns.keys() & group.joined.keys()
     )
+    return " and ".join(names)
+
+
+def _linked(
+    protections: Sequence[Protection], name: str, groups: Sequence[Group]
+) -> tuple[Protection, ...]:
+    """Return the protections of input ``name``; its gauge is estimated where others join it."""
+    others = {
+        other for g in groups for link in g.links if link.input == name for other in link.others
+    }
+    if not others:
+        return tuple(protections)
+    why = f"the offsets that it leaves open come from {', '.join(sorted(others))}"
+    joined = Protection("gauge", "estimated", why)
+    return tuple(joined if p.effect == "gauge" else p for p in protections)
 
 
 def _to_all(own: Joined, angles: Floats) -> Floats | None:
@@ -230,8 +322,8 @@ def _largest_shares(groups: Sequence[Group]) -> dict[str, float]:
     shares: dict[str, float] = {}
     for group in groups:
         parts = np.sqrt(np.clip(group.pooled.variance_parts, 0.0, 1.0)).max(axis=1)
-        for name, part in zip(group.inputs, parts.tolist(), strict=True):
-            shares[name] = max(part, shares.get(name, 0.0))
+        for names, part in zip(group.members, parts.tolist(), strict=True):
+            shares |= {name: max(part, shares.get(name, 0.0)) for name in names}
     return shares
 
 
@@ -243,6 +335,7 @@ def _details(groups: Sequence[Group], inputs: Sequence[CombinationInput]) -> dic
             m.name: {"method": m.method, "verdict": m.verdict, "components": ", ".join(m.curves)}
             for m in inputs
         },
+        "links": [asdict(link) for group in groups for link in group.links],
         "weights": {group.name: group.weights for group in groups},
         "consistency": {
             group.name: {name: getattr(group, name) for name in figures} for group in groups

@@ -1,7 +1,8 @@
-"""Two deviation curves at the angles of the first: measured there, or interpolated."""
+"""Two deviation curves of one table at the angles of the first: measured there or interpolated."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.curves.interpolation import SAME_ANGLE, TURN, interpolation_matrix
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.shared_data import shared_covariance
 from rotcal_ros.units import DEGREE
 
 
@@ -18,8 +20,10 @@ from rotcal_ros.units import DEGREE
 class PairedCurves:
     """Deviations of two curves at the n ``angles`` (rad) that they share, in their unit.
 
-    ``covariances`` (n, n) are each curve's own. ``interpolated`` (n,) marks angles at which the
-    second curve was not measured; ``outside`` counts angles of the first beyond the other's arc.
+    ``covariances`` (n, n) are each curve's own, ``shared`` (n, n) is that of the first with the
+    second by common observations, None without any. ``interpolated`` (n,) marks angles at which
+    the second curve was not measured; ``outside`` counts angles of the first beyond the other's
+    arc. ``free`` (n, q) are the directions that either of them leaves open, besides a constant.
     """
 
     angles: Floats
@@ -27,26 +31,50 @@ class PairedCurves:
     second: Floats
     first_covariance: Floats
     second_covariance: Floats
+    shared: Floats | None
     interpolated: Bools
     outside: int
+    free: Floats
 
 
-def pair(first: MeasuredCurve, second: MeasuredCurve) -> PairedCurves:
+def pair(
+    first: MeasuredCurve, second: MeasuredCurve, names: tuple[str, str] = ("first", "second")
+) -> PairedCurves:
     """Return both curves at the angles of ``first``, ``second`` interpolated by its spline.
 
-    Raises DataError when they share fewer than two angles.
+    Raises DataError when they are of two items or axes, share fewer than two angles, or
+    observations whose part in both curves is not known.
     """
+    require_one_table({
+        "serial number": dict(zip(names, (first.serial, second.serial), strict=True)),
+        "axis": dict(zip(names, (first.axis, second.axis), strict=True)),
+    })  # fmt: skip
     angles, rows = _common(first, second)
     weights = interpolation_matrix(second.angles, angles, second.period)
+    shared = shared_covariance(first, second, names)
     return PairedCurves(
         angles=angles,
         first=first.deviation[rows],
         second=weights @ second.deviation,
         first_covariance=first.covariance[np.ix_(rows, rows)],
         second_covariance=weights @ second.covariance @ weights.T,
+        shared=None if shared is None else shared[rows] @ weights.T,
         interpolated=~_coincide(angles, second),
         outside=len(first.angles) - len(rows),
+        free=np.hstack([first.free_columns[rows], weights @ second.free_columns]),
     )
+
+
+def require_one_table(stated: Mapping[str, Mapping[str, str]]) -> None:
+    """Raise DataError where what the inputs say by name differs; an empty text says nothing."""
+    for what, by_name in stated.items():
+        first_to_say = {value: name for name, value in reversed(list(by_name.items())) if value}
+        if len(first_to_say) > 1:
+            named = ", ".join(f"{value} ({name})" for value, name in sorted(first_to_say.items()))
+            raise DataError(
+                f"the inputs are not of one table: {what} {named}; give what was measured of one "
+                "table in one state"
+            )
 
 
 def _coincide(angles: Floats, curve: MeasuredCurve) -> Bools:

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import binomial_quantile, chi2_sf, normal_sf
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.curves.interpolation import (
@@ -21,17 +22,22 @@ from rotcal_ros.curves.interpolation import (
     harmonic_basis,
     interpolation_matrix,
     regular_root,
-    without_harmonics,
+    unknown_basis,
 )
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.evaluation.common_angles import PairedCurves, pair
+from rotcal_ros.evaluation.shared_data import floor, of_observations_alone
 from rotcal_ros.evaluation.suspicion import suspicion
-from rotcal_ros.methods.distributions import binomial_quantile, chi2_sf, normal_sf
 from rotcal_ros.results import plain_fields
 from rotcal_ros.units import ARCSEC, DEGREE
 
 SURE: Final = 0.01
 """Two curves disagree when so much disagreement comes by chance this rarely."""
+OFFSETS_OFF: Final = "; such offsets are taken off, as the zero is"
+TOO_ALIKE: Final = (
+    "they agree better than independent measurements do: the same data, an error that both have "
+    "in common, or uncertainties that are stated too large"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,27 +103,34 @@ def compare(
     align_order: int = 0,
     names: tuple[str, str] = ("first", "second"),
 ) -> Comparison:
-    """Compare two independent curves at the angles of the one that has fewer.
+    """Compare two curves at the angles of the one that has fewer.
 
-    Where the other was not measured it is interpolated by its spline, marked and noted.
-    ``align_order`` takes off, beside the offset, so many harmonics that the two methods define
-    differently (1 for radial deviations with another origin). The notes name, by ``names``, each
-    curve whose verdict is not a bare ok: two may agree in an error that neither can see. Raises
-    DataError with fewer common angles than the alignment needs.
+    What rests on the same observations varies together, see :mod:`.shared_data`. Where the other
+    was not measured it is interpolated by its spline, marked and noted. ``align_order`` takes
+    off, beside the offset, so many harmonics that the two methods define differently (1 for
+    radial deviations with another origin). The notes name, by ``names``, each curve whose verdict
+    is not a bare ok: two may agree in an error that neither can see. Raises DataError with fewer
+    common angles than the alignment needs.
     """
     if len(second.angles) < len(first.angles):
         return _turned(compare(second, first, align_order, (names[1], names[0])))
-    both = pair(first, second)
+    both = pair(first, second, names)
     angles, raw = both.angles, both.first - both.second
-    covariance = both.first_covariance + both.second_covariance
+    covariance = _of_difference(both)
     exact = not np.any(covariance)
-    offset, difference, std, chi2, dof = _align(angles, raw, covariance, align_order)
+    basis = unknown_basis(angles, align_order, both.free)
+    difference, std, chi2, dof = _align(raw, covariance, basis)
     normalised = _normalised(difference, std)
     p_value = 0.0 if exact and np.any(normalised) else chi2_sf(chi2, dof)
     agree = _agree(normalised, p_value)
     why = _why(both.first, both.second, second, angles, agree)
+    if both.shared is None and not exact:
+        bare = pair(of_observations_alone(first), of_observations_alone(second), names)
+        least = _align(raw, _of_difference(bare), basis)[2]
+    else:
+        least = chi2
     doubts = [
-        f"{name}: {curve.verdict_line}"
+        f"{name}: {curve.verdict_line}{OFFSETS_OFF if curve.open_zeros else ''}"
         for name, curve in zip(names, (first, second), strict=True)
         if curve.verdict_line not in ("", "ok")
     ]
@@ -127,32 +140,42 @@ def compare(
         std=std,
         normalised_error=normalised,
         interpolated=both.interpolated,
-        offset=offset,
+        offset=_offset(angles, raw, align_order),
         rms=float(np.sqrt(np.mean(difference**2))),
         chi2=chi2,
         dof=dof,
         p_value=p_value,
         agree=agree,
-        notes=(*doubts, *_notes(both, why, exact)),
+        notes=(*doubts, *_notes(both, why, exact), *_alike(least, dof, exact)),
     )
 
 
-def _align(
-    angles: Floats, raw: Floats, covariance: Floats, order: int
-) -> tuple[float, Floats, Floats, float, int]:
-    """Return offset, aligned difference, its std, chi-square and degrees of freedom.
+def _of_difference(both: PairedCurves) -> Floats:
+    """Return the covariance (n, n) of first - second."""
+    covariance = both.first_covariance + both.second_covariance
+    if both.shared is None:
+        return covariance
+    own = covariance - both.shared - both.shared.T
+    return np.asarray(own + floor(0.5 * covariance), dtype=np.float64)
 
-    The differences are projected, unweighted, on what the unknowns cannot explain, and their
+
+def _align(raw: Floats, covariance: Floats, basis: Floats) -> tuple[Floats, Floats, float, int]:
+    """Return aligned difference, its std, chi-square and degrees of freedom.
+
+    The differences (n,) are projected, unweighted, on what the unknowns cannot explain, and their
     covariance with them. So the outcome does not depend on where either curve has its zero: a
     weighted alignment would lean on the angle whose value is zero by definition.
     """
-    keep, basis = without_harmonics(angles, order), harmonic_basis(angles, order)
     n, unknowns = basis.shape
+    keep = np.eye(n) - basis @ basis.T
     aligned = keep @ raw
     std = np.sqrt(np.maximum(np.diag(keep @ covariance @ keep), 0.0))
-    offset = float(np.linalg.lstsq(basis, raw, rcond=None)[0][0])
     chi2 = _chi_square(aligned, basis, covariance) if np.any(covariance) else 0.0
-    return offset, aligned, std, chi2, n - unknowns
+    return aligned, std, chi2, n - unknowns
+
+
+def _offset(angles: Floats, raw: Floats, order: int) -> float:
+    return float(np.linalg.lstsq(harmonic_basis(angles, order), raw, rcond=None)[0][0])
 
 
 def _chi_square(difference: Floats, basis: Floats, covariance: Floats) -> float:
@@ -207,11 +230,27 @@ def _notes(both: PairedCurves, why: str, exact: bool) -> list[str]:
         )
     if both.outside:
         notes.append(f"{both.outside} angles lie outside of the other's arc: left out")
+    if both.shared is not None:
+        notes.append(
+            "both rest on the same observations in part: what these have in common counts"
+        )
     if exact:
         notes.append("neither curve states an uncertainty: E_n says nothing")
     if why:
         notes.append(why)
     return notes
+
+
+def _alike(chi2: float, dof: int, exact: bool) -> list[str]:
+    """Return that the curves agree better than independent ones do; see :func:`too_alike`."""
+    return (
+        [] if exact or not too_alike(chi2, dof) else [f"{TOO_ALIKE} (chi2/dof {chi2 / dof:.2f})"]
+    )
+
+
+def too_alike(chi2: float, dof: int, level: float = SURE) -> bool:
+    """Whether chance alone makes so small a chi-square more rarely than ``level``."""
+    return dof > 0 and 1.0 - chi2_sf(chi2, dof) < level
 
 
 def _why(first: Floats, second: Floats, curve: MeasuredCurve, angles: Floats, agree: bool) -> str:

@@ -6,20 +6,23 @@ EAC, EBC the part that turns with the table, as a shifted or tilted plate would.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, Literal, get_args
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from rotcal_ros.arrays import Floats
-from rotcal_ros.components import unit_of
+from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.joined_angles import Joined, join_angles
 from rotcal_ros.evaluation.pooling import Part, Pooled, common_std, farthest, pool, widened
-from rotcal_ros.methods.distributions import chi2_sf
+from rotcal_ros.evaluation.shared_data import floor, of_observations_alone, shared_covariance
+from rotcal_ros.units import DEGREE
 
 Curves = Mapping[str, MeasuredCurve]
 """Curves of one input by component."""
@@ -30,6 +33,34 @@ PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
 GROUPS: Final = (PAIRS[0], ("EZC",), PAIRS[1], ("ECC",))
 _IN_PHASE: Final = 1e-9
 """A turning part below this share of the curve was taken off by the method."""
+OPEN: Final = 1e-9
+"""Part of an orthonormal direction, in a component, below which it does not touch it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """An offset of one component (m or rad) that ``input`` leaves open and ``others`` tell.
+
+    ``name`` as in :class:`FreeDirection`; ``offset`` is how far the values of the input are off,
+    with standard uncertainty ``std``, ``share`` the most that this adds to that of any value.
+    """
+
+    component: str
+    input: str
+    name: str
+    others: tuple[str, ...]
+    offset: float
+    std: float
+    share: float
+
+    def in_words(self) -> str:
+        """Return where the offset comes from and what it costs, in one sentence."""
+        unit, label = unit_of(self.component)
+        return (
+            f"{self.component} of {self.input}: the offset between {self.name}, "
+            f"{self.offset / unit:+.3g} {label}, comes from {', '.join(self.others)}; it adds up "
+            f"to {COVERAGE_FACTOR * self.share / unit:.2g} {label} to U"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,12 +68,17 @@ class Group:
     """Components that were combined together, and what came of it.
 
     ``joined`` holds the angles of each component, ``columns`` its place among the unknowns;
-    ``inputs`` are names. ``chi2``, ``dof`` and ``p_value`` are those of the stated uncertainties.
-    ``factor`` multiplies the standard uncertainties (Birge), ``common_std`` was added to those
-    of all values (Mandel and Paule), rad or m. ``farthest`` is the input that fits worst.
+    ``inputs`` are names, of those that share observations all ``members`` joined by " + ".
+    ``chi2``, ``dof`` and ``p_value`` are those of the stated uncertainties, ``chi2_of_noise`` of
+    what the observations alone have of them, where that is known. ``factor`` multiplies
+    the standard uncertainties (Birge), ``common_std`` was added to those of all values (Mandel
+    and Paule), rad or m. ``farthest`` is the input that fits worst.
+    The estimate is known up to any multiple of the columns of ``open`` (unknowns, q), besides what
+    no method knows; ``links`` are offsets that one input leaves open and others tell.
     """
 
     inputs: tuple[str, ...]
+    members: tuple[tuple[str, ...], ...]
     joined: Mapping[str, Joined]
     columns: Mapping[str, slice]
     pooled: Pooled
@@ -50,12 +86,15 @@ class Group:
     dof: int
     p_value: float
     consistent: bool
+    chi2_of_noise: float
     enlargement: Enlargement = "none"
     factor: float = 1.0
     common_std: float = 0.0
     farthest: str = ""
 
     interpolated: tuple[str, ...] = ()
+    open: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    links: tuple[Link, ...] = ()
 
     @property
     def name(self) -> str:
@@ -67,6 +106,11 @@ class Group:
         """Mean share of each input in the variance of the estimates, by its name; sum 1."""
         parts = self.pooled.variance_parts.mean(axis=1)
         return dict(zip(self.inputs, parts.tolist(), strict=True))
+
+    def open_of(self, component: str) -> Floats:
+        """Return the open directions (n, q) of one component; q = 0 where none touches it."""
+        columns = self.open[self.columns[component]]
+        return columns[:, np.max(np.abs(columns), axis=0, initial=0.0) > OPEN]
 
     def values(self, component: str) -> Floats:
         """Return the estimate (n,) of one component, m or rad."""
@@ -107,15 +151,32 @@ def combine_group(
     for c in components:
         columns[c] = slice(start, start + len(joined[c].angles))
         start = columns[c].stop
-    parts = [_part(name, inputs, joined, columns) for name in inputs]
-    gauge = unknown({c: joined[c].angles for c in components})
+    between = tuple(
+        name
+        for c in components
+        for name, far in zip(_with(c, inputs), joined[c].interpolated, strict=True)
+        if far
+    )
+    common = unknown({c: joined[c].angles for c in components})
+    far = [name in between for name in inputs]
+
+    def weighed_with(curves: Mapping[str, Curves]) -> _Weighed:
+        seen = {name: _part(name, curves, joined, columns) for name in curves}
+        parts, left = _with_open([own.part for own in seen.values()], common, far)
+        return _Weighed(parts, left, *_clustered(seen, parts, curves))
+
+    parts, left, members, weighed = weighed_with(inputs)
+    gauge = np.hstack([common, left])
     try:
-        pooled = pool(parts, gauge)
+        pooled = pool(weighed, gauge)
+        bare = weighed_with(_of_observations_alone(inputs, members))
+        chi2_of_noise = pool(bare.weighed, gauge).chi2
     except DataError as error:
         raise DataError(f"{', '.join(components)} of {', '.join(inputs)}: {error}") from error
     p_value = chi2_sf(pooled.chi2, pooled.dof) if pooled.dof else 1.0
     group = Group(
-        inputs=tuple(inputs),
+        inputs=tuple(" + ".join(names) for names in members),
+        members=members,
         joined=joined,
         columns=columns,
         pooled=pooled,
@@ -123,14 +184,108 @@ def combine_group(
         dof=pooled.dof,
         p_value=p_value,
         consistent=p_value >= level,
-        interpolated=tuple(
-            name
-            for c in components
-            for name, between in zip(_with(c, inputs), joined[c].interpolated, strict=True)
-            if between
-        ),
+        chi2_of_noise=chi2_of_noise,
+        interpolated=between,
+        open=left,
     )
-    return group if group.consistent else _enlarged(group, parts, gauge, enlarge)
+    if not group.consistent:
+        group = _enlarged(group, weighed, gauge, enlarge)
+    return replace(group, links=tuple(_links(group, inputs, parts)))
+
+
+class _Weighed(NamedTuple):
+    """The parts of all inputs, what they leave open, and how they are weighed, by members."""
+
+    parts: list[Part]
+    left: Floats
+    members: tuple[tuple[str, ...], ...]
+    weighed: list[Part]
+
+
+def _of_observations_alone(
+    inputs: Mapping[str, Curves], members: Sequence[Sequence[str]]
+) -> dict[str, Curves]:
+    """Return the inputs; those that share nothing with the covariance of their observations."""
+    single = {names[0] for names in members if len(names) == 1}
+    return {
+        name: {c: of_observations_alone(own) for c, own in curves.items()}
+        if name in single
+        else curves
+        for name, curves in inputs.items()
+    }
+
+
+def _with_open(
+    parts: Sequence[Part], common: Floats, between: Sequence[bool]
+) -> tuple[list[Part], Floats]:
+    """Return the parts, and an orthonormal basis (m, q) of what they leave open together.
+
+    Besides ``common`` (m, g). What is read off a curve ``between`` its angles joins no zeros: a
+    line through values of several zeros follows them up and down.
+    """
+    if all(part.free.shape[1] == part.known for part in parts):
+        return list(parts), np.zeros((len(common), 0))
+    seen = [
+        part.design - part.free @ (part.free.T @ part.design)
+        for part, far in zip(parts, between, strict=True)
+        if not far
+    ]
+    _, s, vt = np.linalg.svd(np.concatenate([*seen, np.zeros_like(common @ common.T)]))
+    null = vt[s <= 1e-9 * max(s[0], 1.0)].T
+    left = _orthonormal(null - common @ (common.T @ null))
+    return [
+        replace(part, free=_orthonormal(np.hstack([part.free, part.design @ left])))
+        if far
+        else part
+        for part, far in zip(parts, between, strict=True)
+    ], left
+
+
+def _links(group: Group, inputs: Mapping[str, Curves], parts: Sequence[Part]) -> Iterator[Link]:
+    """Yield the offsets of single components that the group tells and one input alone does not."""
+    for (name, curves), part in zip(inputs.items(), parts, strict=True):
+        start = 0
+        own = [c for c in group.joined if c in curves]
+        for c in own:
+            rows = group.joined[c].rows[_with(c, inputs).index(name)]
+            place, start = slice(start, start + len(rows)), start + len(rows)
+            others = tuple(n for n in inputs if n != name and c in inputs[n])
+            if group.open_of(c).shape[1] or not others:
+                continue
+            for column, word in zip(curves[c].free_columns.T, curves[c].free_names, strict=True):
+                if word and np.ptp(column[rows]):
+                    which = _which(word, column[rows], curves[c], rows)
+                    yield _link(group, part, place, column[rows], (c, name, which, others))
+
+
+def _which(word: str, column: Floats, curve: MeasuredCurve, rows: Ints) -> str:
+    """Return the name of an offset, of several of one name with the first angle that it moves."""
+    if curve.free_names.count(word) < 2:
+        return word
+    first = curve.angles[rows][column > 0.5 * column.max()][0] / DEGREE
+    return f"{word}, that with {first:.6g} deg against the others"
+
+
+def _link(
+    group: Group,
+    part: Part,
+    place: slice,
+    column: Floats,
+    words: tuple[str, str, str, tuple[str, ...]],
+) -> Link:
+    """Return one link: the offset along ``column`` (k,) of the rows at ``place`` of a part."""
+    centred = column - column.mean()
+    contrast = np.zeros(len(part.values))
+    contrast[place] = centred / (centred @ centred)
+    seen = contrast @ part.design
+    variance = float(seen @ group.pooled.covariance @ seen)
+    std = group.factor * max(variance, 0.0) ** 0.5
+    return Link(
+        *words,
+        offset=float(contrast @ part.values - seen @ group.pooled.values),
+        std=std,
+        share=std * float(np.max(np.abs(centred))),
+    )
 
 
 def _enlarged(group: Group, parts: Sequence[Part], gauge: Floats, enlarge: Enlargement) -> Group:
@@ -152,31 +307,112 @@ def _with(component: str, inputs: Mapping[str, Curves]) -> list[str]:
     return [name for name, curves in inputs.items() if component in curves]
 
 
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """One input as a ``part``, and how its curves went into it, by component.
+
+    ``rows``: which values of the curve, ``grow``: times which matrix, ``place``: from where on.
+    """
+
+    part: Part
+    rows: Mapping[str, Ints]
+    grow: Mapping[str, Floats]
+    place: Mapping[str, int]
+
+
 def _part(
     name: str,
     inputs: Mapping[str, Curves],
     joined: Mapping[str, Joined],
     columns: Mapping[str, slice],
-) -> Part:
+) -> _Seen:
     """Return what one input says about the unknowns of a group."""
     own = {c: inputs[name][c] for c in joined if c in inputs[name]}
     width = max(column.stop for column in columns.values())
-    angles, values, covariances, designs = {}, {}, {}, []
+    angles: dict[str, Floats] = {}
+    values: dict[str, Floats] = {}
+    rows, place, designs = {}, {}, []
     for c, curve in own.items():
-        place = _with(c, inputs).index(name)
-        rows = joined[c].rows[place]
-        design = np.zeros((len(rows), width))
-        design[:, columns[c]] = joined[c].designs[place]
+        number = _with(c, inputs).index(name)
+        rows[c], place[c] = joined[c].rows[number], sum(len(v) for v in values.values())
+        design = np.zeros((len(rows[c]), width))
+        design[:, columns[c]] = joined[c].designs[number]
         designs.append(design)
-        angles[c], values[c] = curve.angles[rows], curve.deviation[rows]
-        covariances[c] = curve.covariance[np.ix_(rows, rows)]
-    if len(own) == 2:
-        covariances = _with_turning(angles, values, covariances)
-    return Part(
+        angles[c], values[c] = curve.angles[rows[c]], curve.deviation[rows[c]]
+    # Columns of the same number are one direction in both of a pair.
+    open_zeros = np.concatenate([curve.free_columns[rows[c]] for c, curve in own.items()])
+    grow = _turning(angles, values)
+    covariances = {
+        c: grow[c] @ curve.covariance[np.ix_(rows[c], rows[c])] @ grow[c]
+        for c, curve in own.items()
+    }
+    part = Part(
         values=np.concatenate(list(values.values())),
         covariance=block_diag(*covariances.values()),
         design=np.concatenate(designs),
-        free=unknown(angles),
+        free=_orthonormal(np.hstack([(common := unknown(angles)), open_zeros])),
+        known=common.shape[1],
+    )
+    return _Seen(part, rows, grow, place)
+
+
+def _clustered(
+    seen: Mapping[str, _Seen], parts: Sequence[Part], inputs: Mapping[str, Curves]
+) -> tuple[tuple[tuple[str, ...], ...], list[Part]]:
+    """Return the names of each part; inputs that share observations are one part together.
+
+    ``parts`` are those of the inputs in their order, as they are to be weighed.
+    """
+    names = list(inputs)
+    mine = {n: replace(seen[n], part=part) for n, part in zip(names, parts, strict=True)}
+    clusters: list[list[str]] = []
+    shared: dict[tuple[str, str], dict[str, Floats]] = {}
+    for k, name in enumerate(names):
+        for other in names[:k]:
+            if found := _shared(name, other, inputs):
+                shared[name, other] = found
+        linked = [c for c in clusters if any((name, other) in shared for other in c)]
+        clusters = [c for c in clusters if c not in linked]
+        clusters.append([*(other for c in linked for other in c), name])
+    return (
+        tuple(map(tuple, clusters)),
+        [_together([mine[name] for name in c], c, shared) for c in clusters],
+    )
+
+
+def _shared(first: str, second: str, inputs: Mapping[str, Curves]) -> dict[str, Floats]:
+    """Return by component how two inputs vary together; empty where they share nothing."""
+    ours, theirs = inputs[first], inputs[second]
+    found = {
+        c: shared_covariance(ours[c], theirs[c], (first, second)) for c in ours if c in theirs
+    }
+    return {c: matrix for c, matrix in found.items() if matrix is not None}
+
+
+def _together(
+    seen: Sequence[_Seen],
+    names: Sequence[str],
+    shared: Mapping[tuple[str, str], Mapping[str, Floats]],
+) -> Part:
+    """Return the parts of one cluster as one, with what its members share."""
+    if len(seen) == 1:
+        return seen[0].part
+    ends = np.cumsum([0, *(len(own.part.values) for own in seen)])
+    covariance = block_diag(*(own.part.covariance for own in seen))
+    for (i, first), (j, second) in product(enumerate(names), repeat=2):
+        for c, matrix in shared.get((first, second), {}).items():
+            if c not in seen[i].rows or c not in seen[j].rows:
+                continue
+            mine, other = seen[i], seen[j]
+            block = mine.grow[c] @ matrix[np.ix_(mine.rows[c], other.rows[c])] @ other.grow[c].T
+            at, to = ends[i] + mine.place[c], ends[j] + other.place[c]
+            covariance[at : at + len(block), to : to + block.shape[1]] = block
+            covariance[to : to + block.shape[1], at : at + len(block)] = block.T
+    return Part(
+        values=np.concatenate([own.part.values for own in seen]),
+        covariance=covariance + floor(covariance),
+        design=np.concatenate([own.part.design for own in seen]),
+        free=block_diag(*(own.part.free for own in seen)),
     )
 
 
@@ -191,33 +427,39 @@ def unknown(angles: Mapping[str, Floats]) -> Floats:
     if any(c in pair for pair in PAIRS for c in angles):
         columns.append(_stacked(angles, lambda t, c: np.sin(t) if c in seconds else np.cos(t)))
         columns.append(_stacked(angles, lambda t, c: np.cos(t) if c in seconds else -np.sin(t)))
-    u, s, _ = np.linalg.svd(np.column_stack(columns), full_matrices=False)
-    return np.asarray(u[:, s > 1e-9 * s[0]], dtype=np.float64)
+    return _orthonormal(np.column_stack(columns))
+
+
+def _orthonormal(columns: Floats) -> Floats:
+    """Return an orthonormal basis (m, q) of what ``columns`` (m, k) of about unit size span."""
+    u, s, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(u[:, s > 1e-9 * max(np.max(s, initial=0.0), 1.0)], dtype=np.float64)
 
 
 def _stacked(angles: Mapping[str, Floats], of: Callable[..., Floats]) -> Floats:
     return np.concatenate([of(t, c) for c, t in angles.items()]).astype(np.float64)
 
 
-def _with_turning(
-    angles: Mapping[str, Floats], values: Mapping[str, Floats], covariances: Mapping[str, Floats]
-) -> dict[str, Floats]:
-    """Return the covariances of a pair as they were before its turning part was taken off.
+def _turning(angles: Mapping[str, Floats], values: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Return by component what errors grow by to be as they were before a turning part was taken.
 
     A result holds no covariance between components. Where a method has removed what turns with
-    the table, the first harmonics of each component alone show only the half of their variance
-    that is left: what turns the other way has kept all of it. Doubling restores that; what turns
-    with the table is free and does not feel it.
+    the table from a pair, the first harmonics of each component alone show only the half of their
+    variance that is left: what turns the other way has kept all of it. Doubling restores that;
+    what turns with the table is free and does not feel it.
     """
+    alone = {c: np.eye(len(own)) for c, own in values.items()}
+    if len(values) < 2:
+        return alone
     first, second = angles.values()
     x, y = values.values()
     if len(first) != len(second) or np.max(np.abs(first - second)) > _IN_PHASE:
-        return dict(covariances)
+        return alone
     pair = x - x.mean() + 1j * (y - y.mean())
     if abs(np.mean(pair * np.exp(-1j * first))) > _IN_PHASE * np.max(np.abs(pair)):
-        return dict(covariances)
+        return alone
     basis = np.column_stack([np.ones_like(first), np.cos(first), np.sin(first)])
     # The first column is the constant, which stays as it is.
     harmonic = np.linalg.qr(basis)[0][:, 1:]
     grow = np.eye(len(first)) + (np.sqrt(2.0) - 1.0) * harmonic @ harmonic.T
-    return {c: grow @ covariance @ grow for c, covariance in covariances.items()}
+    return dict.fromkeys(values, grow)

@@ -30,7 +30,8 @@ class Conformity:
     """One component against its tolerance, SI.
 
     ``probability`` is that of the whole curve, all angles at once; ``worst`` the number of the
-    angle that decides, where |deviation| + U is largest.
+    angle that decides, where |deviation| + U is largest. With ``open_zeros`` U is unbounded,
+    nothing is decided, and the probability is NaN.
     """
 
     component: str
@@ -38,11 +39,16 @@ class Conformity:
     decision: Decision
     probability: float
     worst: int
+    open_zeros: str = ""
 
     def in_words(self, result: Result) -> str:
         """Return the statement of conformity in one sentence."""
         unit, label = unit_of(self.component)
         limit = f"±{self.tolerance / unit:g} {label}"
+        if self.open_zeros:
+            return (
+                f"{self.component} is undecided against the tolerance {limit}: {self.open_zeros}"
+            )
         place = f"{result.angles[self.worst] / DEGREE:g}°"
         verb = {
             "within": f"within the tolerance {limit}",
@@ -78,6 +84,10 @@ def conformities(result: Result, identity: Identity) -> tuple[Conformity, ...]:
         tolerance = tolerance_of(name, identity)
         if tolerance:
             values, std = result.deviations[name], result.std[name]
+            if words := result.zeros.in_words([name]):
+                worst = int(np.argmax(np.abs(values)))
+                found.append(Conformity(name, tolerance, "undecided", np.nan, worst, words))
+                continue
             worst = int(np.argmax(np.abs(values) + COVERAGE_FACTOR * std))
             probability = _whole_curve(
                 values, result.covariance.get(name, np.diag(std**2)), tolerance

@@ -44,8 +44,11 @@ def harmonic_content(curve: MeasuredCurve, max_order: int | None = None) -> Harm
     """Split ``curve`` into harmonics by weighted least squares with its full covariance.
 
     ``max_order`` defaults to what the angles can tell apart, at most 12. Raises DataError for an
-    arc, where harmonics are not independent, and for more orders than the angles allow.
+    arc, where harmonics are not independent, for more orders than the angles allow, and for a
+    curve of parts whose zeros nothing joins: their offsets would pass for harmonics.
     """
+    if curve.open_zeros:
+        raise DataError(f"{curve.open_zeros}: it would pass for harmonics")
     if curve.period == 0.0:
         raise DataError("the curve covers an arc only: harmonics need the full circle")
     n = len(curve.angles)

@@ -20,7 +20,7 @@ WEAKEST_FIRST: Final[tuple[Treatment, ...]] = (
     "harmless",
 )
 LASTING: Final[frozenset[Effect]] = frozenset(
-    ("error motion", "refraction", "scale", "tilt", "gauge")
+    ("error motion", "refraction", "scale", "tilt", "gauge", "tangential motion")
 )
 """Effects of instrument, table or room: every campaign may have the same one, with one sign."""
 

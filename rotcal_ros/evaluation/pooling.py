@@ -28,13 +28,15 @@ class Part:
     """One input: ``values`` (m,) with ``covariance`` (m, m), in rad or m.
 
     ``design`` (m, n) selects or interpolates the curve at the n unknowns, ``free`` (m, q) holds
-    what the input cannot know, such as its offset.
+    what the input cannot know, such as its offset. The first ``known`` of its columns are what
+    no input of the kind knows; the others it leaves open by itself.
     """
 
     values: Floats
     covariance: Floats
     design: Floats
     free: Floats
+    known: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.arrays import Floats
-from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.protection import POWER
 
 FACTOR: Final = 2.0

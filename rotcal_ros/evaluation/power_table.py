@@ -17,7 +17,7 @@ from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.disturbance import Disturbance
 from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.evaluation.power import Trial, search, share_of
-from rotcal_ros.protection import EFFECTS, TOLERABLE, Effect
+from rotcal_ros.protection import ALL_EFFECTS, EFFECTS, TOLERABLE, Effect
 from rotcal_ros.results import Result
 
 NOT_STATED = "not stated"
@@ -132,7 +132,7 @@ def power_rows(
             f"the method {method.name} does not say how these look: {', '.join(missing)}"
         )
     rows = []
-    for effect in EFFECTS:
+    for effect in (effect for effect in ALL_EFFECTS if effect in listed):
         rows.append(bench.row(listed[effect]))
         report(rows[-1])
     return rows

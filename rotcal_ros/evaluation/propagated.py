@@ -73,10 +73,12 @@ class Propagated:
     def in_words(self) -> str:
         """Return the verdict in one line."""
         verdict = "CONTRADICT" if self.warnings else "confirm"
+        open_zeros = self.result.zeros.in_words()
+        within = f"; {open_zeros}: no trial tells it" if open_zeros else ""
         stable = "stable to" if self.spread.stable else "not yet stable to"
         return (
             f"{self.spread.trials} trials {verdict} the solver's uncertainty; {stable} "
-            f"{self.spread.digits} digits, seed {self.seed}"
+            f"{self.spread.digits} digits, seed {self.seed}{within}"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -90,6 +92,7 @@ class Propagated:
             "angles_rad": self.result.angles.tolist(),
             "components": {name: plain_fields(p) for name, p in self.components.items()},
             "warnings": list(self.warnings),
+            "open_zeros": self.result.zeros.in_words(),
         }
 
 

@@ -10,13 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.curves.interpolation import without_harmonics
 from rotcal_ros.curves.measured import MeasuredCurve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.common_angles import PairedCurves, pair
-from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.planning.check_rule import CheckRule
 from rotcal_ros.results import plain_fields
 from rotcal_ros.units import ARCSEC, DEGREE
@@ -87,8 +87,13 @@ def quick_check(
     for name, curve in (("earlier", earlier), ("new", new)):
         if curve.verdict_line.startswith("failed"):
             raise DataError(f"the {name} result: the verdict is failed: measure again")
-    both = pair(new, earlier)
-    keep = without_harmonics(both.angles, align_order)
+    both = pair(new, earlier, ("the new measurement", "the earlier result"))
+    if both.shared is not None:
+        raise DataError(
+            "the new measurement rests on observations of the earlier result: nothing new was "
+            "measured; give another measurement"
+        )
+    keep = without_harmonics(both.angles, align_order, both.free)
     difference = keep @ (both.first - both.second)
     std = _std(keep @ both.first_covariance @ keep)
     if not np.all(std > 0.0):
@@ -99,6 +104,9 @@ def quick_check(
     verdict, why = _judge(rule, both.angles, difference, std, expected, (unit, unit_name))
     if new.verdict_line.startswith("suspect"):
         verdict, why = "undecided", "the new measurement itself is suspect: measure again"
+    unseen = earlier.open_zeros or new.open_zeros
+    if unseen and verdict == "still valid":
+        verdict, why = "undecided", f"{unseen}: a change of that would not be seen"
     return QuickCheck(
         rule=rule,
         verdict=verdict,

@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.distributions import noncentrality
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Residuals, Result
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.effect import Effect
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.iso230 import Iso230
 from rotcal_ros.results import Result, Verdict
@@ -61,7 +62,8 @@ class Verification:
     ``stated`` (rad) is what the table should leave. ``iso`` holds ISO 230-2 evaluations of
     the axis itself under "before", "after" and "again", where somebody knows its true angle.
     ``verdict_lines`` are those of the measurements, by the same names. ``again`` is a third
-    one, after what the second found was added to the table.
+    one, after what the second found was added to the table. ``effect`` says how much is left of
+    what the table corrects, ``simulated`` that no instrument measured.
     """
 
     before: Positioning
@@ -70,6 +72,13 @@ class Verification:
     iso: Mapping[str, Iso230] = field(default_factory=dict)
     verdict_lines: Mapping[str, str] = field(default_factory=dict)
     again: Positioning | None = None
+    effect: Effect | None = None
+    simulated: bool = False
+
+    @property
+    def wrong(self) -> str:
+        """What the table does wrong at the control, in words; empty where nothing shows it."""
+        return "" if self.effect is None else self.effect.wrong
 
     @property
     def ratio(self) -> float:
@@ -93,9 +102,12 @@ class Verification:
 
     @property
     def verdict(self) -> Verdict:
-        """Return "ok" when no more is left than was expected, and less than there was."""
+        """Return "ok" when no more is left than was expected, and less than there was.
+
+        A table that does not act, or acts with the wrong sign, has failed.
+        """
         rounds = [self.after] if self.again is None else [self.after, self.again]
-        if any(run.systematic >= self.before.systematic for run in rounds):
+        if self.wrong or any(run.systematic >= self.before.systematic for run in rounds):
             return "failed"
         return "ok" if all(_left(run) <= self.expected for run in rounds) else "suspect"
 
@@ -111,6 +123,8 @@ class Verification:
             "before": self.before.to_dict(),
             "after": self.after.to_dict(),
         }
+        if self.effect is not None:
+            data["effect"] = {**asdict(self.effect), "words": self.wrong or self.effect.in_words()}
         if self.again is not None:
             data["again"] = self.again.to_dict()
         if self.iso:

@@ -11,10 +11,18 @@ import numpy as np
 
 from rotcal_ros.catalogue import Calibration, Method, changed
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
+from rotcal_ros.evaluation.withheld import withheld
 from rotcal_ros.observations import Observation
 from rotcal_ros.results import Result
 
 SAME_ANGLE = 1e-9  # rad
+EVALUATIONS = "evaluations"
+"""The entry of a file that holds several."""
+
+
+def way_name(changes: Sequence[str]) -> str:
+    """Return the changes of a way in words."""
+    return ", ".join(str(change).removeprefix("solver.") for change in changes) or "all data"
 
 
 @dataclass(frozen=True)
@@ -32,7 +40,7 @@ class Evaluation:
     @property
     def name(self) -> str:
         """The changes in words."""
-        return ", ".join(change.removeprefix("solver.") for change in self.changes) or "all data"
+        return way_name(self.changes)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON."""
@@ -87,7 +95,7 @@ def largest_differences(method: Method, first: Result, second: Result) -> dict[s
 
 
 def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return lines for people: each way with its largest expanded uncertainties, k = 2."""
+    """Return lines for people: each way with its largest U (k = 2), where it may be stated."""
     lines = []
     for evaluation in evaluations:
         result = evaluation.result
@@ -98,8 +106,11 @@ def in_words(evaluations: Sequence[Evaluation]) -> list[str]:
         for name in result.components:
             unit, label = unit_of(name)
             expanded = COVERAGE_FACTOR * float(result.std[name].max()) / unit
-            line = f"  {name}  U {expanded:.3f} {label}"
+            shown = "not stated" if withheld(result) else f"{expanded:.3f} {label}"
+            line = f"  {name}  U (k = {COVERAGE_FACTOR:g}) {shown}"
             if name in evaluation.differences:
-                line += f", at most {evaluation.differences[name] / unit:.3f} from the first"
+                line += (
+                    f", at most {evaluation.differences[name] / unit:.3f} {label} from the first"
+                )
             lines.append(line)
     return lines

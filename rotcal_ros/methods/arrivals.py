@@ -99,6 +99,8 @@ def mean_of_runs(result: Result, arrivals: Arrivals, *, from_first: bool = True)
             repeatability_std=scatter["ECC"],
         ),
         directions=_directions(result.deviations, spread, arrivals, from_first),
+        zeros=result.zeros.mapped(tied),
+        raw_data=result.raw_data.tied(tied),
     )
     return _with_steps(mean) if from_first else mean
 

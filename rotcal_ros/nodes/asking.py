@@ -55,7 +55,8 @@ def obstacle(watch: GoalWatch) -> str:
         for name in sorted(health.present())
         if (text := health.values(name).get(BLOCKED))
     ]
-    lasting = "; ".join([*stop, *blocked, *watch.silent_streams()])
+    silent = [f"{t} has been silent for {s:.1f} s" for t, s in watch.silent_streams().items()]
+    lasting = "; ".join([*stop, *blocked, *silent])
     return lasting or watch.pauses.stop_between(watch.stop.count)
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from typing import Final
 
 from rotcal_ros.bags import names
@@ -101,6 +103,39 @@ class Silences:
         return [Silence(topic, since_s, now_s) for topic, since_s in silent.items()]
 
 
+JUMP_ON_ITS_WAY_S: Final = 60.0
+"""So long after a clock was set messages of before may still come."""
+
+
+class LogTimes:
+    """Log times in the order of a topic: none goes back, unless the clock of this machine did.
+
+    A packet that was lost and sent again arrives behind those that had to wait for it: each is
+    here when it can be taken. ``jumps`` counts the jumps of the clock so far.
+    """
+
+    def __init__(
+        self, jumps: Callable[[], int], read: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._jumps, self._read = jumps, read
+        self._latest: dict[str, int] = {}
+        self._seen, self._set_s = jumps(), -inf
+
+    def ascending(self, topic: str, times_ns: Sequence[int]) -> list[int]:
+        """Return the log times of messages of a topic that arrived at ``times_ns``."""
+        latest, found = self._latest.get(topic, 0), list[int]()
+        for time_ns in times_ns:
+            latest = time_ns if time_ns >= latest or self._was_set() else latest
+            found.append(latest)
+        self._latest[topic] = latest
+        return found
+
+    def _was_set(self) -> bool:
+        if (jumps := self._jumps()) != self._seen:
+            self._seen, self._set_s = jumps, self._read()
+        return self._read() - self._set_s < JUMP_ON_ITS_WAY_S
+
+
 _SETTLED_NS: Final = 1_000_000_000
 """This long after a clock was set back no observation of before is on its way any more."""
 
@@ -162,8 +197,8 @@ class PendingReceipts:
         """Yield what can be confirmed now that the readings have come to ``reached_ns``.
 
         None: there is no such stream. ``lost`` counts the losses since the bag was opened; each
-        receipt tells those since the one before, and its point if that is lost. ``now_s`` is
-        monotonic.
+        receipt tells those since the one before, and its point if that is lost. ``now_s`` is of
+        a clock that stands while this process does.
         """
         if reached_ns is not None:
             self.reach(reached_ns)

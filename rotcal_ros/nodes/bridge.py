@@ -13,6 +13,7 @@ from rotcal_ros.compensation.export import standing
 from rotcal_ros.compensation.feed import Feed
 from rotcal_ros.compensation.lookup import Correction
 from rotcal_ros.errors import DataError, RotcalError
+from rotcal_ros.identity import Identity
 from rotcal_ros.middleware import LOCALHOST
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode
@@ -34,7 +35,14 @@ class BridgeNode(CellNode):
         settings = self.settings("bridge", BridgeSettings)
         cell = self.settings("cell", CellSettings)
         simulated = "simulation" in self.given
-        self._feed = Feed(settings, cell.axis, self.now_ns, simulated=simulated)
+        self._feed = Feed(
+            settings,
+            cell.axis,
+            self.now_ns,
+            simulated=simulated,
+            serial=self.settings("identity", Identity).serial,
+            stated=cell.table_in_force,
+        )
         self._correction: Correction | None = None
         self._state = "waiting for a table"
         self._own: dict[str, Any] = {"controller": settings.controller, "axis": cell.axis}

@@ -25,6 +25,7 @@ from std_srvs.srv import Trigger
 
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import RotcalError
+from rotcal_ros.machine_load import patient
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.outcome import Feedback, Outcome, planner_lost, text_of
 from rotcal_ros.nodes.peer import Peer
@@ -32,8 +33,6 @@ from rotcal_ros.nodes.running import use_middleware
 
 CANCEL_TIMEOUT_S: Final = 15.0
 ANSWER_TIMEOUT_S: Final = 10.0
-PLANNER_TIMEOUT_S: Final = 5.0
-"""Silence of the planner after which nothing is expected of it; a script is in no hurry."""
 _GRACE_S: Final = 0.5
 """Time for a result that is on its way when the planner has left."""
 _ON_ITS_WAY_S: Final = 0.1
@@ -64,7 +63,7 @@ class Calibrator:
         self.node = self._peer.node
         self._action = ActionClient(self.node, Calibrate, "calibrate")
         self._resume = self.node.create_client(Trigger, "resume")
-        self.health = Health(self.node, None, timeout_s=PLANNER_TIMEOUT_S)
+        self.health = Health(self.node, None)
         self._handle: Any = None
         self._answer: Any = None
         self._feedback: Feedback | None = None
@@ -123,7 +122,7 @@ class Calibrator:
     def cancel(self) -> None:
         """Ask the planner to end; :meth:`result` returns when the bag is closed."""
         if self._running():
-            self._deadline_s = time.monotonic() + CANCEL_TIMEOUT_S
+            self._deadline_s = time.monotonic() + patient(CANCEL_TIMEOUT_S)
             self._handle.cancel_goal_async()
 
     def resume(self) -> None:
@@ -157,7 +156,7 @@ class Calibrator:
         with suppress(CalibratorError):
             if self._running():
                 self.cancel()
-                self.result(2 * CANCEL_TIMEOUT_S)
+                self.result(patient(2 * CANCEL_TIMEOUT_S))
         self.close()
 
     def _running(self) -> bool:
@@ -193,6 +192,6 @@ class Calibrator:
 
     def _wait(self, future: Any) -> Any:
         """Return the answer of the planner to a request."""
-        if not self._peer.work_until(future.done, ANSWER_TIMEOUT_S):
+        if not self._peer.work_until(future.done, patient(ANSWER_TIMEOUT_S)):
             raise CalibratorError(self._no_answer())
         return future.result()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from typing import Any
 
@@ -10,19 +11,58 @@ from rotcal_msgs.msg import Observation as ObservationMsg
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture import Capture, Record
+from rotcal_ros.capture.rejections import Rejections, kind_of
+from rotcal_ros.capture.stamp_offsets import StampOffsets
 from rotcal_ros.instruments.steps import Order, StepFinder
 from rotcal_ros.nodes import conversions
-from rotcal_ros.nodes.capture_news import CaptureNews
 from rotcal_ros.nodes.cell_node import CellNode
+from rotcal_ros.nodes.concerns import CLOCK_DOUBT, COMPLAINT, OFFSET, REJECTED, show
 from rotcal_ros.nodes.instrument_streams import InstrumentStreams
-from rotcal_ros.nodes.latest import WAITING_FOR
+from rotcal_ros.nodes.latest import HOPELESS, WAITING_FOR
 from rotcal_ros.nodes.length_trigger import PERIOD_S, LengthTrigger
 from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, run_name
+from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, load_method, run_name
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
-from rotcal_ros.observations import Command
+from rotcal_ros.observations import Command, Observation
+
+
+class CaptureNews:
+    """Tells of rejections and of what keeps an order from being measured, each kind once."""
+
+    def __init__(self, health: Any, logger: Any) -> None:
+        self._health, self._logger = health, logger
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what belongs to an earlier plan."""
+        self._rejections, self._kinds = Rejections(), dict[str, str]()
+        for key in (REJECTED, COMPLAINT):
+            show(self._health, key, "")
+
+    def observed(self, observation: Observation) -> None:
+        """Take an observation: three rejected running are an error, fewer a warning."""
+        if line := self._rejections.note(observation, time.monotonic()):
+            self._logger.warning(line)
+        alarm, text = self._rejections.alarming, self._rejections.in_words()
+        show(self._health, REJECTED, text, alarm=alarm)
+
+    def complain(self, text: str) -> None:
+        """Take what is wrong with the present order; empty: nothing."""
+        self._tell(COMPLAINT, text)
+
+    def offset(self, offsets: StampOffsets) -> None:
+        """Take which clocks differ, beyond what is rejected or less."""
+        self._tell(OFFSET, offsets.in_words())
+        self._tell(CLOCK_DOUBT, offsets.doubt_in_words())
+
+    def _tell(self, key: str, text: str) -> None:
+        """Show a text as long as it lasts; each kind is one line."""
+        if text and kind_of(text) != self._kinds.get(key):
+            self._logger.warning(text)
+            self._kinds[key] = kind_of(text)
+        show(self._health, key, text)
 
 
 class CaptureNode(CellNode):
@@ -33,6 +73,7 @@ class CaptureNode(CellNode):
 
     def configure(self) -> None:
         """Hear the instruments."""
+        load_method(self)
         self._capture: Capture | None = None
         self._finder: StepFinder | None = None
         self._run = ""
@@ -113,6 +154,8 @@ class CaptureNode(CellNode):
             found = self._finder.complaint() if self._finder is not None else ""
             found = found or self._trigger.complaint
             values[WAITING_FOR] = found or self._capture.waiting_for
+            if hopeless := self._capture.hopeless():
+                values[HOPELESS] = hopeless
             self._news.complain(found or self._capture.complaint())
             for remark in self._capture.remarks():
                 self.get_logger().warning(remark, throttle_duration_sec=1.0)

@@ -70,13 +70,20 @@ class CellGraph:
         if not publishers:
             yield f"nobody publishes {name}: start its instrument"
         elif len(publishers) > 1:
-            yield (
-                f"{len(publishers)} publishers on {name} (nodes {', '.join(publishers)}): "
-                "one instrument topic has one publisher; stop the others"
-            )
+            yield from self.crowded(topic)
         elif not has_delivered:
             yield f"{name} has not delivered a valid message (node {publishers[0]})"
         yield from deaf_listeners(self.node, name, {"capture", "recorder"}.__contains__)
+
+    def crowded(self, topic: str) -> Iterator[str]:
+        """Yield in words that an instrument's ``topic`` has several publishers."""
+        publishers = self.publishers(topic)
+        if len(publishers) > 1:
+            yield (
+                f"{len(publishers)} publishers on {self.resolve(topic)} (nodes "
+                f"{', '.join(publishers)}): one instrument topic has one publisher; stop the "
+                "others"
+            )
 
     def without_machine(self, topic: str) -> Iterator[str]:
         """Yield in words why nobody obeys the order ``topic``.

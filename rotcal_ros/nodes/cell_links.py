@@ -16,24 +16,61 @@ from rotcal_msgs.msg import (
     TableAngle,
 )
 from rotcal_msgs.msg import Observation as ObservationMsg
+from rotcal_msgs.srv import FinishCalibration, StartRecording, StopRecording
+from std_srvs.srv import Trigger
 
 from rotcal_ros import messages
 from rotcal_ros.bags import names
+from rotcal_ros.capture.heard import Believed, Offers, publisher_of
+from rotcal_ros.evaluation.withheld import withheld_by
 from rotcal_ros.middleware import discovery_in_words
 from rotcal_ros.node_names import PREFLIGHT_NODES, VIEWERS
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_graph import ORDERS, CellGraph
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.cell_services import CellServices
 from rotcal_ros.nodes.concerns import show
+from rotcal_ros.nodes.hearing import HEARS, digest
 from rotcal_ros.nodes.managed_node import not_active
 from rotcal_ros.nodes.plans import RUN
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.topic_names import TOPIC, plain_name
 from rotcal_ros.observations import Command, Observation
 
+
+class CellServices:
+    """One client for each service."""
+
+    def __init__(self, node: CellNode) -> None:
+        self.start_recording = node.create_client(StartRecording, "start_recording")
+        self.continue_recording = node.create_client(StartRecording, "continue_recording")
+        self.recorded_observations = node.create_client(Trigger, "recorded_observations")
+        self.stop_recording = node.create_client(StopRecording, "stop_recording")
+        self.finish_calibration = node.create_client(FinishCalibration, "finish_calibration")
+
+    def missing(self) -> list[str]:
+        """Return which services are not offered, in words."""
+        of_recorder = (
+            self.start_recording,
+            self.continue_recording,
+            self.recorded_observations,
+            self.stop_recording,
+        )
+        needed = [("recorder", client) for client in of_recorder]
+        return [
+            f"node {node} does not offer {client.srv_name}"
+            for node, client in (*needed, ("solver", self.finish_calibration))
+            if not client.service_is_ready()
+        ]
+
+
 SPARE: Final = frozenset({"bridge", *VIEWERS.values()})
 """Nodes that may be inactive while a calibration runs."""
+RECORDED: Final = "observation_recorded"
+OWNERS: Final = {
+    names.OBSERVATION: "capture", RECORDED: "recorder",
+    **dict.fromkeys(ORDERS, "planner"),
+}  # fmt: skip
+"""The only node whose messages are believed on each topic of the suite itself."""
 Attempt = tuple[int, int]
 """Step and attempt."""
 
@@ -53,8 +90,8 @@ class CellLinks:
         self._tables = node.create_publisher(TableAngle, names.TABLE_ANGLE, EVENT)
         self._probes = node.create_publisher(ProbeTarget, names.PROBE_TARGET, EVENT)
         self._choices = node.create_publisher(StepChoice, names.STEP_CHOICE, EVENT)
-        node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT)
-        node.listen(RecordedObservation, "observation_recorded", self._recorded, EVENT)
+        node.listen(ObservationMsg, names.OBSERVATION, self._observed, EVENT, judged=True)
+        node.listen(RecordedObservation, RECORDED, self._recorded, EVENT, judged=True)
         node.listen(DeviationArray, "deviations", self._solved, LATCHED)
         self.services = CellServices(node)
 
@@ -146,6 +183,57 @@ class CellLinks:
         why = self.health.values("recorder").get(name, "")
         return f"the recorder does not listen to {name}{': ' + why if why else ' yet'}"
 
+    def believed(self, instruments: Collection[str]) -> Believed:
+        """Return who publishes now what a run believes: the suite's nodes and ``instruments``."""
+        place = self.node.get_namespace()
+        found = {
+            self.instrument(role): self.graph.offers(self.instrument(role)) for role in instruments
+        }
+        for topic, owner in OWNERS.items():
+            offers = self.graph.offers(topic)
+            own = [i for i in offers if (i.node_name, i.node_namespace) == (owner, place)]
+            found[self.resolve(topic)] = own
+        return Believed({
+            topic: tuple(sorted(publisher_of(info.endpoint_gid) for info in infos))
+            for topic, infos in found.items()
+            if infos
+        })  # fmt: skip
+
+    def offered(self, roles: Collection[str]) -> Offers:
+        """Return who publishes the topics of these instruments now."""
+        return {
+            (name := self.instrument(role)): {
+                publisher_of(
+                    info.endpoint_gid
+                ): f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                for info in self.graph.offers(name)
+            }
+            for role in roles
+        }
+
+    def unclear(self, instruments: Collection[str]) -> list[str]:
+        """Return in words on which topics it is not clear whom to believe."""
+        believed, found = self.believed(()).publishers, list[str]()
+        for topic, owner in OWNERS.items():
+            name = self.resolve(topic)
+            count = len(believed.get(name, ()))
+            if count > 1:
+                found.append(
+                    f"{count} nodes are called {owner} and publish {name}: end the others"
+                )
+            elif not count:
+                found.append(f"node {owner} does not publish {name} yet")
+        called = (self.instrument(role) for role in instruments)
+        return found + [text for name in called for text in self.graph.crowded(name)]
+
+    def missing_ears(self, believed: Believed) -> list[str]:
+        """Return which nodes have not heard yet whom a run believes."""
+        return [
+            f"node {name} has not heard who is believed in this run"
+            for name in PREFLIGHT_NODES
+            if self.health.values(name).get(HEARS) != digest(believed)
+        ]
+
     def missing_air(self, expected: Iterable[str]) -> dict[str, str]:
         """Return role -> absolute name of those ``expected`` topics that nobody publishes."""
         called = {role: self.instrument(role) for role in expected}
@@ -167,4 +255,5 @@ class CellLinks:
 
     def _solved(self, message: DeviationArray) -> None:
         if message.plan_id == self._plan_id and message.ecc_std:
-            self.current_std = max(message.ecc_std)
+            doubtful = message.final and withheld_by(message.verdict, message.warnings)
+            self.current_std = math.nan if doubtful else max(message.ecc_std)

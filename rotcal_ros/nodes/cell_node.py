@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Generator
 from concurrent.futures import Future
 from inspect import isawaitable
 from types import coroutine
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -18,15 +17,21 @@ from rotcal_msgs.msg import ProbeTarget, TableAngle
 
 from rotcal_ros.bags import names
 from rotcal_ros.capture.orders import Orders
+from rotcal_ros.machine_load import Patience
 from rotcal_ros.nodes.health import Health, Values
+from rotcal_ros.nodes.hearing import Hearing
 from rotcal_ros.nodes.managed_node import ManagedNode
 from rotcal_ros.nodes.parameters import declare_settings, given_parameters
 from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.steady import steady_timer
 from rotcal_ros.nodes.topic_names import other_names
 from rotcal_ros.observations import Command
+from rotcal_ros.planning.health_settings import HealthSettings
 
 T = TypeVar("T")
+
+_QUIET: Final = frozenset({"recorder", "solver"})
+"""Nodes that leave alone what others have named."""
 
 
 @coroutine
@@ -39,14 +44,20 @@ def _next_turn() -> Generator[None, None, None]:
 
 
 async def until(
-    condition: Callable[[], bool], timeout_s: float, check: Callable[[], None] | None = None
+    condition: Callable[[], bool],
+    timeout_s: float,
+    check: Callable[[], None] | None = None,
+    pausing: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Wait until ``condition``; False after ``timeout_s``. ``check`` may raise to give up."""
-    deadline = time.monotonic() + timeout_s
+    """Wait until ``condition``; False after ``timeout_s``. ``check`` may raise to give up.
+
+    The time does not run while somebody is waited for (``pausing``), or while this process stands.
+    """
+    patience = Patience(timeout_s)
     while not condition():
         if check is not None:
             check()
-        if time.monotonic() > deadline:
+        if patience.is_over(pausing=pausing()):
             return False
         await _next_turn()
     return True
@@ -67,20 +78,33 @@ class CellNode(ManagedNode, ABC):
         self._answering = 0
         self._answers = MutuallyExclusiveCallbackGroup()
         self._names: Values = other_names(self.get_namespace(), self.resolve_topic_name)
-        self.health = Health(self, self._beat_values, self._missed)
+        self.hearing = Hearing(self, quiet=name in _QUIET)
+        settings = self.settings("health", HealthSettings)
+        self.health = Health(self, self._beat_values, self._missed, settings=settings)
 
     def settings(self, group: str, cls: type[T], *, read_only: bool = True) -> T:
         """Declare a group of settings as parameters and return their values."""
         return declare_settings(self, self.given, group, cls, read_only=read_only)
 
     def listen(
-        self, kind: type, topic: str, handle: Callable[[Any], None], qos: QoSProfile | int
+        self,
+        kind: type,
+        topic: str,
+        handle: Callable[[Any], None],
+        qos: QoSProfile | int,
+        *,
+        judged: bool = False,
     ) -> None:
-        """Subscribe to a topic; an exception in ``handle`` is counted and logged."""
+        """Subscribe to a topic; an exception in ``handle`` is counted and logged.
+
+        ``judged``: while a goal runs only those are heard whom the run believes.
+        """
         handle = self.health.guarded(handle)
         latched = getattr(qos, "durability", None) == DurabilityPolicy.TRANSIENT_LOCAL
 
-        def take(message: Any) -> None:
+        def take(message: Any, info: Any) -> None:
+            if judged and not self.hearing.hears(self.resolve_topic_name(topic), info):
+                return
             if self.active:
                 handle(message)
             elif latched:
@@ -140,7 +164,7 @@ class CellNode(ManagedNode, ABC):
                 if (command := take(message)) is not None:
                     obey(command)
 
-            self.listen(kind, topic, handle, EVENT)
+            self.listen(kind, topic, handle, EVENT, judged=True)
 
         listen(TableAngle, names.TABLE_ANGLE, orders.table_angle)
         listen(ProbeTarget, names.PROBE_TARGET, orders.probe_target)
@@ -175,12 +199,12 @@ class CellNode(ManagedNode, ABC):
         """Return the state in words and values; asked for every beat."""
 
     def _node_lost(self, name: str) -> None:
-        """Hear that another node fell silent."""
+        """Hear that another node is lost."""
 
     def _beat_values(self) -> tuple[str, Values]:
         """Return what the beat tells in every state: the report, and other names of topics."""
         words, values = self._report() if self.configured else ("", {})
-        return self.standing() or words, {**self._names, **values}
+        return self.standing() or words, {**self._names, **self.hearing.values(), **values}
 
     def _missed(self, name: str) -> None:
         if self.configured:

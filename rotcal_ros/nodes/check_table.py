@@ -63,7 +63,7 @@ def _joint_line(heard: Heard) -> CheckLine:
             todo = f"velocity of the joint: {PUBLISH_VELOCITY}"
         return CheckLine("table", "joint", "missing", fault, todo)
     angle, speed = joints(heard.values)[chosen]
-    found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed:.3g} rad/s"
+    found = f"{chosen} at {angle:.6g} rad = {angle / DEGREE:.4f}°, {speed / DEGREE:.3g}°/s"
     if doubt := next(_doubts(heard), ""):
         return CheckLine("table", "joint", "doubt", doubt, "publish the feedback in radians")
     return CheckLine("table", "joint", "good", found)

@@ -21,6 +21,7 @@ from typing import Final
 from rotcal_msgs.action import Calibrate
 
 from rotcal_ros.capture.rejections import kind_of
+from rotcal_ros.machine_load import Patience, in_words
 from rotcal_ros.nodes.calibrator import Calibrator, CalibratorError, GoalRefusedError
 from rotcal_ros.nodes.clock_news import jumps_in_words
 from rotcal_ros.nodes.concerns import concerns_told
@@ -69,7 +70,7 @@ class Client:
 
     def _planner_came(self, timeout_s: float) -> bool:
         """Wait for the planner; False when the client has to end, CalibratorError if in vain."""
-        deadline = time.monotonic() + timeout_s
+        patience = Patience(timeout_s)
         listen_until = time.monotonic() + LISTEN_S
         while not self._calibrator.is_ready(PERIOD_S) or time.monotonic() < listen_until:
             self._live()
@@ -77,7 +78,7 @@ class Client:
                 raise GoalRefusedError(text)
             if self._end:
                 return False
-            if time.monotonic() > deadline:
+            if patience.is_over():
                 state = self._calibrator.planner_state or "silent"
                 raise CalibratorError(f"no answer from the planner; it is {state}")
         return True
@@ -107,7 +108,12 @@ class Client:
         health = self._calibrator.health
         jumps = ((text.partition(" at ")[0], text) for text in jumps_in_words(health))
         concerns = ((kind_of(text), text) for text in concerns_told(health))
-        for kind, text in (*jumps, *concerns):
+        slow = [
+            f"planner: no sign of it for {s:.1f} s: slow, not lost; {in_words()}"
+            for name, s in health.slow.items()
+            if name == "planner"
+        ]
+        for kind, text in (*jumps, *concerns, *((kind_of(t), t) for t in slow)):
             if kind not in self._warned:
                 say("warning", text=text)
             self._warned.add(kind)

@@ -17,14 +17,19 @@ CLOCK_DOUBT: Final = "clock_doubt"
 """Streams whose clocks seem to differ by less than what is rejected."""
 FOREIGN_PLAN: Final = "foreign_plan"
 """A plan that is not of the planner."""
+INTRUDER: Final = "intruder"
+"""Who publishes on a topic of the run and was not there when it began."""
 SIM_CLOCK: Final = "sim_clock"
 """That ``/clock`` stands still, or does not come, for a node that follows it."""
 EMERGENCY: Final = "emergency_stop"
 """Who stops the cell, and what this node does meanwhile."""
 BLOCKED: Final = "blocked"
 """Why a machine does nothing before a person has cleared it."""
+SLOW: Final = "slow"
+"""Who is slow and waited for, with the load of the machine."""
 FOR_PEOPLE: Final = (
-    REJECTED, COMPLAINT, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, SIM_CLOCK, BLOCKED,
+    REJECTED, COMPLAINT, PREFLIGHT, OFFSET, CLOCK_DOUBT, FOREIGN_PLAN, INTRUDER, SIM_CLOCK,
+    BLOCKED, SLOW,
 )  # fmt: skip
 """Values in a beat that the person who runs a calibration is told."""
 OF_MACHINES: Final = (BLOCKED, COMPLAINT)

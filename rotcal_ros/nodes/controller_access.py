@@ -7,19 +7,67 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from rotcal_msgs.msg import TableInForce
 from rotcal_msgs.srv import ApplyTable, RestoreTable
 
+from rotcal_ros.bags import names
 from rotcal_ros.compensation.feed import Applied, Feed
 from rotcal_ros.compensation.secret import Secret
 from rotcal_ros.errors import ControllerError, DataError, RotcalError
-from rotcal_ros.nodes.announcing import Announcer
+from rotcal_ros.in_force import UNKNOWN
+from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.health import CALIBRATING
+from rotcal_ros.nodes.qos import LATCHED
 from rotcal_ros.nodes.steady import steady_timer
 from rotcal_ros.units import ARCSEC
+
+PERIOD_S: Final = 1.0
+
+
+class Announcer:
+    """Looks at the controller in the thread of its other accesses, and publishes what it found.
+
+    ``tell`` is given in words what contradicts that, after every look; empty when nothing does.
+    """
+
+    def __init__(
+        self,
+        node: CellNode,
+        feed: Feed,
+        worker: ThreadPoolExecutor,
+        tell: Callable[[str], None],
+    ) -> None:
+        self._node, self._feed, self._worker, self._tell = node, feed, worker, tell
+        self._looking: Future[tuple[str, str]] | None = None
+        self._publisher = node.create_publisher(TableInForce, names.TABLE_IN_FORCE, LATCHED)
+        node.every(PERIOD_S, self._announce)
+
+    def _announce(self) -> None:
+        """Publish what the last look found, and look again."""
+        looked = self._looking
+        if looked is not None and not looked.done():
+            return
+        if looked is not None:
+            try:
+                found, contradiction = looked.result()
+            except (RotcalError, OSError):
+                found, contradiction = UNKNOWN, ""
+            self._tell(contradiction)
+            self._publisher.publish(
+                conversions.in_force_message(self._feed.axis, found, self._node.now_ns())
+            )
+        self._looking = self._worker.submit(self._look)
+
+    def _look(self) -> tuple[str, str]:
+        """Return what is in force, and in words what contradicts that."""
+        found = self._feed.in_force()
+        return found, self._feed.contradiction(found)
+
 
 ANSWERS_PER_ACTION: Final = 20
 """Accesses to the controller in one action at most; each has its own time limit."""
@@ -31,6 +79,7 @@ AWARE_TIMEOUT_S: Final = 10.0
 """How long a call waits at most until this node knows what it missed while it stood still."""
 SERVICES: Final = ("apply", "restore")
 UNFINISHED: Final = "unfinished"
+CONTRADICTION: Final = "contradiction"
 
 
 class ControllerAccess:
@@ -51,7 +100,7 @@ class ControllerAccess:
         self._opening = steady_timer(node, OPENING_PERIOD_S, node.health.guarded(self._open))
         self._open()
         if feed.settings.controller_folder:
-            Announcer(node, feed, self._worker)
+            Announcer(node, feed, self._worker, partial(self._warn_of, about=CONTRADICTION))
 
     def close(self) -> None:
         """Leave the controller to others; what is being written is finished first."""
@@ -94,11 +143,13 @@ class ControllerAccess:
         """Return how many nodes offer a service of the cell."""
         return self._node.count_services(self._node.resolve_service_name(service))
 
-    def _warn_of(self, unfinished: str) -> None:
-        concerns = {UNFINISHED: unfinished} if unfinished else {}
-        if concerns and self._node.health.concerns != concerns:
-            self._node.get_logger().warning(unfinished)
-        self._node.health.concerns = concerns
+    def _warn_of(self, text: str, about: str = UNFINISHED) -> None:
+        """Show the ``text`` on /diagnostics as a concern, or no longer when it is empty."""
+        concerns = self._node.health.concerns
+        if text and concerns.get(about) != text:
+            self._node.get_logger().warning(text)
+        others = {name: concern for name, concern in concerns.items() if name != about}
+        self._node.health.concerns = {**others, about: text} if text else others
 
     async def _apply(
         self, request: ApplyTable.Request, response: ApplyTable.Response

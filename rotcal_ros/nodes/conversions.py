@@ -6,24 +6,30 @@ import dataclasses
 import math
 from typing import Any, Final
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from rotcal_msgs.action import Calibrate
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import (
     DeviationArray,
+    DirectionalCurve,
+    FreeDirection,
     ProbePoint,
     ProbeTarget,
     StepChoice,
     TableAngle,
     TableInForce,
     TracerLength,
+    VolumetricCorrection,
 )
 from rotcal_msgs.msg import Observation as ObservationMsg
 from sensor_msgs.msg import FluidPressure, JointState, RelativeHumidity, Temperature
 from std_msgs.msg import Header
 
+from rotcal_ros import messages
 from rotcal_ros.compensation.table import CompensationTable
 from rotcal_ros.errors import DataError
+from rotcal_ros.in_force import UNKNOWN
 from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.observations import (
     Command,
@@ -37,6 +43,7 @@ from rotcal_ros.observations import (
 )
 from rotcal_ros.planning.plan import MACHINE_FRAME
 from rotcal_ros.planning.policy.choices import Choice
+from rotcal_ros.results import FreeDirection as OpenZero
 from rotcal_ros.results import Result
 
 TABLE: Final = "table_base"
@@ -44,6 +51,8 @@ MACHINE: Final = MACHINE_FRAME
 TRACER: Final = "tracer"
 """The frames that messages of the cell are stamped with."""
 _WRAPS: Final = 0xFFFFFFFF
+MOST_ANGLES: Final = 200
+"""Of a message that holds covariances: 2 MB for all six; result.json has those of more."""
 
 
 def time_message(nanoseconds: int) -> Time:
@@ -144,10 +153,66 @@ def deviations_message(
     result: Result, plan_id: str, now_ns: int, *, final: bool
 ) -> DeviationArray:
     """Return the deviations of a result; components that were not measured stay empty."""
-    others: dict[str, Any] = {n.lower(): values for n, values in result.deviations.items()}
-    others |= {f"{n.lower()}_std": values for n, values in result.std.items()}
-    others |= {"plan_id": plan_id, "final": final, "n_rejected": len(result.rejected)}
+    whole = final and len(result.angles) <= MOST_ANGLES
+    steps, steps_std = result.adjacent_deviations, result.adjacent_std
+    others = _columns(result, 1.0)
+    if whole:
+        others |= {f"{n.lower()}_covariance": c.ravel() for n, c in result.covariance.items()}
+    others |= {
+        "plan_id": plan_id,
+        "final": final,
+        "free_directions": [_free(direction) for direction in result.zeros.free],
+        "adjacent_deviations": () if steps is None else steps,
+        "adjacent_std": () if steps_std is None else steps_std,
+        "directions": _directions(result, 1.0, covariance=whole),
+        "n_rejected": len(result.rejected),
+        "not_protected": result.unprotected,
+    }
     return _filled(DeviationArray, result, now_ns, **others)
+
+
+def correction_message(
+    result: Result, axis: str, plan_id: str, now_ns: int
+) -> VolumetricCorrection:
+    """Return the correction of all deviations that were measured: -(actual - commanded)."""
+    measured_on = "" if result.measured_on == UNKNOWN else result.measured_on
+    others = _columns(result, -1.0) | {
+        "axis": axis,
+        "plan_id": plan_id,
+        "open_zeros": result.zeros.in_words(),
+        "directions": _directions(result, -1.0, covariance=len(result.angles) <= MOST_ANGLES),
+        "measured_on": measured_on,
+        "item": result.circumstances.identity.title,
+    }
+    return _filled(VolumetricCorrection, result, now_ns, **others)
+
+
+def _columns(result: Result, sign: float) -> dict[str, Any]:
+    """Return the values of all components times ``sign``, their uncertainties and their zero."""
+    columns: dict[str, Any] = {"counts_from": result.zeros.counts_from}
+    columns |= {n.lower(): sign * values for n, values in result.deviations.items()}
+    return columns | {f"{n.lower()}_std": std for n, std in result.std.items()}
+
+
+def _free(direction: OpenZero) -> FreeDirection:
+    return FreeDirection(
+        name=direction.name,
+        components=list(direction.columns),
+        columns=np.concatenate([*direction.columns.values()]),
+    )
+
+
+def _directions(result: Result, sign: float, *, covariance: bool) -> list[DirectionalCurve]:
+    return [
+        DirectionalCurve(
+            component=name,
+            angles=both.angles,
+            forward=sign * both.forward,
+            reverse=sign * both.reverse,
+            covariance=both.covariance.ravel() if covariance else (),
+        )
+        for name, both in result.directions.items()
+    ]
 
 
 def compensation_message(
@@ -155,15 +220,28 @@ def compensation_message(
 ) -> CompensationTableMsg:
     """Return the message of a compensation table."""
     own: Any = () if table.std_reverse is None else table.std_reverse
-    return _filled(CompensationTableMsg, table, now_ns, plan_id=plan_id, std_reverse=own)
+    return _filled(
+        CompensationTableMsg,
+        table,
+        now_ns,
+        plan_id=plan_id,
+        std_reverse=own,
+        measured_from=time_message(table.measured_from_ns),
+        measured_until=time_message(table.measured_until_ns),
+    )
 
 
 def compensation_table(message: CompensationTableMsg) -> CompensationTable:
     """Return the table in a message; DataError when its hash is not that of its numbers."""
-    names = (f.name for f in dataclasses.fields(CompensationTable))
-    same = {n: getattr(message, n) for n in names if hasattr(message, n)}
+    times = {
+        f"{name}_ns": messages.stamp_ns(getattr(message, name))
+        for name in ("measured_from", "measured_until")
+    }
+    sent = message.get_fields_and_field_types().keys()
+    names = sent & {f.name for f in dataclasses.fields(CompensationTable)}
+    same: dict[str, Any] = {name: getattr(message, name) for name in names}
     own = same["std_reverse"] if len(same["std_reverse"]) else None
-    table = CompensationTable(**{**same, "std_reverse": own})
+    table = CompensationTable(**{**same, **times, "std_reverse": own})
     if table.table_hash != message.table_hash:
         raise DataError(
             f"the table of axis {message.axis} carries the hash {message.table_hash or 'none'}, "

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import Final
 
 from rotcal_msgs.action import Calibrate
 
+from rotcal_ros.machine_load import Patience
 from rotcal_ros.node_names import PREFLIGHT_NODES
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.identity import process_of
@@ -30,7 +30,7 @@ class GoalError(Exception):
 
 
 class Crew:
-    """The ``nodes`` that must beat while a goal runs.
+    """The ``nodes`` that must be there while a goal runs.
 
     The solver may be away for ``restart_wait_s``: it gets from the recorder what it missed. Any
     other that was started anew breaks the run off, however quickly it came back.
@@ -41,7 +41,7 @@ class Crew:
         self.restart_wait_s = restart_wait_s
         self._health = health
         self._processes: dict[str, str] = {}
-        self._away_since_s: float | None = None
+        self._away: Patience | None = None
 
     def begin_run(self) -> None:
         """Take those that are here now for those of the run."""
@@ -59,6 +59,10 @@ class Crew:
         began = self._processes.items()
         return [name for name, process in began if process_of(self._health, name) != process]
 
+    def slow(self) -> dict[str, float]:
+        """Return who of the crew is slow: name -> seconds without a sign that it answers."""
+        return {name: s for name, s in self._health.slow.items() if name in self.nodes}
+
     def is_another(self, name: str) -> Callable[[], bool]:
         """Return what tells whether a node is another process than now."""
         now = process_of(self._health, name)
@@ -69,7 +73,7 @@ class Crew:
         missing = self._health.missing(self.nodes)
         anew = sorted({*self.newcomers()} - {SOLVER, *missing})
         if SOLVER not in missing:
-            self._away_since_s = None
+            self._away = None
         elif missing == [SOLVER] and not anew and self._may_be_away():
             return
         if missing or anew:
@@ -80,13 +84,12 @@ class Crew:
             )
 
     def _may_be_away(self) -> bool:
-        now_s = time.monotonic()
-        self._away_since_s = self._away_since_s or now_s
-        return now_s - self._away_since_s < self.restart_wait_s
+        self._away = self._away or Patience(self.restart_wait_s)
+        return self.restart_wait_s > 0.0 and not self._away.is_over()
 
     def _in_words(self, missing: list[str], anew: list[str]) -> list[str]:
         lost = any(name in self._health.lost for name in missing)
-        how = "fell silent" if lost else "was ended"
+        how = "is lost" if lost else "was ended"
         words = [f"node {', '.join(missing)} {how}"] if missing else []
         return [*words, *(f"node {name} was started anew" for name in anew)]
 

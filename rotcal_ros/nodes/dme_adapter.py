@@ -24,7 +24,7 @@ from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.concerns import BLOCKED, show
 from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import RUN, calibration_of, run_name
+from rotcal_ros.nodes.plans import RUN, calibration_of, load_method, run_name
 from rotcal_ros.nodes.qos import EVENT, STREAM
 from rotcal_ros.nodes.roll_call import LOADING
 from rotcal_ros.nodes.running import run
@@ -49,6 +49,7 @@ class DmeAdapter(CellNode):
 
     def configure(self) -> None:
         """Get ready to speak to the machine, which begins with the first activation."""
+        load_method(self)
         settings = self.settings("dme", DmeSettings)
         self._joint = self.settings("cell", CellSettings).joint or "table"
         self._plan: Plan | None = None
@@ -150,7 +151,7 @@ class DmeAdapter(CellNode):
     def _node_lost(self, name: str) -> None:
         """Stop the machine when nobody is left who knows what it is moving for."""
         if name == PLANNER:
-            self._drop("the planner fell silent in the middle of a step")
+            self._drop("the planner was lost in the middle of a step")
 
     def _halt(self, why: str) -> None:
         """Stop the machine in an emergency stop; a person clears its errors afterwards."""

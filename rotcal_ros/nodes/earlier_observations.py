@@ -14,7 +14,7 @@ from rotcal_ros.catalogue.calibration import RunStep
 from rotcal_ros.catalogue.continuation import Recorded
 from rotcal_ros.errors import DataError
 from rotcal_ros.nodes.cell_node import CellNode
-from rotcal_ros.nodes.health import BEAT_PERIOD_S
+from rotcal_ros.nodes.heartbeat import BEAT_PERIOD_S
 from rotcal_ros.nodes.plans import RUN, run_name
 from rotcal_ros.observations import Observation
 

@@ -9,6 +9,7 @@ from typing import Final
 from rotcal_msgs.msg import CalibrationPlan
 from rotcal_msgs.srv import FinishCalibration
 
+from rotcal_ros.capture.heard import Believed
 from rotcal_ros.capture.rejections import Commonest
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.continuation import Continuation
@@ -19,8 +20,10 @@ from rotcal_ros.nodes.crew import SOLVER, Codes, GoalError
 from rotcal_ros.nodes.goal_bag import GoalBag
 from rotcal_ros.nodes.goal_preflight import be_ready
 from rotcal_ros.nodes.goal_watch import GoalWatch
+from rotcal_ros.nodes.hearing import BELIEVED
 from rotcal_ros.nodes.measuring import Measuring
 from rotcal_ros.nodes.plans import RUN, run_name
+from rotcal_ros.nodes.preflight import expected_air
 from rotcal_ros.nodes.topic_names import TOPICS, topics_value
 
 MOST_IN_VAIN: Final = 2
@@ -40,7 +43,7 @@ class GoalRun:
         self._from_step = continuation.start_index
         self._lost: GoalError | None = None
         self.verdict_line = ""
-        self._run = ""
+        self._run, self._believed = "", Believed()
         self.watch = watch
         self.measuring = Measuring(calibration, continuation, watch)
 
@@ -58,6 +61,9 @@ class GoalRun:
             outcome.error_code = error.code
             outcome.error_msg = f"{error}{self._remarks(error)}{onward}"
             await self.bag.close_after_failure()
+        finally:
+            self._believed = Believed()
+            self.watch.links.node.hearing.decide(self._believed)
         if self.bag.folder is not None:
             outcome.bag_folder = str(self.bag.folder.bag)
         progress = self.watch.progress
@@ -109,9 +115,23 @@ class GoalRun:
 
     def values(self) -> dict[str, object]:
         """Return what the planner tells of the goal in its beat."""
-        own: dict[str, object] = {**self.watch.progress.counts()}
+        heard: dict[str, object] = {BELIEVED: line} if (line := self._believed.in_a_beat()) else {}
+        own: dict[str, object] = {**self.watch.progress.counts(), **heard}
         own[TOPICS] = topics_value(self._calibration.configuration)
         return {RUN: self._run, **own} if self._run else own
+
+    async def _believe(self) -> None:
+        """Take those who publish now for those of the run, and wait until everybody knows them."""
+        links, watch = self.watch.links, self.watch
+        instruments = self._calibration.method.topics
+        await watch.have(lambda: links.unclear(instruments), Codes.TOPIC_MISSING)
+        needed, wished = expected_air(self._calibration)
+        watch.instruments = {*instruments, *needed, *wished}
+        watch.heard = links.offered(watch.instruments)
+        believed = self._believed = links.believed(watch.instruments)
+        links.node.hearing.decide(believed)
+        links.health.beat()
+        await watch.have(lambda: links.missing_ears(believed), Codes.NODE_LOST)
 
     def _remarks(self, error: GoalError) -> str:
         """Return what the cell says that may be why the goal has ended."""
@@ -143,6 +163,7 @@ class GoalRun:
             start_index=self._continuation.start_index,
             run=self._continuation.run,
         )
+        await self._believe()
         run = self._run = run_name(message)
         links.health.beat()  # it vouches for the plan
         links.announce(message)

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field
 from typing import Any, Final
 
+from rotcal_ros import machine_load
 from rotcal_ros.bags import names
+from rotcal_ros.capture.heard import Offers, started_anew
+from rotcal_ros.machine_load import Patience
+from rotcal_ros.nodes.cell_graph import ORDERS
 from rotcal_ros.nodes.cell_links import CellLinks
 from rotcal_ros.nodes.cell_node import until
 from rotcal_ros.nodes.clock_news import jumps_told
+from rotcal_ros.nodes.concerns import SLOW, show
 from rotcal_ros.nodes.crew import Codes, Crew, GoalError
 from rotcal_ros.nodes.emergency_stop import EmergencyStop
 from rotcal_ros.nodes.health import RECORDING_FAILED
-from rotcal_ros.nodes.latest import SILENT
+from rotcal_ros.nodes.latest import HOPELESS, SILENT
 from rotcal_ros.nodes.pauses import Pauses
 from rotcal_ros.nodes.progress import Progress
+from rotcal_ros.nodes.roll_call import Overload
 from rotcal_ros.planning.plan import Pause
 from rotcal_ros.planning.planner_settings import PlannerSettings
 from rotcal_ros.planning.policy.names import AS_LISTED
 
 ASTRAY_TIMEOUT_S: Final = 5.0
 """So long capture and solver may be without the plan of the goal."""
+HOPELESS_S: Final = 0.5
+"""So long the capture has to call it hopeless: late readings may look so for a moment."""
 
 
 class HaltedError(Exception):
@@ -39,6 +48,8 @@ class GoalWatch:
     ``stopping`` says why the planner gives up; ``recording`` that a bag is open: from then on the
     recorder and streams are watched too; ``run`` what capture and solver have to work for;
     ``owed`` a pause that was broken off, the work still to be done, and the first step to check.
+    ``slow`` are the nodes and instruments that are waited for: name -> seconds. ``heard`` is who
+    published the topics of the ``instruments`` when the run began.
     """
 
     settings: PlannerSettings
@@ -55,8 +66,15 @@ class GoalWatch:
     recording: bool = False
     run: str = ""
     owed: tuple[Pause, str, int] | None = None
-    _astray_s: float | None = None
+    slow: dict[str, float] = field(default_factory=dict)
+    instruments: Collection[str] = ()
+    heard: Offers = field(default_factory=dict)
+    _astray: Patience | None = None
+    _hopeless: Patience | None = None
+    _overload: Overload = field(default_factory=Overload)
     _stream_beat: object = None
+    _silent: dict[str, float] = field(default_factory=dict)
+    _interrupted: str = ""
     _bag_open: bool = False
 
     def tell(self, activity: str) -> None:
@@ -66,7 +84,9 @@ class GoalWatch:
 
     def how_to_go_on(self, code: int) -> str:
         """Return how to go on after an error of the goal, for those that end it half-way."""
-        if code not in (Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED):
+        if code not in (
+            Codes.NODE_LOST, Codes.RECORDER_FAILED, Codes.CANCELED, Codes.TOPIC_MISSING,
+        ):  # fmt: skip
             return ""
         if self.settings.policy != AS_LISTED:
             return "; continue with rotcal run --resume"
@@ -81,19 +101,31 @@ class GoalWatch:
 
     def end_run(self, patience_s: float) -> None:
         """Watch over no run any more, but let a preflight look for the nodes of the next."""
-        self.run, self.recording, self._bag_open, self._astray_s = "", False, False, None
+        self.run, self.recording, self._bag_open, self._astray = "", False, False, None
+        self._silent, self.heard = {}, {}
         self.patience_s = patience_s
         self.crew.end_run()
 
     async def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until ``condition``; False after the time-out, GoalError when all is in vain."""
-        return await until(condition, timeout_s, self._check)
+        """Wait until ``condition``; False after the time-out, GoalError when all is in vain.
+
+        While somebody is slow the time does not run.
+        """
+        return await until(condition, timeout_s, self._check, self._is_slow)
 
     async def wait_for_machine(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait as :meth:`wait` does, for what was ordered; HaltedError in an emergency stop."""
-        arrived = await until(condition, timeout_s, self._check_machine)
+        arrived = await until(condition, timeout_s, self._check_machine, self._is_slow)
         self.heed_stop()
         return arrived
+
+    async def have_all_answer(self) -> None:
+        """Wait at a safe place until nobody is slow."""
+        self._check()
+        await self.wait(lambda: not self.slow, math.inf)
+
+    def _is_slow(self) -> bool:
+        return bool(self.slow)
 
     def heed_stop(self) -> None:
         """Raise HaltedError while an emergency stop lasts, or nobody has resumed after it."""
@@ -161,17 +193,33 @@ class GoalWatch:
                 )
             self._check_streams(place)
             self._check_plan(place)
+        self._heed_slow()
+
+    def _heed_slow(self) -> None:
+        """See who is slow, and tell people: once for an overload, and what is waited for now."""
+        overload, before = self._overload, self._overload.text
+        self.slow = self.crew.slow() | self._silent
+        if text := overload.look(self.slow, time.monotonic(), machine_load.in_words):
+            self.links.node.get_logger().warning(text)
+        if bool(overload.text) == bool(before):
+            return
+        show(self.links.health, SLOW, overload.text)
+        if overload.text and not self.pauses.waiting:
+            self._interrupted = self.progress.activity
+            self.tell(overload.text)
+        elif self.progress.activity == before:
+            self.tell(self._interrupted)
 
     def _check_plan(self, place: str) -> None:
         """Raise when capture or solver have been at work for another plan for long."""
         astray = self.links.missing_plan(self.run) if self.run else []
         if not astray:
-            self._astray_s = None
+            self._astray = None
             return
-        self._astray_s = self._astray_s or time.monotonic()
         of_capture = self.links.missing_plan(self.run, ("capture",))
         allowed_s = ASTRAY_TIMEOUT_S if of_capture else ASTRAY_TIMEOUT_S + self.crew.restart_wait_s
-        if time.monotonic() - self._astray_s > allowed_s:
+        self._astray = self._astray or Patience(allowed_s)
+        if self._astray.is_over(pausing=bool(self.slow)):
             topic = self.links.resolve(names.PLAN)
             publishers = ", ".join(self.links.publishers(topic)) or "nobody"
             raise GoalError(
@@ -182,19 +230,51 @@ class GoalWatch:
             )
 
     def _check_streams(self, place: str) -> None:
-        """Raise when the capture tells of an instrument that fell silent after it had spoken."""
+        """Raise when the capture tells of an instrument that is lost after it had spoken.
+
+        One that is silent and still there is slow, as a node is, for as long.
+        """
         beat = self.links.health.others.get("capture")
         settled = self.links.health.sim.is_settled()
+        if self.stop.latched or not settled:
+            self._silent = {}
         if beat is self._stream_beat or self.stop.latched or not settled:
             return
         self._stream_beat = beat
-        for text in self.silent_streams():
-            raise GoalError(Codes.NODE_LOST, f"{text} {place}")
+        hopeless = self.links.health.values("capture").get(HOPELESS)
+        self._hopeless = (self._hopeless or Patience(HOPELESS_S)) if hopeless else None
+        if self._hopeless is not None and self._hopeless.is_over(pausing=bool(self.slow)):
+            raise GoalError(Codes.TOPIC_MISSING, f"nothing can be measured: {hopeless} ({place})")
+        self._check_publishers(place)
+        self._silent = self.silent_streams()
+        for topic, seconds in self._silent.items():
+            publishers = ", ".join(self.links.publishers(topic))
+            if not publishers or seconds > self.links.health.settings.lost_after_s:
+                who = f"{topic} (node {publishers or 'gone'})"
+                text = f"{who} has been silent for {seconds:.1f} s {place}"
+                raise GoalError(Codes.NODE_LOST, text)
 
-    def silent_streams(self) -> Iterator[str]:
-        """Yield which instruments have fallen silent, as the capture says."""
-        for key, value in self.links.health.values("capture").items():
-            if key.startswith(SILENT) and float(value) > self.settings.stream_timeout_s:
-                topic = self.links.instrument(key.removeprefix(SILENT))
-                publishers = ", ".join(self.links.publishers(topic)) or "gone"
-                yield f"{topic} (node {publishers}) has been silent for {value} s"
+    def _check_publishers(self, place: str) -> None:
+        """Raise where an instrument was started anew: the run does not hear it, another one does.
+
+        The nodes of the crew are known by their beats; a machine that was started anew may not
+        know any more where it is, so that a person has to begin again.
+        """
+        found = started_anew(self.heard, self.links.offered(self.instruments))
+        for path, topics in found.items():
+            name = path.rpartition("/")[2]
+            if name not in self.crew.nodes:
+                moves = any(name in self.links.graph.machines(order) for order in ORDERS)
+                raise GoalError(
+                    Codes.NODE_LOST,
+                    f"node {name}, which publishes {', '.join(topics)}, was started anew {place}",
+                    in_another_run=not moves,
+                )
+
+    def silent_streams(self) -> dict[str, float]:
+        """Return which instruments are silent, as the capture says: topic -> seconds."""
+        return {
+            self.links.instrument(key.removeprefix(SILENT)): float(value)
+            for key, value in self.links.health.values("capture").items()
+            if key.startswith(SILENT) and float(value) > self.settings.stream_timeout_s
+        }

@@ -1,7 +1,8 @@
 """Heartbeats and diagnostics of a node, and watching those of the others.
 
-Every node beats on ``heartbeat`` (diagnostic_msgs/DiagnosticStatus, 5 Hz, from its executor, so
-that a hung node falls silent like a dead one) and reports on ``/diagnostics`` at 1 Hz.
+Every node beats on ``heartbeat`` (diagnostic_msgs/DiagnosticStatus, 5 Hz) and reports on
+``/diagnostics`` at 1 Hz. A beat tells that the process lives, and how long ago its executor took a
+turn: one that hangs is slow, one whose process is gone is lost.
 """
 
 from __future__ import annotations
@@ -14,26 +15,27 @@ from functools import wraps
 from typing import Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from rotcal_ros.machine_load import AwakeClock
 from rotcal_ros.nodes.clock_news import ClockNews
 from rotcal_ros.nodes.draining import Batch, DrainedSubscription
+from rotcal_ros.nodes.heartbeat import BEAT_PERIOD_S, BUSY, LEAVING, Heartbeat
 from rotcal_ros.nodes.identity import IDENTITY, Identity, NameHolders, refusal
 from rotcal_ros.nodes.memory import end_without_memory
+from rotcal_ros.nodes.processes_here import PROCESS, is_of_here, why_gone
 from rotcal_ros.nodes.roll_call import RollCall
 from rotcal_ros.nodes.sim_clock import SimClock
 from rotcal_ros.nodes.steady import steady_timer
+from rotcal_ros.planning.health_settings import HealthSettings
+from rotcal_ros.plugins import culprit
 
-BEAT_PERIOD_S: Final = 0.2
 DIAGNOSTICS_PERIOD_S: Final = 1.0
-NODE_TIMEOUT_S: Final = 1.4
-"""Silence after which a node is lost: noticed within 2 s together with the beat itself."""
-LEAVING: Final = "leaving"
+AWARE_S: Final = 0.7
+"""So long behind a standstill of its own a node does not know the others as they are now."""
 RECORDING_FAILED: Final = "recording failed"
 """How the state of a recorder begins that cannot write any more."""
-LEAVE_TIMEOUT_S: Final = 0.5
 CALIBRATING: Final = "calibrating"
 """How the state of a planner begins while a goal runs."""
 
@@ -43,12 +45,10 @@ Values = Mapping[str, object]
 class Health:
     """The health of one node.
 
-    ``lost`` is name -> silence (s) of the others that fell silent, as of the last beat,
-    ``concerns`` what a person should look at, ``alarms`` what a person must look at.
-    ``report`` returns (state in words, values) at any time for every beat; without it the node
-    only listens, and nobody will miss it. ``on_lost`` is called once for every other node that
-    falls silent, with its name. ``refused`` says why this node must end: an older one of its name
-    is there; empty: it need not.
+    ``concerns`` is what a person should look at, ``alarms`` what a person must look at. ``report``
+    returns (state in words, values) at any time for every beat; without it the node only listens,
+    and nobody will miss it. ``on_lost`` is called with the name of every other node that is lost.
+    ``refused`` says why this node must end: an older one of its name is there; empty: it need not.
     """
 
     def __init__(
@@ -57,13 +57,14 @@ class Health:
         report: Callable[[], tuple[str, Values]] | None,
         on_lost: Callable[[str], None] | None = None,
         *,
-        timeout_s: float = NODE_TIMEOUT_S,
+        settings: HealthSettings | None = None,
     ) -> None:
         self._node = node
         self._report = report
         self._on_lost = on_lost
-        self.lost: dict[str, float] = {}
-        self._roll = RollCall(timeout_s)
+        self.settings = settings or HealthSettings()
+        self.awake = AwakeClock()
+        self._roll = RollCall(self.settings)
         self._holders = NameHolders()
         self.identity = Identity.own(os.environ, time.monotonic())
         self.refused = ""
@@ -73,13 +74,23 @@ class Health:
         self.alarms: dict[str, str] = {}
         self.clock = ClockNews(node.get_logger())
         self.sim = SimClock(node.get_clock())
-        self._beats = node.create_publisher(DiagnosticStatus, "heartbeat", QoSProfile(depth=20))
+        self._beats = Heartbeat(node, self.identity) if report is not None else None
         self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
         self._heard = DrainedSubscription(
             node, DiagnosticStatus, "heartbeat", QoSProfile(depth=100), self.guarded(self._hear)
         )
-        steady_timer(node, BEAT_PERIOD_S, self.guarded(self._beat))
+        steady_timer(node, BEAT_PERIOD_S, self.guarded(self._turn))
         steady_timer(node, DIAGNOSTICS_PERIOD_S, self.guarded(self._diagnose))
+
+    @property
+    def lost(self) -> dict[str, str]:
+        """Name -> why, of the others that are lost, as of the last turn."""
+        return self._roll.lost
+
+    @property
+    def slow(self) -> dict[str, float]:
+        """Name -> seconds without a sign that it answers, of the others that are slow."""
+        return self._roll.slow
 
     def guarded(self, callback: Callable[..., Any]) -> Callable[..., Any]:
         """Keep an exception in ``callback`` from ending the node: count it, log it once."""
@@ -100,18 +111,18 @@ class Health:
         kind = f"{where}: {type(error).__name__}"
         self.errors[kind] += 1
         if self.errors[kind] == 1:
-            self._node.get_logger().error(f"{kind}: {error}")
+            self._node.get_logger().error(f"{kind}: {error} {culprit(error)}".rstrip())
 
     def present(self) -> set[str]:
-        """Return the names of the other nodes that beat."""
+        """Return the names of the other nodes that are there, slow ones too."""
         return self.others.keys() - self.lost.keys()
 
     def aware(self) -> bool:
         """Return whether the others are known as they are now; not just behind a standstill."""
-        return self._roll.aware(time.monotonic())
+        return self.awake.awake_s() > AWARE_S
 
     def missing(self, names: Iterable[str]) -> list[str]:
-        """Return those of ``names`` that fell silent, left, or never were there."""
+        """Return those of ``names`` that are lost, left, or never were there."""
         return sorted(set(names) - self.present())
 
     def values(self, name: str) -> dict[str, str]:
@@ -123,34 +134,36 @@ class Health:
         return str(self.others[name].message) if name in self.others else ""
 
     def last_words(self, name: str) -> str:
-        """Return how long node ``name`` has been silent and what it did before, for a message."""
+        """Return why node ``name`` is lost and what it did before, for a message."""
         state = self.state(name) or "never heard"
-        return f"{self.lost[name]:.1f} s, before that: {state}" if name in self.lost else state
+        return f"{self.lost[name]}; before that: {state}" if name in self.lost else state
 
     def leave(self) -> None:
         """Tell the others that this node ends on purpose, and let the word reach them."""
-        if not self.refused:
-            self._beats.publish(self._status(LEAVING, {}))
-            self._beats.wait_for_all_acked(Duration(seconds=LEAVE_TIMEOUT_S))
+        if self._beats is not None and not self.refused:
+            self._beats.leave(self._status(LEAVING, {}))
 
     def beat(self) -> None:
         """Tell the others the state now, before the next beat is due."""
-        if self._report is not None:
-            self._beats.publish(self._status(*self._report()))
+        if self._beats is not None and self._report is not None:
+            self._beats.tell(self._status(*self._report()))
 
     def _hear(self, batch: Batch) -> None:
-        now = time.monotonic()
+        now_s, awake_s = time.monotonic(), self.awake.now_s()
         for status, _ in batch:
-            identity = next((v.value for v in status.values if v.key == IDENTITY), "")
+            values = {v.key: v.value for v in status.values if v.key in (IDENTITY, PROCESS, BUSY)}
+            name, identity = status.name, values.get(IDENTITY, "")
             if status.message == LEAVING:
-                if self._holders.leave(status.name, identity, now):
-                    self._roll.seen.pop(status.name, None)
-                    self.others.pop(status.name, None)
-            elif status.name == self._node.get_name():
-                self._meet(Identity.read(identity, now))
-            elif self._holders.is_holder(status.name, identity, now):
-                self._roll.hear(status.name, status.message, now)
-                self.others[status.name] = status
+                if self._holders.leave(name, identity, now_s):
+                    self._roll.forget(name)
+                    self.others.pop(name, None)
+            elif name == self._node.get_name():
+                self._meet(Identity.read(identity, now_s))
+            elif name in self.lost and why_gone(values.get(PROCESS, "")):
+                continue  # its last beats came late
+            elif self._holders.is_holder(name, identity, now_s):
+                self._roll.hear(name, awake_s - _seconds(values.get(BUSY, "")))
+                self.others[name] = status
 
     def _meet(self, other: Identity | None) -> None:
         """Hear a beat of this node's own name: of two nodes the younger one ends."""
@@ -163,16 +176,33 @@ class Health:
             text = f"a second node {name} was started in {place}: it is refused"
             self._node.get_logger().warning(text, once=True)
 
-    def _beat(self) -> None:
+    def _turn(self) -> None:
+        """Beat, and look at the clocks and at the others."""
         self.clock.look()
         self.sim.look()
         self.beat()
-        silent = self._roll.silent(time.monotonic())
-        for name in silent.keys() - self.lost.keys():
-            self._node.get_logger().error(f"node {name} fell silent {silent[name]:.1f} s ago")
+        if self._beats is not None:
+            self._beats.go_on()
+        for name in self._roll.look(self.awake.now_s(), self._gone):
+            self._node.get_logger().error(f"node {name} is lost: {self.last_words(name)}")
             if self._on_lost is not None:
                 self._on_lost(name)
-        self.lost = silent
+
+    def _gone(self, name: str) -> str:
+        """Say why a node whose beat is late is no more; empty: it is, as far as anybody can tell.
+
+        On another machine, or where it does not tell its process, the graph knows: DDS takes out
+        who does not renew his lease.
+        """
+        process = self.values(name).get(PROCESS, "")
+        if is_of_here(process):
+            return why_gone(process)
+        silent_s = self.awake.now_s() - self._roll.seen[name]
+        if silent_s <= self.settings.slow_after_s:
+            return ""
+        topic = self._node.resolve_topic_name("heartbeat")
+        here = {info.node_name for info in self._node.get_publishers_info_by_topic(topic)}
+        return "" if name in here else "it has left the graph"
 
     def _diagnose(self) -> None:
         if self._report is None:
@@ -189,8 +219,7 @@ class Health:
             trouble["lost_nodes"] = ", ".join(sorted(self.lost))
         concerns = self.clock.concerns | self.sim.concerns() | self.concerns
         rest = DiagnosticStatus.WARN if concerns else DiagnosticStatus.OK
-        own = {IDENTITY: self.identity.in_a_beat(time.monotonic())}
-        beat = {**values, **self.clock.values(), **self.sim.values(), **concerns, **trouble, **own}
+        beat = {**values, **self.clock.values(), **self.sim.values(), **concerns, **trouble}
         return DiagnosticStatus(
             level=DiagnosticStatus.ERROR if trouble else rest,
             name=self._node.get_name(),
@@ -198,3 +227,11 @@ class Health:
             message=state,
             values=[KeyValue(key=k, value=str(v)) for k, v in beat.items()],
         )
+
+
+def _seconds(text: str) -> float:
+    """Return a number of seconds that somebody tells; 0 where it is none."""
+    try:
+        return max(0.0, float(text))
+    except ValueError:
+        return 0.0

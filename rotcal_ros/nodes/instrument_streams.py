@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 from collections.abc import Callable, Collection
 from functools import partial
@@ -23,8 +22,7 @@ from rotcal_ros.instruments.steps import Position
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.draining import Batch, received_ns, sent_ns
 from rotcal_ros.nodes.instrument_topics import InstrumentTopics
-from rotcal_ros.nodes.joint_readings import JointReadings
-from rotcal_ros.nodes.latest import FRAME, NOW, RATE, SILENT, reading
+from rotcal_ros.nodes.latest import FRAME, JOINT, MOST_JOINTS, NOW, RATE, SILENT, reading
 from rotcal_ros.observations import (
     HumiditySample,
     LengthStatus,
@@ -34,6 +32,25 @@ from rotcal_ros.observations import (
     TemperatureSample,
     TracerSample,
 )
+
+
+class JointReadings:
+    """The latest angle (rad) and velocity (rad/s) of each joint."""
+
+    def __init__(self) -> None:
+        self._joints: dict[str, tuple[float, float]] = {}
+
+    def note(self, message: JointState, chosen: str) -> None:
+        """Note what a message says of its joints; the ``chosen`` one is told in any case."""
+        velocities = (*message.velocity, *(math.nan for _ in message.position))
+        for name, angle, velocity in zip(message.name, message.position, velocities, strict=False):
+            if name in self._joints or name == chosen or len(self._joints) < MOST_JOINTS:
+                self._joints[name] = angle, velocity
+
+    def values(self) -> dict[str, str]:
+        """Return what is told of the joints, in the order in which they were first heard."""
+        return {f"{JOINT}{n}": f"{a:.9f} {v:.9f}" for n, (a, v) in self._joints.items()}
+
 
 TIMED: Final = (*FAST, names.PROBE_POINT)
 """Streams by whose stamps an observation is made: their clocks must agree."""
@@ -47,6 +64,7 @@ class InstrumentStreams:
 
     def __init__(self, node: CellNode, take: Callable[[Any], None]) -> None:
         self._node, self._take = node, take
+        self._awake = node.health.awake
         self._valid: Counter[str] = Counter()
         self._heard_s: dict[str, float] = {}
         self._latest: dict[str, Any] = {}
@@ -68,7 +86,7 @@ class InstrumentStreams:
 
     def not_silent(self) -> None:
         """Let silences count from now: what came while the node was busy waits to be read."""
-        self._heard_s = dict.fromkeys(self._heard_s, time.monotonic())
+        self._heard_s = dict.fromkeys(self._heard_s, self._awake.now_s())
 
     def values(self, needed: Collection[str]) -> dict[str, Any]:
         """Return what the beat tells: of ``needed`` streams that never pause, their silence."""
@@ -79,13 +97,16 @@ class InstrumentStreams:
         values |= {f"{RATE}{role}": f"{hertz:.4g}" for role, hertz in self._rates.hertz().items()}
         values |= self._joints.values()
         steady = set(FAST) - set(single_shots(self.topics.settings))
-        now = time.monotonic()
+        now = self._awake.now_s()
         for role in steady & set(needed) & self._heard_s.keys():
             values[f"{SILENT}{role}"] = f"{now - self._heard_s[role]:.2f}"
         return values
 
     def _heard(self, role: str, type_name: str, batch: Batch) -> None:
-        self._heard_s[role] = time.monotonic()
+        batch, _ = self._node.hearing.split(self.topics.name(role), batch)
+        if not batch:
+            return
+        self._heard_s[role] = self._awake.now_s()
         sent = [(message, sent_ns(info)) for message, info in batch]
         if header := getattr(batch[-1][0], "header", None):
             self._frames[role] = header.frame_id

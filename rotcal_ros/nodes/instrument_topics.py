@@ -15,7 +15,7 @@ from rotcal_ros.instruments.forms import not_understood
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.channels import message_type
 from rotcal_ros.nodes.draining import Batch, InstrumentSubscription
-from rotcal_ros.nodes.health import BEAT_PERIOD_S
+from rotcal_ros.nodes.heartbeat import BEAT_PERIOD_S
 from rotcal_ros.nodes.latest import REFUSED
 from rotcal_ros.nodes.topic_names import TOPICS, given_topics, other_names
 from rotcal_ros.settings import load

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable
+from dataclasses import replace
 from typing import Any, Final
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -132,16 +133,11 @@ class Listener:
             self._missed(Dropout(name, min(topic.heard_ns, to_ns), to_ns, count, reason))
 
         def handle(batch: Batch) -> None:
-            topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
-            topic.sent_ns = sent_ns(batch[-1][1])
-            if name == names.TF_STATIC:
-                topic.latched.append(Messages.taken(topic.channel, batch))
-            for _, info in batch:
-                received_ns = info["received_timestamp"] or time.time_ns()
-                if (lost := _lost_before(topic, info)) is not None:
-                    missed(lost, received_ns, GAP)
-                topic.heard_ns = received_ns
-            self._hand_over(topic, batch)
+            ours, others = self._node.hearing.split(name, batch)
+            if others:  # kept beside, so that whoever reads the bag hears whom the run believed
+                self._hand_over(_left_alone(self._node, topic), others)
+            if ours:
+                self._heard(topic, ours, missed)
 
         def message_lost(event: Any) -> None:
             if lost := topic.losses.report(event.total_count_change):
@@ -165,6 +161,28 @@ class Listener:
                 ),
             )
         )
+
+    def _heard(
+        self, topic: HeardTopic, batch: Batch, missed: Callable[[int, int, str], None]
+    ) -> None:
+        """Note how far a topic has come and what is missing, and hand its messages over."""
+        topic.latest, topic.heard_s = batch[-1][0], time.monotonic()
+        topic.sent_ns = sent_ns(batch[-1][1])
+        if topic.channel.topic == names.TF_STATIC:
+            topic.latched.append(Messages.taken(topic.channel, batch))
+        for _, info in batch:
+            received_ns = info["received_timestamp"] or time.time_ns()
+            if (lost := _lost_before(topic, info)) is not None:
+                missed(lost, received_ns, GAP)
+            topic.heard_ns = received_ns
+        self._hand_over(topic, batch)
+
+
+def _left_alone(node: Node, topic: HeardTopic) -> HeardTopic:
+    """Return the channel of what others published on a topic while a run believed its own."""
+    last = topic.channel.topic.rpartition("/")[2]
+    beside = node.resolve_topic_name(f"~/{last}_{names.LEFT_ALONE}")
+    return HeardTopic(replace(topic.channel, topic=beside))
 
 
 def _lost_before(topic: HeardTopic, info: Any) -> int | None:

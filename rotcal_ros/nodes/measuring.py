@@ -177,9 +177,9 @@ class Measuring:
         """Order an attempt; return whether an observation came and is accepted."""
         index, attempt = key
         step = self._calibration.plan.steps[index]
-        again = f" (attempt {number + 1})" if number else ""
         links = self._watch.links
-        self._watch.tell(f"table position {step.table_position}, target {step.target}{again}")
+        await self._watch.have_all_answer()
+        self._watch.tell(step.in_words(number))
         self._watch.heed_stop()
         links.order(step.command(attempt))
         limit_s = self._watch.settings.step_timeout_s
@@ -192,8 +192,9 @@ class Measuring:
         limit_s = self._watch.settings.receipt_timeout_s
         if not await self._watch.wait(lambda: key in receipts, limit_s):
             reason = self._watch.links.health.state("recorder") or "silent"
+            place = self._calibration.plan.steps[key[0]].in_words()
             raise GoalError(
                 Codes.RECORDER_FAILED,
-                f"step {key[0]}: no receipt from the recorder within {limit_s:g} s ({reason})",
+                f"{place}: no receipt from the recorder within {limit_s:g} s ({reason})",
             )
         return receipts[key]

@@ -147,7 +147,7 @@ class OperatorPage(CellNode):
         )
 
     def _standing(self) -> Standing:
-        """Return the policy's uncertainty where it has one, else that of the curve."""
+        """Return U of the curve, and where there is a goal the policy's figure beside it."""
         feedback, curve = self._goal.feedback, self._topics.uncertainty
         if feedback is None:
             return self.board.state.standing
@@ -156,12 +156,11 @@ class OperatorPage(CellNode):
             self._course.add(feedback.accepted, round(curve / ARCSEC, 4))
         if self._topics.withheld:
             return Standing(withheld=self._topics.withheld)
-        policy, goal = feedback.uncertainty_rad, feedback.goal_rad
-        found = curve if policy is None else policy
+        rms, goal = feedback.uncertainty_rad, feedback.goal_rad
         return Standing(
-            now_arcsec=None if found is None else round(found / ARCSEC, 4),
+            largest_arcsec=None if curve is None else round(curve / ARCSEC, 4),
+            rms_arcsec=None if rms is None else round(rms / ARCSEC, 4),
             goal_arcsec=None if goal is None else goal / ARCSEC,
-            of_curve=policy is None,
             course=self._course.points,
         )
 

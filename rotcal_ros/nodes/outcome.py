@@ -61,8 +61,8 @@ class Feedback:
 
 
 def planner_lost(last: Feedback | None) -> str:
-    """Say that the planner fell silent, and how to go on after its ``last`` feedback."""
-    text = "node planner fell silent"
+    """Say that the planner is lost, and how to go on after its ``last`` feedback."""
+    text = "node planner is lost"
     if last is None or not last.accepted:
         return text
     return f"{text}; start it again, then continue with start_index {last.step}"

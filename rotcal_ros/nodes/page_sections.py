@@ -8,17 +8,21 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rotcal_msgs.msg import DeviationArray
 
 from rotcal_ros.catalogue import Calibration
 from rotcal_ros.components import COMPONENTS, COVERAGE_FACTOR, unit_of
+from rotcal_ros.evaluation.marks import measurement, tolerance
 from rotcal_ros.evaluation.withheld import withheld_by
+from rotcal_ros.identity import Identity
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.page.state import (
     Cell,
     Curve,
     Deviations,
+    Mark,
     NodeState,
     PlanView,
     Recording,
@@ -66,7 +70,7 @@ def above(place: Point) -> tuple[float, float]:
     return round(place[0], 4), round(place[1], 4)
 
 
-def deviations(message: DeviationArray) -> Deviations:
+def deviations(message: DeviationArray, identity: Identity) -> Deviations:
     """Return the curves of a solution, in the units of people; without U where it is withheld."""
     why = withheld_by(message.verdict, message.warnings) if message.final else ""
     curves = []
@@ -83,10 +87,23 @@ def deviations(message: DeviationArray) -> Deviations:
         curves=tuple(curves),
         observations=message.n_observations,
         final=message.final,
-        verdict=message.verdict,
+        marks=_marks(message, identity, why) if message.final else (),
         warnings=tuple(message.warnings),
         withheld=why,
     )
+
+
+def _marks(message: DeviationArray, identity: Identity, why: str) -> tuple[Mark, ...]:
+    """Return the marks of a final solution, as its report has them."""
+    values, std = (
+        {n: np.array(found) for n in COMPONENTS if len(found := getattr(message, n.lower() + end))}
+        for end in ("", "_std")
+    )
+    line = message.verdict_line or message.verdict
+    covered = bool(message.verdict_line) and "," not in line  # what is not covered stands behind
+    about = measurement(message.verdict, line, covered=covered)
+    against = tolerance(values, std, identity, why)
+    return tuple(Mark(m.name, m.kind, m.line) for m in (about, against) if m is not None)
 
 
 def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:
@@ -94,11 +111,14 @@ def _rounded(values: Iterable[float]) -> tuple[float | None, ...]:
 
 
 def nodes(health: Health) -> tuple[NodeState, ...]:
-    """Return the nodes that beat, or did until they fell silent."""
+    """Return the nodes that are there, or were until they were lost."""
     found = []
     for name, status in sorted(health.others.items()):
         level = SILENT if name in health.lost else int.from_bytes(status.level, "little")
-        found.append(NodeState(name, "silent" if level == SILENT else _words(status), level))
+        words = "silent" if level == SILENT else _words(status)
+        if (seconds := health.slow.get(name)) is not None:
+            words, level = f"slow: no sign for {seconds:.0f} s; {words}", max(level, 1)
+        found.append(NodeState(name, words, level))
     return tuple(found)
 
 

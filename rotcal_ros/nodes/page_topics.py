@@ -21,7 +21,7 @@ from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.plans import calibration_of
 from rotcal_ros.nodes.qos import LATCHED, VIEW
 from rotcal_ros.nodes.roll_call import LOADING
-from rotcal_ros.observations import Command
+from rotcal_ros.observations import Command, place_in_words
 from rotcal_ros.page.board import Board
 from rotcal_ros.page.state import Cell, LogLine, Pointing, Rejection
 from rotcal_ros.units import ARCSEC, DEGREE, NANOSECOND
@@ -79,7 +79,8 @@ class PageTopics:
 
     def _take_deviations(self, message: DeviationArray) -> None:
         if self._calibration and message.plan_id == self._calibration.configuration.plan_id:
-            found = page_sections.deviations(message)
+            identity = self._calibration.configuration.identity
+            found = page_sections.deviations(message, identity)
             self._board.show(deviations=found)
             ecc = next((c for c in found.curves if c.name == "ECC"), None)
             known = [u for u in ecc.expanded if u is not None] if ecc else []
@@ -88,7 +89,8 @@ class PageTopics:
 
     def _take_observation(self, message: ObservationMsg) -> None:
         if not message.accepted:
-            row = Rejection(time.time(), message.step, message.attempt, message.reason)
+            place = place_in_words(message.table_index, message.target, message.attempt)
+            row = Rejection(time.time(), place, message.reason)
             self._rejections.appendleft(row)
             self._board.show(rejections=tuple(self._rejections))
 
@@ -109,7 +111,7 @@ class PageTopics:
         self._visited[angle_deg % 360.0] = None
         self._board.show(
             pointing=Pointing(
-                step=order.step,
+                place=step.in_words(order.attempt),
                 table_angle_deg=angle_deg,
                 target=page_sections.above(order.position),
                 stand=None if place is None else page_sections.above(place),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,7 +20,7 @@ from rotcal_ros.catalogue.configuration import (
 )
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.catalogue.method import DEFAULT, find_method
-from rotcal_ros.errors import ConfigurationError, DataError, PlanError
+from rotcal_ros.errors import ConfigurationError, DataError, PlanError, RotcalError
 from rotcal_ros.messages import stamp_ns
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.parameters import read_settings
@@ -29,9 +29,10 @@ from rotcal_ros.plugins import nearest
 from rotcal_ros.settings import to_mapping
 from rotcal_ros.untrusted import read_text, why
 
-SAFETY: Final = "safety"
-"""The group that all nodes listen by from their start: no goal has another one."""
-ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner", SAFETY)
+SAFETY, HEALTH = "safety", "health"
+FROM_THE_START: Final = (SAFETY, HEALTH)
+"""The groups that all nodes go by from their start: no goal has others."""
+ALWAYS: Final = ("cell", "plan", "capture", "solver", "planner", *FROM_THE_START)
 """Groups that are parameters of the planner even if it was not given them."""
 
 REFUSED: Final = "plan refused"
@@ -62,8 +63,9 @@ class PlannerParameters:
             if group in ALWAYS or group in node.given
         }
         for group, cls in self._groups.items():
-            node.settings(group, cls, read_only=group == SAFETY)
+            node.settings(group, cls, read_only=group in FROM_THE_START)
         self.safety: SafetySettings = read_settings(node, SAFETY, SafetySettings)
+        self._fixed = {SAFETY: self.safety, HEALTH: node.health.settings}
 
     def configuration(self, goal: Calibrate.Goal) -> Configuration:
         """Return the configuration of a goal, or that of the parameters if it has none."""
@@ -76,11 +78,12 @@ class PlannerParameters:
             }
             text, source = dump_configuration(method, groups), "parameters of the planner"
         configuration = parse_configuration(text, source)
-        if SAFETY in configuration.given and configuration.safety != self.safety:
-            raise ConfigurationError(
-                f"{source}: its group safety is not the one that the planner was started with and "
-                "listens to: start the nodes with this configuration"
-            )
+        for group, own in self._fixed.items():
+            if group in configuration.given and getattr(configuration, group) != own:
+                raise ConfigurationError(
+                    f"{source}: its group {group} is not the one that the planner was started "
+                    "with and goes by: start the nodes with this configuration"
+                )
         if goal.method and goal.method != configuration.method.name:
             raise ConfigurationError(
                 f"the goal asks for method {goal.method!r}, its configuration describes "
@@ -111,15 +114,22 @@ def calibration_of(message: CalibrationPlan) -> Calibration:
     """
     configuration = parse_configuration(message.configuration, "the announced plan")
     calibration = prepare(configuration)
-    older = (plan(configuration) for plan in configuration.method.older_plans)
-    for plan in (calibration.plan, *older):
-        if (configuration.plan_id, len(plan.steps)) == (message.plan_id, message.total_steps):
-            return replace(calibration, plan=plan)
     found = (configuration.plan_id, len(calibration.plan.steps))
-    raise PlanError(
-        f"the announced plan has {message.total_steps} steps and the hash {message.plan_id}, "
-        f"here it has {found[1]} and {found[0]}: install the same version everywhere"
-    )
+    if found != (message.plan_id, message.total_steps):
+        raise PlanError(
+            f"the announced plan has {message.total_steps} steps and the hash {message.plan_id}, "
+            f"here it has {found[1]} and {found[0]}: install the same version everywhere"
+        )
+    return calibration
+
+
+def load_method(node: CellNode) -> None:
+    """Load the code of the method that a node was given, before it says that it is there.
+
+    What cannot be loaded the planner tells.
+    """
+    with suppress(RotcalError):
+        find_method(str(node.given.get("method") or DEFAULT))
 
 
 def read_continuation(node: CellNode) -> Continuation | None:

@@ -8,33 +8,126 @@ from __future__ import annotations
 
 import sys
 import time
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, Final
 
+from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock
 from rotcal_msgs.msg import CalibrationPlan
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.definitions import ChannelDefinition
 from rotcal_ros.bags.reader import read_blocks
-from rotcal_ros.bags.run_number import run_number
-from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, qos_profiles
+from rotcal_ros.bags.unread import unread
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.middleware import LOCALHOST
-from rotcal_ros.nodes.earlier_messages import Converter, publishable
+from rotcal_ros.nodes.channels import importable_type
+from rotcal_ros.nodes.conversions import time_message
 from rotcal_ros.nodes.health import Health
 from rotcal_ros.nodes.json_lines import say
 from rotcal_ros.nodes.peer import Peer
 from rotcal_ros.nodes.plans import REFUSED, RUN, run_name
-from rotcal_ros.nodes.player_arguments import read_arguments
-from rotcal_ros.nodes.recorded_qos import offered_qos
 from rotcal_ros.nodes.replay_guard import ORDERS, ReplayGuard
 from rotcal_ros.nodes.replay_outcome import ReplayOutcome
-from rotcal_ros.nodes.replay_pace import CLOCK_PERIOD_S, ReplayPace
-from rotcal_ros.nodes.replayed_bag import ReplayedBag
+from rotcal_ros.nodes.replayed_bag import CLOCK, ReplayedBag
 from rotcal_ros.nodes.running import EndRequest, leave_with
+from rotcal_ros.units import NANOSECOND
+
+VOLATILE_DEPTH: Final = 5000
+"""The graph tells no recorder how deep a publisher's queue was: so much is kept for slow ones."""
+_BEST_EFFORT: Final = ("best_effort", 2)
+_TRANSIENT_LOCAL: Final = ("transient_local", 1)
+"""In words, and the numbers of older bags."""
+
+
+def offered_qos(text: str) -> QoSProfile:
+    """Return the profile that a channel's ``offered_qos_profiles`` asks for.
+
+    Of several publishers it is what all offered; where the bag says nothing it is ROS's default.
+    """
+    profiles = qos_profiles(text)
+    best_effort = any(p["reliability"] in _BEST_EFFORT for p in profiles)
+    latched = bool(profiles) and all(p["durability"] in _TRANSIENT_LOCAL for p in profiles)
+    known = max((p["depth"] for p in profiles if isinstance(p["depth"], int)), default=0)
+    found = QoSProfile(
+        depth=max(known, 1) if latched else max(known, VOLATILE_DEPTH),
+        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
+        durability=(DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE),
+    )
+    for name in ("deadline", "lifespan"):
+        limits = [ns for p in profiles if (ns := _finite_ns(p[name])) is not None]
+        if limits:
+            setattr(found, name, Duration(nanoseconds=max(limits)))
+    return found
+
+
+def _finite_ns(duration: Any) -> int | None:
+    """Return a duration of a bag in ns; None where it is no limit."""
+    try:
+        nanoseconds = int(duration["sec"]) * 1_000_000_000 + int(duration["nsec"])
+    except (KeyError, TypeError, ValueError):
+        return None
+    return nanoseconds if 0 < nanoseconds < INFINITE_NS else None
+
+
+CLOCK_PERIOD_S: Final = 0.01
+
+
+class ReplayPace:
+    """``rate`` seconds of the recording, which begins at ``start_ns``, pass in one second."""
+
+    def __init__(self, node: Node, start_ns: int, rate: float, *, clock: bool) -> None:
+        self._start_ns, self._rate = start_ns, rate
+        self._clock = node.create_publisher(Clock, CLOCK, 10) if clock else None
+        self._begun_s, self._told_s = time.monotonic(), 0.0
+
+    def begin(self) -> None:
+        """Begin now."""
+        self._begun_s = time.monotonic()
+
+    def stood_still(self, seconds: float) -> None:
+        """Go on behind a pause as if there had been none."""
+        self._begun_s += seconds
+
+    def passed_s(self) -> float:
+        """Return how much of the recording has passed, in s."""
+        return (time.monotonic() - self._begun_s) * self._rate
+
+    def left_s(self, log_time_ns: int) -> float:
+        """Return how long it is, in s, until a message is due; negative: it is late."""
+        due_s = self._begun_s + (log_time_ns - self._start_ns) * NANOSECOND / self._rate
+        return due_s - time.monotonic()
+
+    def tick(self) -> None:
+        """Publish the time of the recording, when that is due."""
+        if self._clock is not None and time.monotonic() - self._told_s > CLOCK_PERIOD_S:
+            self._told_s = time.monotonic()
+            now_ns = self._start_ns + int(self.passed_s() / NANOSECOND)
+            self._clock.publish(Clock(clock=time_message(now_ns)))
+
+
+def read_arguments(argv: Sequence[str]) -> Namespace:
+    """Return what the player is asked for; the process ends where that is nothing it knows."""
+    parser = ArgumentParser(prog="player")
+    parser.add_argument("bag", type=Path)
+    parser.add_argument("--rate", type=float, default=1.0)
+    parser.add_argument("--clock", action="store_true")
+    parser.add_argument("--all", dest="everything", action="store_true")
+    parser.add_argument("--no-finish", action="store_true")
+    parser.add_argument("--wait-for", dest="nodes", action="append", default=[])
+    parser.add_argument("--watcher", dest="watchers", action="append", default=[])
+    parser.add_argument("--result", type=Path)
+    return parser.parse_args(argv)
+
 
 LOOK_AROUND_S: Final = 2.0
 """So long the graph is looked at before anything is published."""
@@ -58,7 +151,7 @@ class Player:
         self._guard = ReplayGuard(self._node, self._health, bag, given, self._wait)
         self._told_s = 0.0
         self._pace = ReplayPace(self._node, bag.start_ns, given.rate, clock=given.clock)
-        self._publishers: dict[str, tuple[Publisher, Converter]] = {}
+        self._publishers: dict[str, Publisher] = {}
 
     def play(self) -> None:
         """Publish everything, then have the solver finish; ConfigurationError in bad company."""
@@ -78,31 +171,27 @@ class Player:
                 channel = scan.channels[int(block.headers["channel"][row])]
                 if channel.topic in self._publishers:
                     self._wait_until(int(block.headers["log_time"][row]))
-                    self._publish(channel, block.payload(row), run_number(scan.metadata))
+                    self._publish(channel, block.payload(row))
         say("playing", done_s=self._bag.seconds, total_s=self._bag.seconds)
         self._outcome.tell(self._given.result, finish=not self._given.no_finish)
 
-    def _publish(self, channel: ChannelDefinition, data: bytes, run: int) -> None:
-        publisher, convert = self._publishers[channel.topic]
-        if (converted := convert(data, run)) is None:
-            return
+    def _publish(self, channel: ChannelDefinition, data: bytes) -> None:
         role = self._bag.called.role(channel.topic)
         if role in ORDERS:  # a machine may have come since the last look around
             self._guard.look(channel.topic)
-        publisher.publish(converted)
+        self._publishers[channel.topic].publish(data)
         if role == names.PLAN:
-            self._have_taken(deserialize_message(converted, CalibrationPlan))
+            self._have_taken(deserialize_message(data, CalibrationPlan))
 
     def _make_publishers(self) -> None:
         """Make a publisher for each topic whose type is installed as it was recorded."""
         for topic, channel in self._bag.channels.items():
-            try:
-                kind, convert = publishable(channel)
-            except BagError as error:
-                self._bag.left_out[topic] = str(error)
+            kind, why = importable_type(channel.type_name, channel.type_hash)
+            if kind is None:
+                self._bag.left_out[topic] = why
                 continue
             qos = offered_qos(channel.offered_qos)
-            self._publishers[topic] = self._node.create_publisher(kind, topic, qos), convert
+            self._publishers[topic] = self._node.create_publisher(kind, topic, qos)
         for topic, why in self._bag.left_out.items():
             say("left_out", topic=topic, why=why)
         for text in self._outcome.notes(self._given.clock):
@@ -173,7 +262,9 @@ def _work() -> None:
             raise Ended
 
     try:
-        bag = ReplayedBag.read(given.bag, everything=given.everything, progress=reading)
+        with unread() as missing:
+            bag = ReplayedBag.read(given.bag, everything=given.everything, progress=reading)
+        say("unread", texts=list(missing))
         peer = Peer("player", bag.namespace, sys.argv)
         try:
             Player(peer, bag, given, end).play()

@@ -164,6 +164,6 @@ def rate_faults(values: Values, configuration: Configuration) -> Iterator[str]:
     if 1.0 / rate > planner.stream_timeout_s:
         yield (
             f"{name} comes every {1.0 / rate:.3g} s: after planner.stream_timeout_s = "
-            f"{planner.stream_timeout_s:g} s it is lost; a longer time, or "
+            f"{planner.stream_timeout_s:g} s it is silent; a longer time, or "
             "topics.length_single_shot: true for an instrument that is asked"
         )

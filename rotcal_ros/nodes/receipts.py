@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 
@@ -30,7 +29,7 @@ class Receipts:
         self, node: CellNode, called: CalledOtherwise, listener: Listener, session: RecordedSession
     ) -> None:
         self._clock, self._called, self._listener = node.get_clock(), called, listener
-        self._logger = node.get_logger()
+        self._logger, self._awake = node.get_logger(), node.health.awake
         self._session, self._pending = session, PendingReceipts(answered=False)
         self._publisher = node.create_publisher(RecordedObservation, "observation_recorded", EVENT)
 
@@ -58,7 +57,7 @@ class Receipts:
             self._pending.reach(reached_ns or 0)
             return
         lost = self._called.lost(losses())
-        for receipt in self._pending.due(reached_ns, lost, time.monotonic()):
+        for receipt in self._pending.due(reached_ns, lost, self._awake.now_s()):
             if not self._pending.is_answered(receipt):
                 self._logger.warning(
                     f"step {receipt.step}, attempt {receipt.attempt}: the point that answered the "

@@ -14,7 +14,7 @@ from rotcal_ros.bags.recorder_settings import RecorderSettings
 from rotcal_ros.clock_jumps import noted
 from rotcal_ros.errors import BagError, RotcalError
 from rotcal_ros.nodes.aside import done_aside
-from rotcal_ros.nodes.bookkeeping import Silences
+from rotcal_ros.nodes.bookkeeping import LogTimes, Silences
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.draining import GRAPH_PERIOD_S, Batch
 from rotcal_ros.nodes.dropouts import TOGETHER_S, DropoutNotes
@@ -48,6 +48,7 @@ class RecorderNode(CellNode):
         self._recording: Recording | None = None
         self._silences = Silences(self._settings.silence_s, time.monotonic())
         self._jumps_before, self._reading, self._unwanted = 0, False, False
+        self._log_times = LogTimes(self._clock_jumps)
         self.offer(StartRecording, "start_recording", self._start)
         self.offer(StartRecording, "continue_recording", self._go_on)
         self.offer(StopRecording, "stop_recording", self._stop, always=True)
@@ -91,12 +92,19 @@ class RecorderNode(CellNode):
         if (recording := self._writing()) is None:
             return
         messages = Messages.taken(topic.channel, batch)
+        arrived_ns = [received_ns for _, received_ns, _ in messages.items]
+        messages = messages.at(self._log_times.ascending(topic.channel.topic, arrived_ns))
         if not recording.put(messages):
             self._dropouts.refused(messages)
         self._receipts.hear(topic, batch)
         for receipt in self._receipts.due(self._all_losses):
             self._dropouts.write()
             recording.confirm(receipt)
+
+    def _clock_jumps(self) -> int:
+        """Return how often the clock was set, just now included."""
+        self.health.clock.look()
+        return self.health.clock.watch.count
 
     def _all_losses(self) -> Counter[str]:
         """Return what was lost since the bag was opened, here and at the full queue."""

@@ -49,6 +49,11 @@ class Messages:
         times = ((d, i["received_timestamp"] or now_ns, i["source_timestamp"]) for d, i in batch)
         return cls(channel, [(data, taken, sent or taken) for data, taken, sent in times])
 
+    def at(self, received_ns: Sequence[int]) -> Messages:
+        """Return them with other times of reception."""
+        times = zip(self.items, received_ns, strict=True)
+        return Messages(self.channel, [(data, now, sent) for (data, _, sent), now in times])
+
     def size(self) -> int:
         """Return the number of payload bytes."""
         return sum(len(data) for data, _, _ in self.items)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +15,7 @@ from rotcal_msgs.srv import FinishCalibration
 from rotcal_ros import messages
 from rotcal_ros.bags import names
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.files import write_atomically
 from rotcal_ros.nodes.bookkeeping import NEVER_PAUSE
 from rotcal_ros.nodes.health import Health
@@ -24,9 +25,8 @@ from rotcal_ros.nodes.qos import EVENT
 from rotcal_ros.nodes.replayed_bag import ReplayedBag, of_attempts
 from rotcal_ros.nodes.running import EndRequest
 from rotcal_ros.observations import Observation
+from rotcal_ros.results import Result
 
-Published = Mapping[str, tuple[Publisher, object]]
-"""Publishers by topic, and what else belongs to them."""
 ARRIVAL_S: Final = 10.0
 """So long the last observations may take behind the last message."""
 SOLVE_S: Final = 3600.0
@@ -58,7 +58,7 @@ class ReplayOutcome:
         """Return which of the nodes that make the result again are here, not replayed."""
         return set() if self._everything else self._health.present() & self.needed.keys()
 
-    def unheard(self, published: Published, *, with_plan: bool) -> set[str]:
+    def unheard(self, published: Mapping[str, Publisher], *, with_plan: bool) -> set[str]:
         """Return the ``published`` topics to which live nodes do not listen yet that need them.
 
         Those of another name they know ``with_plan`` only.
@@ -67,7 +67,7 @@ class ReplayOutcome:
         for node in self.live():
             for topic in published.keys() & {*self._bag.roles(*self.needed[node])}:
                 listening = self._peer.node.get_subscriptions_info_by_topic(topic)
-                matched = published[topic][0].get_subscription_count() >= len(listening)
+                matched = published[topic].get_subscription_count() >= len(listening)
                 known = with_plan or topic not in self._bag.called.topics.values()
                 if known and not (matched and node in {info.node_name for info in listening}):
                     found.add(topic)
@@ -118,7 +118,7 @@ class ReplayOutcome:
         live = of_attempts(self._observed)
         different = sorted(
             attempt for attempt in recorded.keys() | live.keys()
-            if not _same(live.get(attempt), recorded.get(attempt))
+            if live.get(attempt) != recorded.get(attempt)
         )  # fmt: skip
         first = (f"step {step} (attempt {number})" for _, step, number in different[:_SHOWN])
         return {
@@ -145,17 +145,14 @@ class ReplayOutcome:
                 write_atomically(path, answer.result_json)
             except OSError as error:
                 raise ConfigurationError(f"cannot write {path}: {error}") from error
-        line = json.loads(answer.result_json)["verdict_line"]
-        return {"verdict": answer.verdict, "verdict_line": line}
+        result = Result.from_dict(json.loads(answer.result_json))
+        return {
+            "verdict": answer.verdict,
+            "verdict_line": result.verdict_line,
+            "marks": [asdict(mark) for mark in marks(result)],
+        }
 
     def _wait(self, condition: object, timeout_s: float) -> bool:
         assert callable(condition)
         self._peer.work_until(lambda: bool(self._end) or condition(), timeout_s)
         return bool(condition())
-
-
-def _same(live: Observation | None, recorded: Observation | None) -> bool:
-    """Return whether two observations are equal; earlier versions told no segment."""
-    if live is not None and recorded is not None and recorded.segment < 0:
-        recorded = replace(recorded, segment=live.segment)
-    return live == recorded

@@ -27,11 +27,12 @@ from rotcal_ros.units import NANOSECOND
 
 OUTPUTS: Final = frozenset({
     names.OBSERVATION, "observation_recorded", "deviations", "compensation_table", "heartbeat",
-    "scene", "scene_motion", names.DROPOUTS,
+    "volumetric_correction", "scene", "scene_motion", names.DROPOUTS,
 })  # fmt: skip
 """Last names of what our own nodes make of the streams: live ones shall make it again."""
 OF_ROS: Final = ("/diagnostics", "/rosout", "/parameter_events", "/clock")
 CLOCK: Final = "/clock"
+_PACKAGE: Final = "rotcal_msgs/"
 Attempt = tuple[int, int, int]
 """Run, step and attempt."""
 
@@ -114,7 +115,12 @@ class ReplayedBag:
         """Find out which topics play which role."""
         self.called.topics = {r: t for r, t in found.names.items() if r in names.ROLES}
         plan = self.called.topics.get(names.PLAN)
-        plans = [t for t in self.channels if t == plan or t.rpartition("/")[2] == names.PLAN]
+        plans = [
+            topic
+            for topic, channel in self.channels.items()
+            if topic == plan
+            or (_last(topic) == names.PLAN and channel.type_name.startswith(_PACKAGE))
+        ]
         if len(plans) > 1:
             raise BagError(
                 f"the bag holds the plans of several cells ({', '.join(sorted(plans))}): "
@@ -173,7 +179,8 @@ class _Found:
             channel = scan.channels[number]
             self.channels.setdefault(channel.topic, channel)
             self.counts[channel.topic] = self.counts.get(channel.topic, 0) + count
-            if channel.topic in of_interest or channel.topic.rpartition("/")[2] in wanted:
+            ours = channel.type_name.startswith(_PACKAGE)
+            if ours and (channel.topic in of_interest or _last(channel.topic) in wanted):
                 rows = np.flatnonzero(block.headers["channel"] == number).tolist()
                 self._kept.setdefault(channel.topic, []).extend(map(block.payload, rows))
 
@@ -193,6 +200,10 @@ class _Found:
             for data in self._kept.get(topic, ()):
                 if (message := decoder.message(data)) is not None:
                     yield message
+
+
+def _last(topic: str) -> str:
+    return topic.rpartition("/")[2]
 
 
 def of_attempts(observations: Iterable[Observation]) -> dict[Attempt, Observation]:

@@ -1,55 +1,105 @@
-"""Who beats and who fell silent, without ROS."""
+"""Who is there, who is slow and who is lost, without ROS.
+
+A node is *lost* when its process is gone, and *slow* while its sign of life is late: nobody gives
+up a slow one before the settled time is over.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from math import inf
 from typing import Final
 
+from rotcal_ros.planning.health_settings import HealthSettings
+
 SOLVING: Final = "solving"
-"""State of a node whose numerics may hold up its beat: it is given SOLVING_TIMEOUT_S."""
-SOLVING_TIMEOUT_S: Final = 10.0
+"""State of a node whose numerics are at work."""
 LOADING: Final = "loading what the plan needs"
-"""State of a node that loads a method's code, which may take as long on a busy machine."""
+"""State of a node that loads a method's code, or reads what was measured before."""
+LATE_S: Final = 0.6
+"""A sign of life that is three beats late is worth a look at the process."""
+OVER_S: Final = 60.0
+"""An overload is over when nobody has been slow for so long."""
 
 
 @dataclass
 class RollCall:
-    """Who is there: ``seen`` is name -> monotonic time (s) of the last beat.
+    """Who is there: ``seen`` is name -> when it last answered, by a clock of the caller (s).
 
-    ``timeout_s`` is the silence after which a node counts as lost, SOLVING_TIMEOUT_S for those
-    that are ``solving`` or loading. A pause of the caller itself (a stalled machine) is not blamed
-    on the others: it is granted to all.
+    That clock stands while the caller does, see :class:`~rotcal_ros.machine_load.AwakeClock`.
+    ``slow`` is name -> seconds, ``lost`` is name -> why, both as of the latest look.
     """
 
-    timeout_s: float
+    settings: HealthSettings = field(default_factory=HealthSettings)
     seen: dict[str, float] = field(default_factory=dict)
-    solving: set[str] = field(default_factory=set)
-    _checked: float | None = None
-    _aware_from: float = -inf
+    slow: dict[str, float] = field(default_factory=dict)
+    lost: dict[str, str] = field(default_factory=dict)
 
-    def hear(self, name: str, state: str, now: float) -> None:
-        """Take a beat of node ``name``."""
-        self.seen[name] = now
-        (self.solving.add if state in (SOLVING, LOADING) else self.solving.discard)(name)
+    def hear(self, name: str, answered_s: float) -> None:
+        """Take a beat of a node that last took a turn at ``answered_s``; it is there."""
+        self.seen[name] = answered_s
+        if self.lost.pop(name, ""):
+            self.slow.pop(name, None)
 
-    def silent(self, now: float) -> dict[str, float]:
-        """Return the lost names with their silence in seconds; call it regularly."""
-        pause = 0.0 if self._checked is None else now - self._checked
-        self._checked = now
-        if pause > self.timeout_s / 2:
-            self.seen = {name: seen + pause for name, seen in self.seen.items()}
-            self._aware_from = now + self.timeout_s / 2
-        silence = {name: now - seen for name, seen in self.seen.items()}
-        return {name: s for name, s in silence.items() if s > self._granted(name)}
+    def forget(self, name: str) -> None:
+        """Take a goodbye."""
+        for book in (self.seen, self.slow, self.lost):
+            book.pop(name, None)
 
-    def aware(self, now: float) -> bool:
-        """Return whether the caller knows the others as they are now.
+    def look(self, now_s: float, gone: Callable[[str], str]) -> list[str]:
+        """Judge all nodes; return the names of those that are lost since the last look.
 
-        Not at once behind a pause of its own: what they said meanwhile is still to come.
+        ``gone`` says why the process of a node is gone, empty: it is there, or nobody can tell.
+        It is asked of those alone whose beat is late.
         """
-        pause = 0.0 if self._checked is None else now - self._checked
-        return pause <= self.timeout_s / 2 and now >= self._aware_from
+        silence = {name: now_s - seen_s for name, seen_s in self.seen.items()}
+        late = {n: s for n, s in silence.items() if s > LATE_S and n not in self.lost}
+        given_up = self.settings.lost_after_s
+        why = {
+            n: gone(n) or (f"no sign of it for {s:.0f} s" if s > given_up else "")
+            for n, s in late.items()
+        }
+        new = [name for name in late if why[name]]
+        self.lost |= {name: why[name] for name in new}
+        slow_after = self.settings.slow_after_s
+        self.slow = {n: s for n, s in late.items() if s > slow_after and not why[n]}
+        return new
 
-    def _granted(self, name: str) -> float:
-        return SOLVING_TIMEOUT_S if name in self.solving else self.timeout_s
+
+@dataclass
+class Overload:
+    """Tells once of an overload: at its begin, and when it is over.
+
+    ``text`` says who is waited for now, empty: nobody.
+    """
+
+    text: str = ""
+    _times: int = 0
+    _longest_s: float = 0.0
+    _last_s: float | None = None
+
+    def look(self, slow: Mapping[str, float], now_s: float, machine: Callable[[], str]) -> str:
+        """Take who is slow (name -> s); return what to log, empty: nothing.
+
+        ``now_s`` is monotonic, ``machine`` tells the load of the machine in words.
+        """
+        was_waiting = bool(self.text)
+        if not slow:
+            self.text = ""
+            over = self._last_s is not None and now_s - self._last_s > OVER_S
+            return self._end() if over else ""
+        if not was_waiting:
+            names = ", ".join(f"{name} ({s:.1f} s)" for name, s in sorted(slow.items()))
+            self.text = f"waiting for {names}: slow, not lost; {machine()}"
+        self._longest_s = max(self._longest_s, *slow.values())
+        self._times += not was_waiting
+        begins, self._last_s = self._last_s is None, now_s
+        return f"{self.text}; it goes on by itself" if begins else ""
+
+    def _end(self) -> str:
+        text = (
+            f"nobody has been slow for {OVER_S:g} s: waited {self._times} times, the longest "
+            f"silence was {self._longest_s:.1f} s"
+        )
+        self._times, self._longest_s, self._last_s = 0, 0.0, None
+        return text

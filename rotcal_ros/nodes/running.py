@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -17,6 +16,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.signals import SignalHandlerOptions
 
 from rotcal_ros.errors import ConfigurationError, RotcalError
+from rotcal_ros.machine_load import Patience
 from rotcal_ros.middleware import ROS_DEFAULT_RANGE, middleware, without_security
 from rotcal_ros.nodes.cell_node import CellNode
 from rotcal_ros.nodes.memory import end_without_memory
@@ -118,8 +118,8 @@ def _spin(make: Callable[[], CellNode]) -> None:
 def _finish(node: CellNode, executor: SingleThreadedExecutor) -> None:
     """Let a node end its work, for a limited time."""
     node.begin_stop()
-    deadline = time.monotonic() + STOP_TIMEOUT_S
+    patience = Patience(STOP_TIMEOUT_S)
     while not node.stopped():
-        if time.monotonic() > deadline:
+        if patience.is_over():
             return
         executor.spin_once(timeout_sec=_TURN_S)

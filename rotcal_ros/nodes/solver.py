@@ -7,7 +7,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Any
 
-from rotcal_msgs.msg import CalibrationPlan, DeviationArray, TableInForce
+from rotcal_msgs.msg import (
+    CalibrationPlan,
+    DeviationArray,
+    TableInForce,
+    VolumetricCorrection,
+)
 from rotcal_msgs.msg import CompensationTable as CompensationTableMsg
 from rotcal_msgs.msg import Observation as ObservationMsg
 from rotcal_msgs.srv import FinishCalibration
@@ -18,12 +23,20 @@ from rotcal_ros.catalogue import Calibration
 from rotcal_ros.catalogue.calibration import RunStep
 from rotcal_ros.compensation.table import table_from_result
 from rotcal_ros.errors import DataError, RotcalError
+from rotcal_ros.in_force import of_axis
 from rotcal_ros.nodes import conversions
 from rotcal_ros.nodes.cell_node import CellNode, until
 from rotcal_ros.nodes.earlier_observations import EarlierObservations
 from rotcal_ros.nodes.frames import StaticFrames
 from rotcal_ros.nodes.planners_plans import PlannersPlans
-from rotcal_ros.nodes.plans import REFUSED, RUN, calibration_of, read_continuation, run_name
+from rotcal_ros.nodes.plans import (
+    REFUSED,
+    RUN,
+    calibration_of,
+    load_method,
+    read_continuation,
+    run_name,
+)
 from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.roll_call import LOADING, SOLVING
 from rotcal_ros.nodes.running import run
@@ -42,22 +55,26 @@ class SolverNode(CellNode):
 
     def configure(self) -> None:
         """Wait for plans."""
+        load_method(self)
         period_s = self.parameter("preliminary_period_s", 3.0, "s, between preliminary results")
         self._continuation = read_continuation(self)
         self._calibration: Calibration | None = None
         self._run, self._state = "", "waiting for a plan"
         self._observations: dict[RunStep, Observation] = {}
-        self._in_force: list[str] = []
+        self._in_force: list[tuple[str, str]] = []  # axis and state, as announced
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="solve")
         self._solving: Future[Result] | None = None
         self._run_number = self._solved_count = 0
         self._deviations = self.create_publisher(DeviationArray, "deviations", LATCHED)
         self._tables = self.create_publisher(CompensationTableMsg, "compensation_table", LATCHED)
+        self._corrections = self.create_publisher(
+            VolumetricCorrection, "volumetric_correction", LATCHED
+        )
         self._earlier = EarlierObservations(self)
         PlannersPlans(self, self._take_plan)
         self._frames = StaticFrames(self, self.health.guarded)
         self.listen(TableInForce, names.TABLE_IN_FORCE, self._note_in_force, LATCHED)
-        self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT)
+        self.listen(ObservationMsg, names.OBSERVATION, self._take, EVENT, judged=True)
         self.offer(FinishCalibration, "finish_calibration", self._finish)
         self.every(period_s, self._preliminary)
 
@@ -82,7 +99,8 @@ class SolverNode(CellNode):
             kept = {(o.run, o.step): o for o in known.observations}
         self._run_number, self._solved_count = message.run, 0
         if message.run == 0:
-            self._in_force = self._in_force[-1:]  # what was in force before is of no concern
+            # what was in force before is of no concern
+            self._in_force = list(dict(self._in_force).items())
         self._earlier.ask(message, kept, partial(self._begin_run, message))
 
     def _begin_run(self, message: CalibrationPlan, known: Mapping[RunStep, Observation]) -> None:
@@ -95,8 +113,9 @@ class SolverNode(CellNode):
         self._observations = {**known, **self._observations}
 
     def _note_in_force(self, message: TableInForce) -> None:
-        if self._in_force[-1:] != [message.in_force]:
-            self._in_force.append(message.in_force)
+        announced = (message.axis, message.in_force)
+        if self._in_force[-1:] != [announced]:
+            self._in_force.append(announced)
 
     def _take(self, message: ObservationMsg) -> None:
         if self._calibration is not None and message.accepted:
@@ -114,7 +133,8 @@ class SolverNode(CellNode):
             )
 
     def _begin(self, calibration: Calibration) -> Future[Result]:
-        known = tuple(self._observations.values()), tuple(self._in_force), self._frames.frames
+        announced = of_axis(self._in_force, calibration.configuration.cell.axis)
+        known = tuple(self._observations.values()), announced, self._frames.frames
         self._solving = self._worker.submit(calibration.solve, *known)
         self.health.beat()  # before the numerics can hold it up
         return self._solving
@@ -171,7 +191,7 @@ class SolverNode(CellNode):
         return await self.answer_of(self._begin(calibration), SOLVE_TIMEOUT_S)
 
     def _publish(self, result: Result, *, final: bool) -> None:
-        """Publish the deviations; with the final ones the table, if there is one."""
+        """Publish the deviations; with the final ones the corrections, of all and of ECC."""
         assert self._calibration is not None
         configuration = self._calibration.configuration
         plan_id, now_ns = configuration.plan_id, self.now_ns()
@@ -179,8 +199,10 @@ class SolverNode(CellNode):
         self._deviations.publish(message)
         if not final:
             return
+        axis = configuration.cell.axis
+        self._corrections.publish(conversions.correction_message(result, axis, plan_id, now_ns))
         try:
-            table = table_from_result(result, axis=configuration.cell.axis)
+            table = table_from_result(result, axis=axis)
         except RotcalError as error:
             self.get_logger().warning(f"no compensation table: {error}")
             return

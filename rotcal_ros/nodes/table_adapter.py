@@ -6,7 +6,6 @@ or does not happen, is logged and stands in the diagnostics.
 
 from __future__ import annotations
 
-import time
 from typing import Any, Final
 
 from rotcal_msgs.msg import TableAngle
@@ -82,14 +81,14 @@ class TableAdapter(CellNode):
         """Take an order; it takes the place of one that is under way."""
         if self._stop.refuses(message.step):
             return
-        self._waiting, self._waiting_s, self._refused = message, time.monotonic(), ""
+        self._waiting, self._waiting_s, self._refused = message, self.health.awake.now_s(), ""
         self._held = False
         self._send()
 
     def _halt(self, _why: str) -> None:
         """Forget the order that waits, and bring a joint that moves by another to rest."""
         self._waiting, self._state = None, "waiting for an order"
-        if not self._watch.under_way(now_s := time.monotonic()):
+        if not self._watch.under_way(now_s := self.health.awake.now_s()):
             return
         sent = self._controller.setpoint() or self._watch.motion(now_s)
         self._held = sent is not None
@@ -104,7 +103,7 @@ class TableAdapter(CellNode):
 
     def _send(self) -> None:
         """Send what waits, as soon as it is known where the joint stands and who listens."""
-        order, here = self._waiting, self._watch.here(time.monotonic())
+        order, here = self._waiting, self._watch.here(self.health.awake.now_s())
         if order is None or here is None or self._watch.doubt() or not self._controller.heard():
             return
         self._waiting = None
@@ -116,11 +115,11 @@ class TableAdapter(CellNode):
             self._refused = str(error)
             return
         self._controller.send(way)
-        self._watch.begin(way, time.monotonic())
+        self._watch.begin(way, self.health.awake.now_s())
 
     def _forget(self) -> None:
         """Forget an order that waits when its calibration has ended: it must not move later."""
-        old = time.monotonic() > self._waiting_s + FRESH_S
+        old = self.health.awake.now_s() > self._waiting_s + FRESH_S
         planner = self.health.state("planner")
         ended = bool(planner) and not planner.startswith(CALIBRATING)
         if self._waiting is not None and old and (ended or "planner" in self.health.lost):
@@ -133,7 +132,7 @@ class TableAdapter(CellNode):
             if sample is None:
                 self._others = tuple(message.name)
                 continue
-            feedback = self._watch.hear(sample, time.monotonic())
+            feedback = self._watch.hear(sample, self.health.awake.now_s())
             if feedback is not None and self._passes_on:
                 self._feedback.publish(conversions.table_message(feedback, self._joint))
         self._send()
@@ -158,12 +157,12 @@ class TableAdapter(CellNode):
         if self._watch.latest is None and self._others:
             return (
                 f"no joint {self._joint!r} in {self._settings.feedback}, which has "
-                f"{', '.join(self._others)}: set cell.joint"
+                f"{', '.join(self._others)}: name one of these in cell.joint"
             )
         if self._waiting is not None:
             return self._why_waiting()
         word = self._controller.word()
-        text = "" if self._held else self._watch.complaint(time.monotonic())
+        text = "" if self._held else self._watch.complaint(self.health.awake.now_s())
         if word.trouble and (self._held or not self._watch.arrived()):
             text = word.trouble
         if text and word.done:
@@ -174,7 +173,7 @@ class TableAdapter(CellNode):
         """Say why an order is not sent; nothing while graphs may still come together."""
         if doubt := self._watch.doubt():
             return doubt
-        if time.monotonic() <= self._waiting_s + self._settings.silence_s:
+        if self.health.awake.now_s() <= self._waiting_s + self._settings.silence_s:
             return ""
         if self._watch.latest is None:
             return f"nobody publishes {self._settings.feedback}: nothing can be moved"

@@ -80,7 +80,8 @@ def _after_the_end(heard: Heard) -> Now | None:
         return Now("stopped", "Stopped", _sentence(heard.error))
     if heard.error:
         return Now("failed", "The calibration ended without a result", _sentence(heard.error))
-    return Now("done", f"Finished: {heard.verdict}", "The result and its bag are on disk.")
+    return Now("done", f"Finished, measurement {heard.verdict}",
+               "The result and its bag are on disk.")  # fmt: skip
 
 
 def _sentence(words: str) -> str:

@@ -73,8 +73,17 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
+class Mark:
+    """One answer about a result: ``line`` in words, ``kind`` names its colour."""
+
+    name: str
+    kind: str
+    line: str
+
+
+@dataclass(frozen=True, slots=True)
 class Deviations:
-    """What is known of the table so far; ``verdict`` counts once it is ``final``.
+    """What is known of the table so far; there are ``marks`` once it is ``final``.
 
     ``withheld`` says why no uncertainty may be stated; empty where it may.
     """
@@ -83,23 +92,24 @@ class Deviations:
     curves: tuple[Curve, ...]
     observations: int
     final: bool
-    verdict: str
+    marks: tuple[Mark, ...]
     warnings: tuple[str, ...]
     withheld: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """Expanded uncertainty (k = 2) of ECC against the goal, if any.
+    """The uncertainty of ECC and how it stands to the goal, if any.
 
-    ``now_arcsec`` is that of the policy, which the goal is for; until it is known, and without a
-    goal, the largest of the curve (``of_curve``). ``course`` holds the latter over the steps.
-    ``withheld`` says why none of it may be stated; empty where it may.
+    ``largest_arcsec`` is U, the largest expanded uncertainty (k = 2) of the curve, as everywhere;
+    ``course`` holds it over the accepted steps. ``goal_arcsec`` is for another figure, the root
+    mean square of U about the mean: ``rms_arcsec``, as the policy knows it. ``withheld`` says why
+    none of it may be stated; empty where it may.
     """
 
-    now_arcsec: float | None = None
+    largest_arcsec: float | None = None
+    rms_arcsec: float | None = None
     goal_arcsec: float | None = None
-    of_curve: bool = True
     course: Points = ()
     withheld: str = ""
 
@@ -117,7 +127,7 @@ class PlanView:
 class Pointing:
     """The step that was ordered last; ``stand`` is None where there is no beam."""
 
-    step: int
+    place: str
     table_angle_deg: float
     target: tuple[float, float]
     stand: tuple[float, float] | None
@@ -150,8 +160,7 @@ class Rejection:
     """An attempt that was not accepted."""
 
     time_s: float
-    step: int
-    attempt: int
+    place: str
     reason: str
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rotcal_ros.errors import PlanError
-from rotcal_ros.observations import Approach, Command, Observation, PointKind
+from rotcal_ros.observations import Approach, Command, Observation, PointKind, place_in_words
 
 Point = tuple[float, float, float]
 
@@ -42,6 +42,10 @@ class Step:
     station: int = 0
     n_points: int = 1
     ball_diameter: float = 0.0
+
+    def in_words(self, attempt: int = 0) -> str:
+        """Return where this step is, for people."""
+        return place_in_words(self.table_position, self.target, attempt)
 
     def command(self, attempt: int) -> Command:
         """Return the order for one attempt at this step."""

@@ -63,7 +63,11 @@ class PlannerSettings:
         maximum=3600.0,
     )
     stream_timeout_s: float = setting(
-        2.0, doc="s, silence of an instrument after which it is lost", minimum=0.1, maximum=3600.0
+        2.0,
+        doc="s, silence of an instrument after which it is waited for; it is lost where nobody "
+        "publishes it any more, and after health.lost_after_s",
+        minimum=0.1,
+        maximum=3600.0,
     )
     join_steps: int = setting(
         8,

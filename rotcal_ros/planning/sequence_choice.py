@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -26,8 +27,8 @@ Blocks = Callable[[Ints], Ints]
 
 CLOSED: Final = "closed"
 MOST_SWEEPS: Final = 4
-KINDS: Final = MOST_SWEEPS + 1
-"""Orders that compete: the quickest, the closed one, and those of two sweeps and more."""
+SPARSE: Final = (2, 3)
+"""Of every so many positions one is visited once more by a last sweep, which saves turns."""
 DRAWS: Final = 8
 """Ways of sharing the lengths among the sweeps of which the best protected one is kept."""
 KICKS: Final = 20
@@ -49,7 +50,7 @@ class MeasuringOrder:
     """One order of k lengths: ``order`` (k,) are their rows as they are measured.
 
     ``seconds`` from the end of the first length to that of the last, which no order can do in less
-    than ``bound``. ``name`` is quickest, closed, or the number of sweeps.
+    than ``bound``. ``name`` is quickest, closed, or the number of sweeps and of which positions.
     """
 
     name: str
@@ -67,6 +68,7 @@ def measuring_orders(
     *,
     limit: float = TOLERABLE,
     seed: int = 0,
+    sparse: tuple[int, ...] = SPARSE,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[MeasuringOrder, ...]:
     """Return the orders that compete, the quickest first.
@@ -74,8 +76,8 @@ def measuring_orders(
     ``position`` (k,), ``target`` (k,): what each length measures; ``costs`` (k, k) see
     :meth:`~.sequence_time.TimeModel.costs`. Without ``forecast`` nothing is said of drift; with it
     sweeps share the lengths so that neither drift nor knock exceeds ``limit`` (std). A pair that
-    is measured several times is left and approached anew each time. ``progress(done, total)`` is
-    called after each of them.
+    is measured several times is left and approached anew each time. ``sparse``: of every so many
+    positions one is visited by a last sweep. ``progress(done, total)`` is called after each.
 
     Raises PlanError when nothing else could be measured between.
     """
@@ -83,12 +85,13 @@ def measuring_orders(
     np.fill_diagonal(same, val=False)
     costs = costs + AGAIN * same
     rng, bound = np.random.default_rng(seed), shortest_possible(costs)
+    kinds = [*_kinds(position, sparse)]
     kicks = KICKS if len(position) <= MOST_KICKED else 0
     quickest = improved(costs, nearest_next(costs), kicks, seed)
     found = [_judged("quickest", quickest, costs, bound, forecast)]
-    for name, sweeps, blocks in _kinds(position):
+    for name, sweeps, blocks in kinds:
         if progress is not None:
-            progress(len(found), KINDS)
+            progress(len(found), 1 + len(kinds))
         draws = [blocks(share) for share in _drawn(position, sweeps, rng)]
         judged = [_judged(name, _listed(block), costs, bound, forecast) for block in draws]
         block = draws[min(range(DRAWS), key=lambda number: _badness(judged[number]))]
@@ -100,7 +103,7 @@ def measuring_orders(
         order = _traded(order, position, sweeps_at, trade, limit, rng)
         found.append(_judged(name, order, costs, bound, forecast))
     if progress is not None:
-        progress(KINDS, KINDS)
+        progress(1 + len(kinds), 1 + len(kinds))
     found = [way for way in found if not same[way.order[:-1], way.order[1:]].any()]
     if not found:
         raise PlanError(
@@ -130,7 +133,7 @@ def least_hidden(ways: tuple[MeasuringOrder, ...], limit: float = TOLERABLE) -> 
     return min(ways, key=lambda way: (max(_worst(way), limit), way.seconds))
 
 
-def _kinds(position: Ints) -> Iterator[tuple[str, int, Blocks]]:
+def _kinds(position: Ints, sparse: tuple[int, ...]) -> Iterator[tuple[str, int, Blocks]]:
     """Yield name, number of shares, and how the shares (k,) become blocks (k,) in their order."""
     m = int(position.max()) + 1
     first = np.where(position == position.min(), 0, position)
@@ -142,9 +145,18 @@ def _kinds(position: Ints) -> Iterator[tuple[str, int, Blocks]]:
         back = share % 2 == 1
         return _dense(share * m + np.where(back, m - 1 - position, position))
 
+    def in_part(share: Ints, sweeps: int, every: int) -> Ints:
+        """Return blocks whose last sweep passes most positions by; others take their lengths."""
+        passed = (share == sweeps - 1) & (position % every != 0)
+        return swept(np.where(passed, position % (sweeps - 1), share))
+
     yield CLOSED, 2, closed
     for sweeps in range(2, MOST_SWEEPS + 1):
         yield f"{sweeps} sweeps", sweeps, swept
+    for whole in range(2, MOST_SWEEPS):
+        for every in sparse:
+            name = f"{whole} sweeps and one of every {every} positions"
+            yield name, whole + 1, partial(in_part, sweeps=whole + 1, every=every)
 
 
 def _traded(

@@ -21,7 +21,8 @@ def find_bags(sources: Sequence[str]) -> tuple[str, ...]:
     """Return the bags that ``sources`` name: bags, folders of bags, globs, and lists of these.
 
     A list is a text file (``.txt``) with one bag per line, relative to itself; empty lines and
-    those that begin with # are left out. URLs (``s3://...``) go through fsspec and are a file, a
+    those that begin with # are left out; a line that names nothing stays, as a bag that cannot be
+    read. URLs (``s3://...``) go through fsspec and are a file, a
     pattern with *, or a prefix, which is read like a folder. What several paths or links lead to
     is taken once, under the first; a session stands for each of its files.
 
@@ -102,7 +103,17 @@ class _Search:
             raise BagError(f"cannot read the list {path}: {error}") from error
         for line in map(str.strip, lines):
             if line and not line.startswith("#"):
-                yield from self.bags_of(line if is_remote(line) else str(path.parent / line))
+                yield from self._entry(line if is_remote(line) else str(path.parent / line))
+
+    def _entry(self, source: str) -> Iterator[str]:
+        """Yield the bags of a line; one that names nothing is a bag that cannot be read."""
+        known = not is_remote(source) and self._known(Path(source))
+        named = False
+        for bag in self.bags_of(source):
+            named = True
+            yield bag
+        if not named and not known:
+            yield source if is_remote(source) else _plain(Path(source))
 
     def _in_folder(self, path: Path) -> Iterator[str]:
         """Yield the folder itself when it is a bag, else the bags in it, however deep."""
@@ -142,6 +153,14 @@ class _Search:
             yield path
             if _is_folder(entry):
                 yield from self.below(path)
+
+    def _known(self, path: Path) -> bool:
+        """Return whether it was entered before."""
+        try:
+            status = path.stat()
+        except OSError:
+            return False
+        return (status.st_dev, status.st_ino) in self._entered
 
     def _enter(self, path: Path) -> bool:
         """Return whether this is the first time here."""

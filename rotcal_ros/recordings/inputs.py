@@ -14,7 +14,7 @@ from rotcal_ros.catalogue.setup_file import read_setup
 from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.recordings.recorded_setup import find_configuration
 from rotcal_ros.recordings.replay import Recording, Source, read_recording
-from rotcal_ros.recordings.topics import Topics
+from rotcal_ros.recordings.topics import Topics, of_one_cell
 from rotcal_ros.tables import is_table
 
 
@@ -86,5 +86,10 @@ class Input:
             return changed(read_setup(self.setup), changes)
         if not changes:
             return None
-        recorded = find_configuration(bag_files(self.path), Topics(self.namespace), limits)
+        files = bag_files(self.path)
+
+        def found(topics: Topics) -> Configuration:
+            return find_configuration(files, topics, limits)
+
+        recorded = of_one_cell(found, Topics(self.namespace), files, limits)
         return changed(recorded, changes, OFFLINE_GROUPS)

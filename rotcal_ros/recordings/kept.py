@@ -27,7 +27,7 @@ class Outcome:
     recorded with, else the folder it lies in. ``start_ns`` is the log time of the first message,
     ``session`` is the same for a recording, its copies and its repaired twins. ``cached`` tells
     that nothing had to be computed, ``healed`` that what was kept was broken and was computed
-    again.
+    again. ``unread`` says what of the bag could not be read.
     """
 
     source: str
@@ -37,6 +37,7 @@ class Outcome:
     session: str = ""
     result: dict[str, Any] | None = field(default=None, repr=False)
     warnings: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
     error: str = ""
     seconds: float = 0.0
     cached: bool = False
@@ -88,7 +89,7 @@ def read_entry(folder: Path, key: str) -> Outcome | None:
     if checksum != _checksum(text):
         raise BrokenEntry(f"{key}: not as it was written")
     known = json.loads(text)
-    return Outcome(**known | {"warnings": tuple(known["warnings"])})
+    return Outcome(**known | {name: tuple(known[name]) for name in ("warnings", "unread")})
 
 
 def write_entry(folder: Path, outcome: Outcome) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.session_identity import session_of
+from rotcal_ros.bags.unread import unread
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError, RotcalError
 from rotcal_ros.recordings.kept import (
@@ -77,7 +78,8 @@ def _in_words(error: Exception) -> str:
 
 
 def _solve(job: Job, path: Path, key: str) -> Outcome:
-    recording = read_recording(path, configuration=job.configuration)
+    with unread() as missing:
+        recording = read_recording(path, configuration=job.configuration)
     starts = [v.start_ns for v in recording.verdicts if v.start_ns is not None]
     return Outcome(
         source=job.source,
@@ -87,6 +89,7 @@ def _solve(job: Job, path: Path, key: str) -> Outcome:
         session=session_of(path),
         result=recording.solve().to_dict(),
         warnings=recording.warnings(),
+        unread=tuple(missing),
     )
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 
-from rotcal_ros import catalogue
 from rotcal_ros.bags import names
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
@@ -45,6 +45,38 @@ def find_configuration(
     )
 
 
+def require_one_configuration(scans: Iterable[Scan], planned: Iterable[str], path: Path) -> None:
+    """Raise BagError, with the lines, where a bag states two configurations that differ.
+
+    ``planned`` are the texts of its plans. Which of two was measured with nobody can tell from
+    the bag: a set-up has to be given.
+    """
+    texts: dict[str, str] = {}
+    for scan in scans:
+        for kept in (scan.replaced, scan.attachments):
+            if names.CONFIGURATION in kept:
+                text = kept[names.CONFIGURATION].data.decode(errors="replace")
+                texts.setdefault(text, f"the attachment of {scan.path.name}")
+    for text in planned:
+        texts.setdefault(text, f"a message on the topic {names.PLAN}")
+    if len(texts) > 1:
+        (first, place), (second, other), *_ = texts.items()
+        raise BagError(
+            f"{path} holds {len(texts)} configurations that differ, {place} and {other}: "
+            f"{_first_difference(first, second)}; say which one was measured with (--setup)"
+        )
+
+
+def _first_difference(first: str, second: str) -> str:
+    """Return where two texts begin to differ, in words."""
+    pairs = zip_longest(first.splitlines(), second.splitlines(), fillvalue="")
+    for line, (ours, theirs) in enumerate(pairs, 1):
+        if ours != theirs:
+            here, there = ours.strip(), theirs.strip()
+            return f"line {line} is {here!r:.80} in one and {there!r:.80} in the other"
+    return "in their line ends"
+
+
 def recorded_configurations(texts: Iterable[str]) -> Iterator[Configuration]:
     """Yield the configurations in a bag that can be read."""
     for text in texts:
@@ -68,7 +100,7 @@ def require_its_method(
 def recorded_subjects(texts: Iterable[str], scans: Iterable[Scan]) -> Iterator[Subject]:
     """Yield what a bag says that it measures: its configurations first, then its recorder.
 
-    Settings of an earlier version, which cannot be read today, hide none of it.
+    Settings that cannot be read hide none of it.
     """
     for text in texts:
         with suppress(ConfigurationError):
@@ -89,33 +121,6 @@ def as_recorded(configuration: Configuration, subjects: Sequence[Subject]) -> Co
         identity = next(stated, identity)
     simulated = configuration.simulated or any(simulated for _, simulated in subjects)
     return replace(configuration, simulated=simulated, identity=identity)
-
-
-def as_planned(
-    configuration: Configuration, files: tuple[Path, ...], topics: Topics, limits: ReadingLimits
-) -> catalogue.Calibration:
-    """Return the calibration with the plan that was measured, be it one of an earlier version.
-
-    The number of steps tells, as announced on the ``plan`` topic.
-    """
-    calibration = catalogue.prepare(configuration)
-    older = [plan(configuration) for plan in configuration.method.older_plans]
-    if not older:
-        return calibration
-    scans = (scan_file(file, limits) for file in files)
-    announced = next(_announced_steps(scans, topics), len(calibration.plan.steps))
-    plans = (plan for plan in (calibration.plan, *older) if len(plan.steps) == announced)
-    return replace(calibration, plan=next(plans, calibration.plan))
-
-
-def _announced_steps(scans: Iterable[Scan], topics: Topics) -> Iterator[int]:
-    decoders: Decoders = {}
-    for scan in scans:
-        for block in scan.blocks():
-            for part in topics.split(block, scan, decoders):
-                if part.role == names.PLAN:
-                    with part.taken_as_expected():
-                        yield from (message.total_steps for _, message in part.messages(block))
 
 
 def _configuration_texts(scan: Scan, topics: Topics) -> Iterator[str]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -15,9 +16,11 @@ from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks, sha256_of
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.run_number import run_number
-from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.scan import Contents, Scan
 from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
+from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
+from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.stamp_offsets import OffsetLimits
@@ -30,26 +33,26 @@ from rotcal_ros.catalogue.goal import GoalStanding, goal_standing
 from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.errors import BagError, DataError, RotcalError
 from rotcal_ros.geometry.frames import StaticFrame
-from rotcal_ros.in_force import contradiction
+from rotcal_ros.in_force import contradiction, of_axis
 from rotcal_ros.instruments.steps import StepFinder
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
 from rotcal_ros.recordings.choices import RecordedChoice, differences
 from rotcal_ros.recordings.clock_verdicts import judged_as_live, same_limit
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in, sentences
-from rotcal_ros.recordings.log_times import LogTimes, clock_in_words
+from rotcal_ros.recordings.log_times import clock_in_words
 from rotcal_ros.recordings.nothing_captured import doubtful, why_nothing
 from rotcal_ros.recordings.recorded_setup import (
     Decoders,
-    as_planned,
     as_recorded,
     find_configuration,
     recorded_configurations,
     recorded_subjects,
     require_its_method,
+    require_one_configuration,
 )
-from rotcal_ros.recordings.streams import SLICE_NS, StreamFeeder
-from rotcal_ros.recordings.topics import Part, Topics
+from rotcal_ros.recordings.streams import SLICE_NS, TIMED, StreamFeeder
+from rotcal_ros.recordings.topics import Part, Topics, of_one_cell
 from rotcal_ros.recordings.went_on import known_then
 from rotcal_ros.results import Result
 
@@ -64,10 +67,10 @@ class Recording:
     had published; ``counts`` is what the capture counted per stream (empty when the
     observations were taken from the bag), ``broken`` the messages per topic that could not be
     decoded, and ``sha256`` maps file names to hashes. ``choices`` says why each step was measured,
-    ``announced`` which tables the cell announced to be in force, ``frames`` its static transforms,
-    ``unreadable`` why topics could
-    not be read, ``clock`` how the system clock jumped, in words, ``session`` whether all files
-    are there, ``dropouts`` what the recorder itself missed.
+    ``announced`` which tables the cell announced to be in force for the measured axis,
+    ``other_axes`` which other ones it spoke of, ``frames`` its static transforms, ``unreadable``
+    why topics could not be read, ``clock`` how the system clock jumped, in words, ``session``
+    whether all files are there, ``dropouts`` what the recorder itself missed.
 
     >>> import rotcal_ros as rc
     >>> recording = rc.read_bag("examples/data/ball_plate_bag")
@@ -86,6 +89,7 @@ class Recording:
     attachments: Mapping[str, bytes]
     choices: tuple[RecordedChoice, ...] = ()
     announced: frozenset[str] = frozenset()
+    other_axes: tuple[str, ...] = ()
     frames: tuple[StaticFrame, ...] = ()
     unreadable: Mapping[str, str] = field(default_factory=dict)
     clock: tuple[str, ...] = ()
@@ -113,12 +117,8 @@ class Recording:
     def with_warnings(self, result: Result) -> Result:
         """Return a ``result`` of these observations with what its reader must know of the bag."""
         further = tuple(text for text in self.warnings() if text not in result.warnings)
-        incomplete = self.session.missing and result.verdict == "ok"
-        return replace(
-            result,
-            verdict="suspect" if incomplete else result.verdict,
-            warnings=(*result.warnings, *further),
-        )
+        warned = replace(result, warnings=(*result.warnings, *further))
+        return warned.doubted() if self.session.missing else warned
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the observations."""
@@ -161,10 +161,6 @@ class Recording:
         readings on disk before they could tell what they are.
         """
         again, live = map(catalogue.last_accepted, (self.observations, self.recorded))
-        live = {
-            key: replace(o, segment=again[key].segment) if o.segment < 0 and key in again else o
-            for key, o in live.items()
-        }
         newest: defaultdict[int, int] = defaultdict(int)
         for (run, _), observation in live.items():
             newest[run] = max(newest[run], observation.window_end_ns)
@@ -193,11 +189,17 @@ class Recording:
         texts += losses_in_words(session_losses(self.verdicts))
         texts += [*self.unreadable.values(), *self.clock, *sentences(self.dropouts)]
         texts += doubtful(self.observations, self.counts)
-        texts += [f"{topic}: {n} messages cannot be decoded" for topic, n in self.broken.items()]
+        texts += _undecoded(self.broken)
+        texts += _left_alone(self.verdicts)
         if self.recorded and not self.same_as_recorded:
             texts.append("the observations captured again differ from those captured live")
         if clash := contradiction(self.calibration.in_force(self.announced)):
             texts.append(clash)
+        if self.other_axes:
+            texts.append(
+                f"the cell announced what the controller of axis {', '.join(self.other_axes)} "
+                f"holds: not counted for axis {self.calibration.configuration.cell.axis}"
+            )
         return tuple(texts)
 
 
@@ -213,22 +215,41 @@ def read_recording(
     """Read a bag and capture its observations again, or take the recorded ones.
 
     Without ``configuration`` the one in the bag is used: the attachment, else the text on the
-    ``plan`` topic. Raises BagError when the bag cannot be read, holds no configuration or files of
-    several sessions, and DataError when it was recorded with another method than that of
-    ``configuration``. Memory does not grow with the size of the bag.
+    ``plan`` topic. Raises BagError when the bag cannot be read, holds no configuration, two that
+    differ, or files of several sessions, and DataError when it was recorded with another method
+    than that of ``configuration``. Memory does not grow with the size of the bag.
     """
     files = bag_files(path)
     require_one_session(files, limits)
-    topics = topics or Topics()
+
+    def read(topics: Topics) -> Recording:
+        return _recording(path, files, source, configuration, topics, progress, limits)
+
+    return of_one_cell(read, topics or Topics(), files, limits)
+
+
+def _recording(
+    path: Path,
+    files: tuple[Path, ...],
+    source: Source,
+    configuration: Configuration | None,
+    topics: Topics,
+    progress: Progress | None,
+    limits: ReadingLimits,
+) -> Recording:
+    """Do as :func:`read_recording`; SeveralCells where it is not clear which one is meant."""
+    given = configuration is not None
     if configuration is None:
         configuration = find_configuration(files, topics, limits)
     topics.follow(configuration.topics.renamed())
-    calibration = as_planned(configuration, files, topics, limits)
-    feeder = _feeder(calibration, configuration)
-    blocks = read_blocks(files, progress, limits)
-    found = _read(blocks, topics, feeder if source == "streams" else None)
+    calibration = catalogue.prepare(configuration)
+    make = partial(_feeder, calibration, configuration)
+    passes = partial(read_blocks, files, progress, limits)
+    found, feeder, order = _read_in_order(passes, topics, make, source, _apart_ns(configuration))
     verdicts = tuple(scan.verdict() for scan in found.scans)
     _require_messages(verdicts, path)
+    if not given:
+        require_one_configuration(found.scans, found.planned, path)
     attachments = {n: a.data for scan in found.scans for n, a in scan.attachments.items()}
     attached = attachments.get(names.CONFIGURATION, b"").decode(errors="replace")
     texts = (attached, *found.planned)
@@ -237,6 +258,8 @@ def read_recording(
     verdicts_live = found.recorded if same_limit(configuration, set_ups[:1]) else ()
     captured = judged_as_live(feeder.observations, feeder.offsets, verdicts_live)
     captured = known_then(captured, found.recorded, found.scans)
+    broken = {c.topic: d.broken for c, d in found.decoders.items() if d.broken}
+    note_unread((*topics.unreadable.values(), *_undecoded(broken)))
     subjects = tuple(recorded_subjects(texts, found.scans))
     return Recording(
         calibration=replace(calibration, configuration=as_recorded(configuration, subjects)),
@@ -245,20 +268,40 @@ def read_recording(
         recorded=tuple(found.recorded),
         verdicts=verdicts,
         counts=feeder.counts if source == "streams" else {},
-        broken={c.topic: d.broken for c, d in found.decoders.items() if d.broken},
+        broken=broken,
         sha256={file.name: sha256_of(file) for file in files},
         attachments=attachments,
         choices=tuple(found.choices),
-        announced=frozenset(found.announced),
+        announced=frozenset(of_axis(found.announced, configuration.cell.axis)),
+        other_axes=tuple(sorted({a for a, _ in found.announced} - {"", configuration.cell.axis})),
         frames=tuple(found.frames.values()),
         unreadable=dict(topics.unreadable),
         clock=(
-            *clock_in_words(found.scans, found.log_times),
+            *clock_in_words(found.scans, order),
             *filter(None, [feeder.offset or feeder.doubt]),
         ),
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
     )
+
+
+def _undecoded(broken: Mapping[str, int]) -> list[str]:
+    """Return how many messages of each topic could not be decoded."""
+    return [f"{topic}: {count} messages cannot be decoded" for topic, count in broken.items()]
+
+
+def _left_alone(verdicts: Sequence[FileVerdict]) -> list[str]:
+    """Say whose messages the run did not believe: the recorder has kept them beside."""
+    ending = f"_{names.LEFT_ALONE}"
+    count = Counter({
+        topic: sum(v.topics[topic].messages for v in verdicts if topic in v.topics)
+        for topic in {t for v in verdicts for t in v.topics if t.endswith(ending)}
+    })  # fmt: skip
+    return [
+        f"{n} messages on {topic.rpartition('/')[2].removesuffix(ending)} were of somebody who "
+        f"joined during the run; they were left alone, and stand in {topic}"
+        for topic, n in sorted(count.items())
+    ]
 
 
 def _feeder(calibration: catalogue.Calibration, configuration: Configuration) -> StreamFeeder:
@@ -273,9 +316,14 @@ def _feeder(calibration: catalogue.Calibration, configuration: Configuration) ->
             single_shot=configuration.topics.probe_single_shot,
         ),
         configuration.topics,
-        min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s)),
+        _apart_ns(configuration),
         OffsetLimits.of(configuration.capture),
     )
+
+
+def _apart_ns(configuration: Configuration) -> int:
+    """Return how far streams may run apart on their way to the capture, well below its limit."""
+    return min(SLICE_NS, nanoseconds(0.1 * configuration.capture.clock_tolerance_s))
 
 
 def _require_messages(verdicts: Sequence[FileVerdict], path: Path) -> None:
@@ -292,10 +340,10 @@ class _Found:
     recorded: list[Observation] = field(default_factory=list)
     planned: list[str] = field(default_factory=list)
     choices: list[RecordedChoice] = field(default_factory=list)
-    announced: set[str] = field(default_factory=set)
+    announced: set[tuple[str, str]] = field(default_factory=set)
     frames: dict[str, StaticFrame] = field(default_factory=dict)
     scans: list[Scan] = field(default_factory=list)
-    log_times: LogTimes = field(default_factory=LogTimes)
+    order: TimeOrders = field(default_factory=TimeOrders)
     decoders: Decoders = field(default_factory=dict)
 
     def take(self, part: Part, block: Block) -> None:
@@ -307,26 +355,54 @@ class _Found:
         elif part.role == names.STEP_CHOICE:
             self.choices += (RecordedChoice.of(m) for _, m in part.messages(block))
         elif part.role == names.TABLE_IN_FORCE:
-            self.announced |= {m.in_force for _, m in part.messages(block)}
+            self.announced |= {(m.axis, m.in_force) for _, m in part.messages(block)}
         elif part.role == names.TF_STATIC:
             for _, message in part.messages(block):
                 self.frames |= {f.child: f for f in records.static_frames(message)}
 
 
+def _read_in_order(
+    passes: Callable[[], Iterable[tuple[Scan, Block | None]]],
+    topics: Topics,
+    make: Callable[[], StreamFeeder],
+    source: Source,
+    apart_ns: int,
+) -> tuple[_Found, StreamFeeder, TimeOrder]:
+    """Read all files; once more, sorted by time, where their order turns out to be another one."""
+    feeder, scans = make(), list[Scan]()
+    found = _read(_noted(passes(), scans), topics, feeder if source == "streams" else None)
+    order = found.order.judged(apart_ns)
+    if order.sort_by is not None:
+        feeder = make()
+        blocks = sorted_blocks(passes(), found.decoders, order.sort_by)
+        found = _read(blocks, topics, feeder if source == "streams" else None)
+    found.scans = scans
+    return found, feeder, order
+
+
+def _noted(
+    blocks: Iterable[tuple[Scan, Block | None]], scans: list[Scan]
+) -> Iterator[tuple[Contents, Block]]:
+    """Yield the blocks; passes that have come to their ends are put into ``scans``."""
+    for scan, block in blocks:
+        if block is None:
+            scans.append(scan)
+        else:
+            yield scan, block
+
+
 def _read(
-    blocks: Iterable[tuple[Scan, Block | None]], topics: Topics, feeder: StreamFeeder | None
+    blocks: Iterable[tuple[Contents, Block]], topics: Topics, feeder: StreamFeeder | None
 ) -> _Found:
     """Read all files once; the streams go to ``feeder``."""
     found, run = _Found(), 0
     for scan, block in blocks:
-        if block is None:
-            found.scans.append(scan)
-            continue
         before, run = run, run_number(scan.metadata, run)
         if feeder is not None and run != before:
             feeder.begin_run(run)
-        found.log_times.look(block)
         parts = topics.split(block, scan, found.decoders)
+        timed = [(part.decoder, part.rows) for part in parts if part.role in TIMED]
+        found.order.look(block, timed, scan.path.name, run)
         for part in parts:
             with part.taken_as_expected():
                 found.take(part, block)

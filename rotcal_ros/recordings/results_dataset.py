@@ -35,8 +35,6 @@ class ResultsDataset:
 
     def __init__(self, folder: Path) -> None:
         arrow()
-        if folder.is_file():
-            folder.unlink()  # the one file of an earlier version
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.broken = 0

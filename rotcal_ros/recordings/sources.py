@@ -15,6 +15,7 @@ from rotcal_ros.evaluation.bidirectional import read_runs, require_runs
 from rotcal_ros.evaluation.combination import CombinationInput
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
 from rotcal_ros.evaluation.reference import read_reference, without_polygon
+from rotcal_ros.evaluation.ways import EVALUATIONS, way_name
 from rotcal_ros.recordings.inputs import Input
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.results import Result
@@ -59,16 +60,37 @@ def read_source(path: Path, given: Input | None = None) -> Source:
         raise ConfigurationError(
             f"{path} is a result already: set-up, targets and changes belong to a bag or a table"
         )
+    found = _results(path)
+    if len(found) > 1:
+        raise DataError(
+            f"{path} holds {len(found)} evaluations of the same data ({', '.join(found)}): "
+            "`rotcal compare` reads all of them; elsewhere give one result"
+        )
+    (source,) = found.values()
+    return source
+
+
+def _results(path: Path) -> dict[str, Source]:
+    """Return the result in a JSON file, or all evaluations by name; raises as read_source."""
     try:
         data = read_bytes(path)
-        result = Result.from_dict(load_json(data))
+        content = load_json(data)
+        hashed = {path.name: sha256(data).hexdigest()}
+        ways = content.get(EVALUATIONS) if isinstance(content, dict) else None
+        if not isinstance(ways, list) or not ways:
+            return {"": Source(Result.from_dict(content), hashed)}
+        return {
+            way_name(way.get("changes", ())): Source(Result.from_dict(way.get("result")), hashed)
+            for way in ways
+        }
     except OSError as error:
         raise BagError(f"cannot read {path}: {error.strerror}") from error
+    except (AttributeError, TypeError) as error:
+        raise DataError(f"{path}: damaged evaluations: {error}") from error
     except ValueError as error:
         raise BagError(f"{path} is not JSON: {error}") from error
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
-    return Source(result, {path.name: sha256(data).hexdigest()})
 
 
 def solved(measured: Recording | Measurements) -> Source:
@@ -102,6 +124,21 @@ def read_measured(
     if is_table(path):
         return CombinationInput.of(str(path), read_curve(path, "ECC", polygon, reference_std))
     return CombinationInput.of(str(path), read_source(path).result)
+
+
+def read_curves(
+    path: Path,
+    component: str,
+    polygon: MeasuredCurve | None = None,
+    reference_std: float | None = None,
+) -> dict[str, MeasuredCurve]:
+    """Return the curve that :func:`read_curve` does, or those of all evaluations, by name."""
+    if path.suffix == ".json" and path.is_file():
+        return {
+            f"{path}: {name}" if name else str(path): measured_curve(source.result, component)
+            for name, source in _results(path).items()
+        }
+    return {str(path): read_curve(path, component, polygon, reference_std)}
 
 
 def read_curve(

@@ -31,6 +31,10 @@ SLOW: Final = frozenset({
     names.PROBE_POINT, names.TEMPERATURE, names.AIR_PRESSURE, names.RELATIVE_HUMIDITY,
 })  # fmt: skip
 """Roles of instruments whose messages are few."""
+TIMED: Final = SLOW | {
+    names.TRACER_LENGTH, names.JOINT_STATES, names.TABLE_ANGLE, names.PROBE_TARGET,
+}  # fmt: skip
+"""Roles of all whose order in time matters to the capture."""
 SLICE_NS: Final = 1_000_000_000
 """How far readings and feedback run ahead of the other streams at most (1 s)."""
 
@@ -130,11 +134,13 @@ class StreamFeeder:
         for part in sorted(parts, key=lambda part: part.role != REFERENCE):
             with part.taken_as_expected():
                 if part.role == names.TRACER_LENGTH:
-                    readings = self._readings(block, part)
-                    self._hold(part.role, readings, block)
+                    taken = self._readings(block, part)
+                    readings = _in_rows(readings, taken)
+                    self._hold(part.role, taken, block)
                 elif part.role == names.JOINT_STATES:
-                    feedback = self._feedback(block, part)
-                    self._hold(part.role, feedback, block)
+                    taken = self._feedback(block, part)
+                    feedback = _in_rows(feedback, taken)
+                    self._hold(part.role, taken, block)
                 elif part.role in self._makers or part.role in SLOW:
                     found = list(self._single(block, part))
                     others.extend(found)
@@ -205,7 +211,7 @@ class StreamFeeder:
         """Return what a topic of bare numbers says, in file order."""
         numbers = (*form.numbers, *form.limits)
         found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, len(numbers))))]
-        for columns in part.decoder.columns(block.select(part.rows), form.fields):
+        for columns in part.decoder.columns(block.select(part.rows), form.fields, ()):
             rows = part.rows[columns.rows]
             values = np.column_stack([columns.values[name] for name in numbers])
             stamps = columns.stamp_ns() if form.stamped else self._sent_ns(block, rows)
@@ -235,7 +241,7 @@ class StreamFeeder:
         form = form_of(part.role, part.decoder.channel.type_name)
         if form is not None:
             return self._bare(block, part, form)
-        shapes = part.decoder.columns(block.select(part.rows), _TRACER)
+        shapes = part.decoder.columns(block.select(part.rows), _TRACER, ())
         found = [np.zeros(0, READING), *(_readings_of(columns, part) for columns in shapes)]
         return self._own(block, part, np.concatenate(found))
 
@@ -245,7 +251,7 @@ class StreamFeeder:
         if form is not None:
             return self._bare(block, part, form)
         found = [np.zeros(0, FEEDBACK)]
-        for columns in part.decoder.columns(block.select(part.rows), _JOINTS):
+        for columns in part.decoder.columns(block.select(part.rows), _JOINTS, ("name",)):
             index = records.joint_index(columns.layout.texts.get("name", []), self._joint)
             position, velocity = columns.values["position"], columns.values["velocity"]
             if index is None or index >= position.shape[1]:
@@ -270,6 +276,14 @@ class StreamFeeder:
                 record = record and Order(record, self._orders.stamp_ns)
             if record is not None:
                 yield row, record
+
+
+def _in_rows(known: NDArray[np.void], further: NDArray[np.void]) -> NDArray[np.void]:
+    """Return the records of several channels of one topic in the order of their rows."""
+    if not len(known):
+        return further
+    every = np.concatenate([known, further])
+    return every[np.argsort(every["row"], kind="stable")]
 
 
 def _tells_positions(part: Part) -> bool:

@@ -9,11 +9,13 @@ from typing import Any
 from rotcal_ros.bags import names
 from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
+from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.verdict import FileVerdict, session_losses
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in
+from rotcal_ros.recordings.recorded_setup import require_one_configuration
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,7 @@ class Summary:
     """The files of a bag, the names of what is attached, its configuration if there is.
 
     ``session`` is the verdict on all files together, ``dropouts`` say what is missing from when.
+    ``contradiction`` says where two configurations differ; then there is none that counts.
     """
 
     files: tuple[FileVerdict, ...]
@@ -28,6 +31,7 @@ class Summary:
     configuration: Configuration | None
     session: SessionVerdict
     dropouts: tuple[PlacedDropout, ...] = ()
+    contradiction: str = ""
 
     @property
     def start_ns(self) -> int | None:
@@ -61,6 +65,7 @@ class Summary:
             "simulated": self.configuration.simulated if self.configuration else None,
             "item": self.configuration.identity.title if self.configuration else None,
             "plan_id": self.configuration.plan_id if self.configuration else None,
+            "contradiction": self.contradiction,
             "losses_recorded": session_losses(self.files),
             "dropouts": [dropout.to_dict() for dropout in self.dropouts],
             "session": self.session.to_dict(),
@@ -73,14 +78,22 @@ def describe(
     """Read a bag to its end and return its summary; raises BagError when it cannot be read."""
     verdicts: list[FileVerdict] = []
     attachments: dict[str, bytes] = {}
+    scans: list[Scan] = []
     for scan, block in read_blocks(bag_files(path), progress, limits):
         if block is None:
+            scans.append(scan)
             verdicts.append(scan.verdict())
             attachments |= {name: a.data for name, a in scan.attachments.items()}
+    contradiction = ""
+    try:
+        require_one_configuration(scans, (), path)
+    except BagError as error:
+        contradiction = str(error)
     return Summary(
         files=tuple(verdicts),
         attachments=tuple(attachments),
-        configuration=_configuration(attachments),
+        configuration=None if contradiction else _configuration(attachments),
+        contradiction=contradiction,
         session=judge_session(path, verdicts),
         dropouts=placed_in(verdicts, limits),
     )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -14,9 +15,15 @@ from rotcal_ros.bags import names
 from rotcal_ros.bags.blocks import Block
 from rotcal_ros.bags.decode import Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
-from rotcal_ros.bags.scan import Scan
+from rotcal_ros.bags.reader import read_blocks
+from rotcal_ros.bags.reading_limits import ReadingLimits
+from rotcal_ros.bags.scan import Contents
 from rotcal_ros.catalogue import Configuration
 from rotcal_ros.errors import BagError
+
+_OWN: Final = (names.PLAN, names.OBSERVATION, names.TABLE_ANGLE, names.PROBE_TARGET)
+_PACKAGE: Final = "rotcal_msgs/"
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -50,6 +57,10 @@ class Part:
             ) from error
 
 
+class SeveralCells(BagError):  # noqa: N818 - says what was found
+    """Two topics want the same role, and nobody has said which cell is meant."""
+
+
 @dataclass
 class Topics:
     """Finds the topics of one cell.
@@ -57,14 +68,16 @@ class Topics:
     A topic plays the role that its last name says (``/cell/tracer_length``), below
     ``namespace`` when that is given, unless roles are mapped to topics with other names: by
     ``renamed``, which comes first, by what the recorder noted in the bag, or by ``planned``, which
-    the configuration says. ``unreadable`` says of topics whose definition cannot be used why: the
-    others are read.
+    the configuration says. Plan, orders and observations are of our own types unless their topic
+    is named. ``ignored`` are topics of others that are called like roles. ``unreadable`` says of
+    topics whose definition cannot be used why: the others are read.
     """
 
     namespace: str = ""
     renamed: Mapping[str, str] = field(default_factory=dict)
     planned: Mapping[str, str] = field(default_factory=dict)
     unreadable: dict[str, str] = field(default_factory=dict)
+    ignored: frozenset[str] = frozenset()
     _recorded: dict[str, str] = field(default_factory=dict, repr=False)
     _taken: dict[str, str] = field(default_factory=dict, repr=False)
 
@@ -78,8 +91,8 @@ class Topics:
         self.planned = planned
         self._taken.clear()
 
-    def role(self, topic: str) -> str | None:
-        """Return the role of ``topic``; raises BagError when two topics want the same one."""
+    def role(self, topic: str, type_name: str = "") -> str | None:
+        """Return the role of ``topic``; raises SeveralCells when two topics want the same one."""
         if topic == names.TF_STATIC:
             return names.TF_STATIC
         others = {**self.planned, **self._recorded, **self.renamed}
@@ -90,11 +103,39 @@ class Topics:
         wanted = self.namespace.strip("/")
         if role not in names.ROLES or role in others or (wanted and namespace != wanted):
             return None
+        stranger = role in _OWN and type_name and not type_name.startswith(_PACKAGE)
+        if stranger or topic in self.ignored:
+            return None
         return self._only(role, topic)
+
+    def of_the_only_plan(self, files: tuple[Path, ...], limits: ReadingLimits) -> Topics | None:
+        """Return what finds the topics of the one cell that has a plan; None where none is alone.
+
+        Where no topic is a plan, the one cell with messages of our own types is meant. Topics
+        outside of its namespace are ignored where one inside has the same role. Reads the files
+        to their ends.
+        """
+        if self.namespace:
+            return None
+        channels: set[tuple[str, str]] = set()
+        for scan, block in read_blocks(files, None, limits):
+            if block is None:
+                topics = scan.verdict().topics
+                channels |= {(name, t.type_name) for name, t in topics.items() if t.messages}
+        parts = [(*topic.rpartition("/")[::2], topic, kind) for topic, kind in channels]
+        ours = {(cell, role) for cell, role, _, kind in parts
+                if role in names.ROLES and kind.startswith(_PACKAGE)}  # fmt: skip
+        planned = {cell for cell, role in ours if role == names.PLAN}
+        cells = planned or {cell for cell, _ in ours}  # the plan may be an attachment
+        if len(cells) != 1:
+            return None
+        inside = {role for cell, role, _, _ in parts if cell in cells and role in names.ROLES}
+        others = (topic for cell, role, topic, _ in parts if cell not in cells and role in inside)
+        return Topics(renamed=self.renamed, ignored=frozenset(others))
 
     def _only(self, role: str, topic: str) -> str:
         if self._taken.setdefault(role, topic) != topic:
-            raise BagError(
+            raise SeveralCells(
                 f"two topics of the bag are called {role}: {self._taken[role]} and {topic}; "
                 "say which cell is meant (--namespace)"
             )
@@ -103,7 +144,7 @@ class Topics:
     def split(
         self,
         block: Block,
-        scan: Scan,
+        scan: Contents,
         decoders: dict[ChannelDefinition, Decoder],
     ) -> list[Part]:
         """Return the parts of a block of ``scan`` that matter to the cell."""
@@ -113,7 +154,7 @@ class Topics:
         numbers = block.headers["channel"]
         for number in np.unique(numbers).tolist():
             channel = scan.channels[number]
-            role = self.role(channel.topic)
+            role = self.role(channel.topic, channel.type_name)
             if role is None:
                 continue
             decoder = decoders.get(channel) or self._decoder(channel)
@@ -130,6 +171,19 @@ class Topics:
         except BagError as error:
             self.unreadable[channel.topic] = str(error)
             return None
+
+
+def of_one_cell(
+    read: Callable[[Topics], T], topics: Topics, files: tuple[Path, ...], limits: ReadingLimits
+) -> T:
+    """Return what ``read`` gives, where it raises SeveralCells for the only cell with a plan."""
+    try:
+        return read(topics)
+    except SeveralCells:
+        alone = topics.of_the_only_plan(files, limits)
+        if alone is None:
+            raise
+    return read(alone)
 
 
 def _is_called(topic: str, name: str, namespace: str) -> bool:

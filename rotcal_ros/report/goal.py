@@ -30,7 +30,10 @@ def _rows(own: PlanFigures, papers: PlanFigures) -> list[list[str]]:
     plans = (own, papers)
     rows = [
         ["Lengths", *(str(plan.lengths) for plan in plans)],
-        ["Predicted U(ECC) / arcsec", *(f"{plan.uncertainty / ARCSEC:.3f}" for plan in plans)],
+        [
+            "Predicted rms of U(ECC) / arcsec",
+            *(f"{plan.uncertainty / ARCSEC:.3f}" for plan in plans),
+        ],
         [
             "Time at the pace of planner.step_s and turn_s",
             *(f"{plan.seconds:.0f} s" for plan in plans),

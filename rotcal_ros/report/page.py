@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.catalogue.goal import GoalStanding
+from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.evaluation.withheld import withheld
 from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
@@ -68,7 +69,7 @@ def render_report(report: ReportInput) -> str:
         result=result,
         number=number(result),
         fingerprint=fingerprint(result),
-        standing=trust.standing(result),
+        marks=marks(result, doubt),
         withheld=doubt,
         item=facts.about_the_item(result, identity),
         work=facts.about_the_work(result, identity, report.method_title, report.issued),

@@ -16,10 +16,11 @@ from rotcal_ros.catalogue import find_method, method_names
 from rotcal_ros.catalogue.measurements import PlannedMeasurements
 from rotcal_ros.catalogue.method import Measurements
 from rotcal_ros.errors import DataError
-from rotcal_ros.files import write_atomically
 from rotcal_ros.recordings.replay import Recording
 from rotcal_ros.recordings.sources import Source
 from rotcal_ros.report.page import TITLE, ReportInput, render_report
+from rotcal_ros.report.printing import write_page
+from rotcal_ros.report.verification import acting_section
 from rotcal_ros.results import Result
 
 
@@ -28,11 +29,13 @@ def write_recorded(
     page: Path,
     truth: Mapping[str, Any] | None = None,
     extra: Sequence[tuple[str, str]] = (),
+    in_force: Path | None = None,
 ) -> Result:
     """Solve a recording, write the page about it, and return the result.
 
     ``truth`` is the content of the truth.json of a simulation, ``extra`` holds further sections
-    as (title, HTML).
+    as (title, HTML), ``in_force`` is the folder with the files of the table on which it was
+    measured.
     """
     configuration = recording.calibration.configuration
     result = recording.solve()
@@ -45,20 +48,23 @@ def write_recorded(
         inputs=[*recording.sha256.items(), ("plan and configuration", configuration.plan_id)],
         versions=_versions(recording.attachments),
         truth=truth,
-        extra=extra,
+        extra=extra or acting_section(result, in_force),  # that of verify says it itself
         goal=recording.goal_standing(result),
         issued=_today(),
     )
-    write_atomically(page, render_report(report))
+    write_page(page, render_report(report))
     return result
 
 
 def write_measured(
-    measured: Recording | Measurements, page: Path, truth: Mapping[str, Any] | None = None
+    measured: Recording | Measurements,
+    page: Path,
+    truth: Mapping[str, Any] | None = None,
+    in_force: Path | None = None,
 ) -> Result:
     """Solve a bag or a plain table, write the page about it, and return the result."""
     if isinstance(measured, Recording):
-        return write_recorded(measured, page, truth)
+        return write_recorded(measured, page, truth, in_force=in_force)
     configuration, result = measured.configuration, measured.solve()
     report = ReportInput(
         result=result,
@@ -69,13 +75,19 @@ def write_measured(
         inputs=[*measured.sha256.items(), ("plan and configuration", configuration.plan_id)],
         versions=_versions({}),
         truth=truth,
+        extra=acting_section(result, in_force),
         issued=_today(),
     )
-    write_atomically(page, render_report(report))
+    write_page(page, render_report(report))
     return result
 
 
-def write_result(source: Source, page: Path, truth: Mapping[str, Any] | None = None) -> Result:
+def write_result(
+    source: Source,
+    page: Path,
+    truth: Mapping[str, Any] | None = None,
+    in_force: Path | None = None,
+) -> Result:
     """Write the page about a result that comes without its bag, and return the result."""
     result = source.result
     installed = result.method in method_names()
@@ -86,6 +98,7 @@ def write_result(source: Source, page: Path, truth: Mapping[str, Any] | None = N
         inputs=list(source.sha256.items()),
         versions=_versions({}),
         truth=truth,
+        extra=acting_section(result, in_force),
         issued=_today(),
     )
     try:
@@ -95,7 +108,7 @@ def write_result(source: Source, page: Path, truth: Mapping[str, Any] | None = N
             f"the details of the result are not what {result.method} writes, or truth.json is not "
             f"of this table ({error}): take result.json as it was written, or report its bag"
         ) from error
-    write_atomically(page, text)
+    write_page(page, text)
     return result
 
 

@@ -30,13 +30,17 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"drawn": _drawn, "quoted": _quoted}
+    environment.filters |= {"drawn": _drawn, "quoted": _quoted, "capitalize_first": _sentence}
     return environment
 
 
 def _visible(value: Any) -> Any:
     """Return a value with its texts printable; what is markup already stays."""
     return printable_lines(value) if type(value) is str else value
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _drawn(svg: str, name: str) -> Markup:

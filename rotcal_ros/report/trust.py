@@ -9,12 +9,6 @@ from rotcal_ros.results import Result
 TITLE = "What could be wrong, and would it show?"
 
 
-def standing(result: Result) -> str:
-    """Return the style class of a verdict; an ok that does not cover everything is "partly"."""
-    whole = bool(result.protections) and not result.unprotected
-    return "partly" if result.verdict == "ok" and not whole else result.verdict
-
-
 def section(result: Result) -> str:
     """Return the table of protections as HTML, one row per effect."""
     return render(

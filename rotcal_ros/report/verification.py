@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from markupsafe import escape
 from matplotlib.axes import Axes
 
+from rotcal_ros.compensation.earlier import effect_in_force
 from rotcal_ros.components import COVERAGE_FACTOR
+from rotcal_ros.escapes import printable_lines
 from rotcal_ros.evaluation.verification import ISO_FIGURES, Positioning, Verification
 from rotcal_ros.figures import style
+from rotcal_ros.in_force import in_words, known_hash
 from rotcal_ros.report.template import render
+from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC, DEGREE
 
 TITLE = "Before and after compensation"
@@ -45,6 +52,26 @@ def verification_section(verification: Verification) -> tuple[str, str]:
     return TITLE, section
 
 
+def acting_section(result: Result, in_force: Path | None) -> list[tuple[str, str]]:
+    """Return title and HTML that say whether the table acts on which ``result`` was measured.
+
+    None where it was measured on none, or nobody knows; ``in_force`` is the folder with its files.
+    """
+    if in_force is not None:
+        effect = effect_in_force(result, in_force)
+        acts = "it corrects nothing that could tell" if effect is None else effect.wrong
+        acts = acts or (effect.in_words() if effect else "")
+    elif known_hash(result.measured_on):
+        acts = (
+            "not tested: what is left tells it only beside the files of that table (rotcal report "
+            "--in-force FOLDER, rotcal export --add-to FOLDER)"
+        )
+    else:
+        return []
+    text = f"{in_words(result.measured_on)}. Does that table act? {acts}."
+    return [("The table in force", f"<p>{escape(printable_lines(text))}</p>")]
+
+
 def _in_words(verification: Verification) -> str:
     text = (
         f"Measured, compensated, measured again: the range is {verification.ratio:.0f} times "
@@ -52,6 +79,9 @@ def _in_words(verification: Verification) -> str:
         f"the uncertainty of both measurements and {verification.stated / ARCSEC:.3f} arcsec "
         "of the table itself."
     )
+    if verification.effect is not None:
+        acting = verification.wrong or f"does the table act: {verification.effect.in_words()}"
+        text = f"{text} {acting[0].upper()}{acting[1:]}."
     if verification.again is None:
         return text
     left = verification.again.systematic / ARCSEC

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from rotcal_ros.circumstances import SIMULATED
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.planning.plan import PAUSED, STOPPED
 from rotcal_ros.report.terminal.console import say
 from rotcal_ros.units import ARCSEC
@@ -44,15 +45,16 @@ class Display:
 
 
 def describe(feedback: Event) -> str:
-    """Return a feedback in words: activity, standard deviation, time left."""
+    """Return a feedback in words: activity, goal, largest U of the curve so far, time left."""
     activity = str(feedback["activity"])
     stopped = activity.startswith(PAUSED + STOPPED)
     waiting = "stopped by an emergency stop" if stopped else "waiting for a person"
     words = [waiting if activity.startswith(PAUSED) else activity]
     if feedback.get("goal_rad") is not None:
         words.append(_standing(feedback["uncertainty_rad"], feedback["goal_rad"]))
-    elif feedback["current_std_rad"] is not None:
-        words.append(f"std {feedback['current_std_rad'] / ARCSEC:.2f} arcsec")
+    if feedback["current_std_rad"] is not None:
+        largest = COVERAGE_FACTOR * feedback["current_std_rad"] / ARCSEC
+        words.append(f"U (k = {COVERAGE_FACTOR:g}) {largest:.2f} arcsec")
     if feedback["time_left_s"] is not None:
         words.append(f"{feedback['time_left_s']:.0f} s left")
     return ", ".join(words)
@@ -62,5 +64,5 @@ def _standing(uncertainty_rad: float | None, goal_rad: float) -> str:
     """Return how far a policy is from its goal; at first some station has too few lengths."""
     goal = f"{goal_rad / ARCSEC:.2f} arcsec"
     if uncertainty_rad is None:
-        return f"goal U {goal}, known once all stations are placed"
-    return f"U {uncertainty_rad / ARCSEC:.2f} of {goal}"
+        return f"goal: rms of U {goal}, known once all stations are placed"
+    return f"goal: rms of U {goal}, now {uncertainty_rad / ARCSEC:.2f}"

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import asdict
 from queue import Empty
 from types import FrameType
 from typing import Any, Final, NoReturn
 
 from rotcal_ros.bags.reindex import finish_interrupted
 from rotcal_ros.errors import ConfigurationError, DataError
-from rotcal_ros.files import write_atomically
+from rotcal_ros.evaluation.marks import marks
+from rotcal_ros.files import FolderLock, write_atomically
+from rotcal_ros.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.sources import read_source
 from rotcal_ros.report.terminal.console import progress_bar, say
@@ -18,7 +21,7 @@ from rotcal_ros.sessions.commands import CLIENT
 from rotcal_ros.sessions.display import NO_MACHINE, Display, Event
 from rotcal_ros.sessions.person import Person
 from rotcal_ros.sessions.running import RunningSession, running
-from rotcal_ros.sessions.session import Session
+from rotcal_ros.sessions.session import Session, require_as_found
 from rotcal_ros.sessions.viewers import Viewers
 
 SILENCE_TIMEOUT_S: Final = 60.0
@@ -37,24 +40,39 @@ def calibrate(session: Session, viewers: Viewers, *, at_once: bool = False) -> d
 
     A person's work counts as done ``at_once`` or when the person says so, here or as a viewer. The
     outcome's ``interrupted`` is true when the user ended it, else its ``verdict_line`` says how
-    far to trust the result. Raises RotcalError when it failed.
+    far to trust the result, and its ``marks`` are those of the result. Raises RotcalError when it
+    failed.
     """
     if session.configuration.simulated:
         say(NO_MACHINE)
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
         outcome = _solve_bag(session) if session.finished else _run(session, viewers, at_once)
+    except KeyboardInterrupt:  # while the first one was still being obeyed
+        viewers.say("interrupted once more: the nodes were ended without waiting for the bag")
+        viewers.say(_how_to_go_on(session))
+        raise
     finally:
         signal.signal(signal.SIGTERM, previous)
     if outcome.get("interrupted"):
         bag = outcome.get("bag_folder") or "none was begun"
         viewers.say(f"interrupted; the bag is closed: {bag}")
-        viewers.say(f"to go on: {session.resume_command}")
+        viewers.say(_how_to_go_on(session))
     elif outcome["error_code"]:
         _fail(session, outcome)
     else:
-        outcome["verdict_line"] = read_source(session.folder.result).result.verdict_line
+        result = read_source(session.folder.result).result
+        outcome["verdict_line"] = result.verdict_line
+        outcome["marks"] = [asdict(mark) for mark in marks(result)]
     return outcome
+
+
+def _how_to_go_on(session: Session) -> str:
+    """Say how to continue after an interruption, or that nothing was measured yet."""
+    bag = session.folder.bag
+    if bag.is_dir() and any(bag.iterdir()):
+        return f"to go on: {session.resume_command}"
+    return "nothing was recorded yet: start it again as before"
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
@@ -79,10 +97,15 @@ def _run(session: Session, viewers: Viewers, at_once: bool) -> dict[str, Any]:
 
 def _solve_bag(session: Session) -> dict[str, Any]:
     """Solve the bag of a session that was interrupted behind its last step."""
-    finish_interrupted(session.folder.bag)
-    recording = read_recording(session.folder.bag)
-    result = recording.solve()
-    write_atomically(session.folder.result, result.to_json())
+    lock = FolderLock(session.folder.path)
+    try:
+        require_as_found(session)
+        finish_interrupted(session.folder.bag)
+        recording = read_recording(session.folder.bag)
+        result = recording.solve()
+        write_atomically(session.folder.result, result.to_json())
+    finally:
+        lock.release()
     accepted = {o.step for o in recording.observations if o.accepted}
     return {
         "error_code": 0,
@@ -95,7 +118,7 @@ def _solve_bag(session: Session) -> dict[str, Any]:
 
 def _result_of_cancelling(nodes: RunningSession) -> Event:
     """Return the result of a canceled goal, empty when none comes."""
-    deadline = time.monotonic() + CANCEL_TIMEOUT_S
+    deadline = time.monotonic() + patient(CANCEL_TIMEOUT_S)
     while time.monotonic() < deadline:
         try:
             event = nodes.events.get(timeout=_POLL_S)
@@ -169,7 +192,7 @@ def _check(nodes: RunningSession, begun: bool, silence_s: float) -> None:
         raise ConfigurationError(
             f"node {name} ended at its start (exit code {code})", nodes.log_tail(name)
         )
-    if silence_s > SILENCE_TIMEOUT_S:
+    if silence_s > patient(SILENCE_TIMEOUT_S):
         raise DataError(f"the client has said nothing for {silence_s:.0f} s: it hangs")
 
 

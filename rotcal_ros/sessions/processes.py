@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from rotcal_ros.machine_load import patient
+
 TERMINATE_TIMEOUT_S: Final = 25.0
 _POLL_S: Final = 0.05
 
@@ -78,7 +80,7 @@ class Processes:
         """Ask all children to end, wait for them, and kill those that hang."""
         for name in self.children:
             self.signal(name, signal.SIGTERM)
-        deadline = time.monotonic() + TERMINATE_TIMEOUT_S
+        deadline = time.monotonic() + patient(TERMINATE_TIMEOUT_S)
         while len(self.ended()) < len(self.children) and time.monotonic() < deadline:
             time.sleep(_POLL_S)
         for child in self.children.values():

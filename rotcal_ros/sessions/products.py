@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -111,8 +111,12 @@ def export_files(
     spacing: float | None = None,
     *,
     accept_unverified: bool = False,
+    settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, ExportFiles]:
-    """Return the files of the controllers ``names``, with rows every ``spacing`` rad."""
+    """Return the files of the controllers ``names``, with rows every ``spacing`` rad.
+
+    ``settings`` are those of the controllers, by name; what is not there is at its defaults.
+    """
     now = datetime.now(timezone.utc)
     return {
         name: prepare_export(
@@ -122,6 +126,7 @@ def export_files(
             spacing=spacing,
             sources=source.sha256,
             accept_unverified=accept_unverified,
+            settings=(settings or {}).get(name),
         )
         for name in names
     }

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Final, NoReturn
 
+from rotcal_ros.bags.unread import note_unread
 from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.report.terminal.console import progress, say
 from rotcal_ros.sessions.processes import Processes
@@ -57,6 +58,8 @@ def _followed(processes: Processes) -> dict[str, Any]:
             match event.pop("event"):
                 case "left_out":
                     say(f"left out: {event['topic']}: {event['why']}")
+                case "unread":
+                    note_unread(event["texts"])
                 case "note":
                     say(event["text"])
                 case "playing":

@@ -17,7 +17,7 @@ from rotcal_ros.node_names import VIEWERS
 from rotcal_ros.sessions.commands import CLIENT, client_command, node_command, node_names
 from rotcal_ros.sessions.environment import node_environment
 from rotcal_ros.sessions.processes import Processes
-from rotcal_ros.sessions.session import Session
+from rotcal_ros.sessions.session import Session, require_as_found
 
 PAGE: Final = "page"
 _LINES: Final = 200
@@ -93,6 +93,7 @@ def running(session: Session) -> Iterator[RunningSession]:
     """
     lock = FolderLock(session.folder.path)
     try:
+        require_as_found(session)
         write_atomically(session.folder.parameters, node_parameters(session.configuration))
         environment = node_environment(alone=session.configuration.simulated)
         with Processes(session.log_folder, environment, (lock.descriptor,)) as processes:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from rotcal_ros.bags.reader import bag_files
 from rotcal_ros.catalogue import (
     Calibration,
     Configuration,
@@ -15,7 +17,7 @@ from rotcal_ros.catalogue import (
     read_configuration,
 )
 from rotcal_ros.catalogue.continuation import Continuation
-from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.files import FolderLock, make_folder, write_atomically
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions.disk_space import require_space
@@ -98,6 +100,23 @@ def prepare_session(
     make_folder(session.log_folder)
     write_atomically(session.folder.configuration, calibration.configuration.text)
     return session
+
+
+def require_as_found(session: Session) -> None:
+    """Raise ConfigurationError where somebody else went on in the folder since it was looked at.
+
+    Who calls it holds the lock of the folder.
+    """
+    files: tuple[Path, ...] = ()
+    with suppress(BagError):
+        files = bag_files(session.folder.bag)
+    as_found = len(files) <= session.run if session.continuation else not files
+    if session.folder.result.exists() or not as_found:
+        raise ConfigurationError(
+            f"another run went on in {session.folder.path} meanwhile: this one has measured "
+            f"nothing; look at what is there, and go on with it if it was interrupted: "
+            f"{session.resume_command}"
+        )
 
 
 def _taken_again(folder: SessionFolder) -> bool:

@@ -1,13 +1,15 @@
-"""Measure the simulated cell, give its control the correction table, and measure again.
+"""Measure a cell, give its control the correction table, and measure again.
 
-What is done stands on the disk, so that an interrupted verification goes on where it was.
+A simulated control gets the rows of the table by itself. The table of a real one a person loads,
+and says so: nothing is measured again before. What is done stands on the disk, so that an
+interrupted verification goes on where it was.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -15,12 +17,14 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.catalogue import Calibration
+from rotcal_ros.catalogue.configuration import Configuration, read_configuration
 from rotcal_ros.compensation import plain_csv
 from rotcal_ros.compensation.adding import combined
-from rotcal_ros.compensation.export import ExportFiles
+from rotcal_ros.compensation.effect import Effect, effect_of_result
+from rotcal_ros.compensation.export import CONTENTS, ExportFiles
 from rotcal_ros.compensation.held import held_table, in_force_of
-from rotcal_ros.compensation.table import table_from_result
-from rotcal_ros.compensation.writing import of_the_controller
+from rotcal_ros.compensation.table import CompensationTable, table_from_result
+from rotcal_ros.compensation.writing import PROVENANCE, of_the_controller
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns, Iso230, iso230
 from rotcal_ros.evaluation.verification import Verification, positioning
@@ -42,6 +46,11 @@ from rotcal_ros.units import DEGREE
 from rotcal_ros.untrusted import load_json, read_text, why
 
 CONTROLLERS: Final = ("linuxcnc", "sinumerik", "csv")
+TABLES: Final = {"after": "compensation", "again": "compensation_added"}
+"""Folders of the tables that the further measurements have in force."""
+LOADED: Final = "loaded"
+"""How the name of the file begins that keeps a person's word that a real control has a table."""
+Loaded = Callable[[Path, Sequence[Path]], bool]
 APPLIED: Final = "csv"
 """The rows of this table go into the simulated control."""
 ISO_RUNS: Final = 5
@@ -54,35 +63,50 @@ class Request:
     """What is asked of a verification beside the configuration of the first measurement.
 
     ``check`` are changes of the second measurement, ``spacing_deg`` is that of the rows of the
-    tables. Files are written for CONTROLLERS and ``controllers``, as they would be with
+    tables, 0: chosen. Files are written for CONTROLLERS and ``controllers``, as they would be with
     ``accept_unverified``. ``again`` adds what the second measurement leaves to the table in force
     and measures a third time.
     """
 
     check: tuple[str, ...] = ()
-    spacing_deg: float = 10.0
+    spacing_deg: float = 0.0
     controllers: tuple[str, ...] = ()
     accept_unverified: bool = False
     again: bool = False
 
-    def files(self, source: Source, axis: str) -> dict[str, ExportFiles]:
+    def applied(self, cell: Configuration) -> str:
+        """Return the controller whose table is put into force in the ``cell``."""
+        if cell.simulated:
+            return APPLIED
+        return self.controllers[0] if self.controllers else cell.bridge.controller
+
+    def files(self, source: Source, cell: Configuration) -> dict[str, ExportFiles]:
         """Return the files of all controllers for ``source``, by controller."""
-        table = combined(table_from_result(source.result, axis=axis), lambda: None)
+        table = combined(table_from_result(source.result, axis=cell.cell.axis), lambda: None)
         # An arc is nothing for a control that repeats its table every turn.
-        names = (*(n for n in CONTROLLERS if table.closed or n != "sinumerik"), *self.controllers)
+        usual = [n for n in CONTROLLERS if table.closed or n != "sinumerik"]
+        names = (*(usual if cell.simulated else [self.applied(cell)]), *self.controllers)
+        return self._export(source, table, cell, *dict.fromkeys(names))
+
+    def added(self, source: Source, cell: Configuration, first: ExportFiles) -> ExportFiles:
+        """Return the files of the control, with what ``source`` found added to ``first``."""
+        held = held_table(first.controller, first.files)
+        table = combined(table_from_result(source.result, axis=cell.cell.axis), lambda: held)
+        name = self.applied(cell)
+        return self._export(source, table, cell, name)[name]
+
+    def _export(
+        self, source: Source, table: CompensationTable, cell: Configuration, *names: str
+    ) -> dict[str, ExportFiles]:
+        """Return the files; a controller that the group bridge names has its options there."""
         return export_files(
             source,
             table,
-            list(dict.fromkeys(names)),
-            self.spacing_deg * DEGREE,
+            names,
+            self.spacing_deg * DEGREE or None,
             accept_unverified=self.accept_unverified,
+            settings={cell.bridge.controller: cell.bridge.controller_settings},
         )
-
-    def added(self, source: Source, axis: str, first: ExportFiles) -> ExportFiles:
-        """Return the file of the control, with what ``source`` found added to ``first``."""
-        held = held_table(plain_csv.PlainCsv(), first.files)
-        table = combined(table_from_result(source.result, axis=axis), lambda: held)
-        return export_files(source, table, [APPLIED], self.spacing_deg * DEGREE)[APPLIED]
 
 
 @dataclass(frozen=True)
@@ -93,9 +117,9 @@ class Measured:
     source: Source
 
     @property
-    def axis(self) -> str:
-        """The letter of the axis."""
-        return self.session.configuration.cell.axis
+    def cell(self) -> Configuration:
+        """The configuration that was measured with."""
+        return self.session.configuration
 
 
 def begin(
@@ -112,12 +136,8 @@ def begin(
     """
     calibration = checked_calibration(configuration, changes)
     checked_calibration(configuration, (*changes, *request.check))
-    if not calibration.configuration.simulated:
-        raise ConfigurationError(
-            f"{configuration} has no group 'simulation': with a real cell measure (rotcal run), "
-            "export, load the table, measure again, and compare (rotcal compare)"
-        )
-    if "dme" in calibration.configuration.given:
+    _require_known(calibration.configuration, request)
+    if calibration.configuration.simulated and "dme" in calibration.configuration.given:
         raise ConfigurationError(
             f"{configuration}: its group 'dme' puts the simulated cell behind another process, "
             "whose control takes no table from here; verify one without that group"
@@ -131,38 +151,105 @@ def begin(
     write_atomically(folder / REQUEST, json.dumps(asdict(request), indent=1) + "\n")
 
 
-def verify(folder: Path) -> tuple[Verification, tuple[str, ...]] | None:
+def verify(
+    folder: Path, loaded: Loaded | None = None
+) -> tuple[Verification, tuple[str, ...]] | None:
     """Do what is left of the verification in ``folder``; None when the user ended it.
 
     Returns the outcome and the controllers that got files. ``folder`` is the session of the first
     measurement and gets ``compensation``, the session ``after`` and verification.json; with
-    ``again`` the session of that name too. Raises DataError for a result that is not ok,
-    ConfigurationError where no verification was begun.
+    ``again`` the session of that name too. ``loaded`` asks a person to load files into a real
+    control, and returns whether that was done; without it, or until then, the answer is None.
+    Raises DataError for a result that is not ok, ConfigurationError where no verification was
+    begun.
     """
     request = _read_request(folder)
     first = SessionFolder(folder)
     before = _measure(first.configuration, folder, (), folder)
     if before is None:
         return None
-    exports = request.files(before.source, before.axis)
-    _write_once(exports, first.compensation)
-    changes = (*request.check, *_applied(exports[APPLIED]))
-    after = _measure(first.configuration, folder / "after", changes, folder)
+    exports = request.files(before.source, before.cell)
+    applied = exports[request.applied(before.cell)]
+    after = _round(folder, "after", before, exports, applied, loaded)
     if after is None:
         return None
     rounds = {"before": before, "after": after}
-    if request.again:
-        further = request.added(after.source, after.axis, exports[APPLIED])
-        _write_once({APPLIED: further}, folder / "compensation_added")
-        changes = (*request.check, *_applied(further))
-        third = _measure(first.configuration, folder / "again", changes, folder)
+    effect = effect_of_result(after.source.result, held_table(applied.controller, applied.files))
+    if request.again and not (effect and effect.wrong):
+        further = request.added(after.source, after.cell, applied)
+        name = request.applied(before.cell)
+        third = _round(folder, "again", before, {name: further}, further, loaded)
         if third is None:
             return None
         rounds["again"] = third
-    verification = _outcome(rounds, exports[APPLIED].residual.stated)
+    verification = _outcome(rounds, applied.residual.stated, effect)
     data = verification.to_dict() | {"controllers": list(exports)}
     write_atomically(folder / VERIFICATION, json.dumps(data, indent=1) + "\n")
     return verification, tuple(exports)
+
+
+def confirm_loaded(folder: Path) -> None:
+    """Note the word of a person that the real control has the table that waits for it.
+
+    Raises ConfigurationError where none waits: what was not written yet nobody can have loaded.
+    """
+    request = _read_request(folder)
+    applied = request.applied(read_configuration(SessionFolder(folder).configuration))
+    for name, tables in TABLES.items():
+        texts = map(load_json, map(read_text, (folder / tables).glob(f"*{PROVENANCE}")))
+        sides = [side for side in texts if side["controller"] == applied]
+        word = folder / f"{LOADED}_{name}.json"
+        if sides and not word.is_file():
+            contents = sides[0][CONTENTS]
+            write_atomically(word, json.dumps({"contents_sha256": contents}) + "\n")
+            return
+    raise ConfigurationError(f"{folder} has no table that waits to be loaded: leave out --loaded")
+
+
+def _round(
+    folder: Path,
+    name: str,
+    before: Measured,
+    exports: dict[str, ExportFiles],
+    applied: ExportFiles,
+    loaded: Loaded | None,
+) -> Measured | None:
+    """Put the table that is ``applied`` into force and measure in the session ``name``.
+
+    None where the user ended it, or has not loaded the table yet.
+    """
+    tables = folder / TABLES[name]
+    _write_once(exports, tables)
+    changes = [*_read_request(folder).check, f"cell.table_in_force={in_force_of(applied.files)}"]
+    if before.cell.simulated:
+        changes += _rows(applied)
+    elif not _is_loaded(folder, name, applied, loaded):
+        return None
+    measured = _measure(SessionFolder(folder).configuration, folder / name, changes, folder)
+    if measured is None or before.cell.simulated:
+        return measured
+    found, wanted = measured.source.result.measured_on, in_force_of(applied.files)
+    if found != wanted:
+        raise DataError(
+            f"{folder / name} was measured with the table {found[:12]} in force, and the one to "
+            f"verify is {wanted[:12]}: load the files in {tables}, and begin another verification"
+        )
+    return measured
+
+
+def _is_loaded(folder: Path, name: str, applied: ExportFiles, loaded: Loaded | None) -> bool:
+    """Return whether the table is in the control, by the word of a person, which is kept."""
+    word = folder / f"{LOADED}_{name}.json"
+    contents = in_force_of(applied.files)
+    if word.is_file():
+        if load_json(read_text(word)) == {"contents_sha256": contents}:
+            return True
+        raise DataError(f"{word} is about another table than {contents[:12]}: begin anew")
+    files = [folder / TABLES[name] / file for file in of_the_controller(applied.files)]
+    if loaded is None or not loaded(folder, files):
+        return False
+    write_atomically(word, json.dumps({"contents_sha256": contents}) + "\n")
+    return True
 
 
 def _read_request(folder: Path) -> Request:
@@ -178,16 +265,36 @@ def _read_request(folder: Path) -> Request:
         raise ConfigurationError(f"{folder / REQUEST} is damaged: {why(error)}") from error
 
 
-def _outcome(rounds: dict[str, Measured], stated: float) -> Verification:
+def _outcome(rounds: dict[str, Measured], stated: float, effect: Effect | None) -> Verification:
     again = rounds.get("again")
+    simulated = rounds["before"].cell.simulated
     return Verification(
         before=positioning(rounds["before"].source.result),
         after=positioning(rounds["after"].source.result),
         again=positioning(again.source.result) if again else None,
         stated=stated,
-        iso={when: _true_figures(measured) for when, measured in rounds.items()},
+        iso={when: _true_figures(m) for when, m in rounds.items()} if simulated else {},
         verdict_lines={when: m.source.result.verdict_line for when, m in rounds.items()},
+        effect=effect,
+        simulated=simulated,
     )
+
+
+def _require_known(cell: Configuration, request: Request) -> None:
+    """Raise ConfigurationError unless a real cell says what it holds, and what takes its table."""
+    if cell.simulated:
+        return
+    if not request.controllers and "bridge" not in cell.given:
+        raise ConfigurationError(
+            "which controller takes the table of this real cell? Name it: --to linuxcnc, or a "
+            "group bridge with its controller and options"
+        )
+    if cell.cell.table_in_force != NONE:
+        raise ConfigurationError(
+            f"cell.table_in_force is {cell.cell.table_in_force[:12]}: a verification begins with "
+            "no table in force. Take the table away or switch it off, and say so: "
+            f"--set cell.table_in_force={NONE}"
+        )
 
 
 def _rehearse(request: Request, calibration: Calibration) -> None:
@@ -201,7 +308,7 @@ def _rehearse(request: Request, calibration: Calibration) -> None:
     perfect = Result(
         calibration.plan.method, angles, nothing, nothing, covariance, 1.0, 0, 0, measured_on=NONE
     )
-    request.files(Source(perfect, {}), calibration.configuration.cell.axis)
+    request.files(Source(perfect, {}), calibration.configuration)
 
 
 def _measure(
@@ -226,7 +333,7 @@ def _measure(
             viewers.end(outcome)
         if outcome.get("interrupted"):
             return None
-    if not folder.truth.is_file():
+    if session.configuration.simulated and not folder.truth.is_file():
         write_truth(session)
     source = read_source(folder.result)
     if source.result.verdict != "ok":
@@ -253,7 +360,7 @@ def _write_once(exports: dict[str, ExportFiles], folder: Path) -> None:
     write_exports(left, folder)
 
 
-def _applied(export: ExportFiles) -> list[str]:
+def _rows(export: ExportFiles) -> list[str]:
     """Return the changes that put the written table into the simulated control."""
     files = {name: text for name, text in export.files.items() if name.endswith(".csv")}
     rows = plain_csv.PlainCsv().read(files)
@@ -262,8 +369,7 @@ def _applied(export: ExportFiles) -> list[str]:
         "forward_arcsec": rows.forward_arcsec,
         "reverse_arcsec": rows.reverse_arcsec,
     }
-    in_force = f"cell.table_in_force={in_force_of(export.files)}"
-    return [in_force] + [
+    return [
         f"simulation.table.compensation.{name}=[{', '.join(f'{x:.9f}' for x in column)}]"
         for name, column in columns.items()
     ]

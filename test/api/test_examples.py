@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import rotcal_ros as rc
+from rotcal_ros.machine_load import patient
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 DATA = EXAMPLES / "data"
@@ -49,7 +50,7 @@ def run(script, folder, *words):
     paths = os.pathsep.join([str(EXAMPLES.parent), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
         [sys.executable, "-c", NO_ROS_NO_NETWORK, str(script), *map(str, words)],
-        cwd=folder, capture_output=True, text=True, timeout=120,
+        cwd=folder, capture_output=True, text=True, timeout=patient(120),
         env={**os.environ, "PYTHONPATH": paths},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

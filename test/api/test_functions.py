@@ -1,6 +1,7 @@
 """What the front door adds of its own: raw streams, data frames, sources of every kind."""
 
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,8 +10,10 @@ import numpy as np
 import pytest
 
 import rotcal_ros as rc
+from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.evaluation.iso230 import BidirectionalRuns
+from rotcal_ros.identity import Identity
 from rotcal_ros.results import RepeatedRuns
 
 ROOT = Path(__file__).parents[2]
@@ -122,7 +125,8 @@ def test_uncertainty_of_a_plain_table(table, setup):
 
 def test_uncertainty_of_a_table_follows_the_stated_noise():
     """Twice the noise of the points: twice the spread, whatever the residuals say."""
-    base = ["solver.mirror_slope_std_arcsec=0", "solver.tilt_std_arcsec=0.001"]
+    other = ("mirror_slope_std_arcsec=0", "uneven_drift_std_arcsec=0", "tilt_std_arcsec=0.001")
+    base = [f"solver.{setting}" for setting in other]
     spreads = []
     for factor in (1.0, 2.0):
         noise = {"range_std_m": 2.5e-6, "transverse_std_m": 4e-6}
@@ -147,12 +151,64 @@ def test_the_correction_has_a_sign_and_a_side(plate):
 
 def test_controller_files_are_never_overwritten(plate, tmp_path):
     table = rc.make_table(plate, reference_angle=0.0)
-    files = rc.write_controller_files(table, "linuxcnc", tmp_path, spacing=10 * rc.DEGREE)
+    files = rc.write_controller_files(table, "linuxcnc", tmp_path, replaces=True)
     assert all(file.parent == tmp_path for file in files)
     with pytest.raises(rc.RotcalError, match="exists already"):
-        rc.write_controller_files(table, "linuxcnc", tmp_path, spacing=10 * rc.DEGREE)
+        rc.write_controller_files(table, "linuxcnc", tmp_path, replaces=True)
     with pytest.raises(rc.RotcalError, match="did you mean 'linuxcnc'"):
-        rc.write_controller_files(table, "linuxcn", tmp_path)
+        rc.write_controller_files(table, "linuxcn", tmp_path, replaces=True)
+
+
+def of_machine(result, axis="", serial="", days=0.0):
+    begun_ns = time.time_ns() - round(days * 86_400e9)
+    identity = Identity(serial=serial)
+    around = Circumstances(axis=axis, identity=identity, begun_ns=begun_ns, ended_ns=begun_ns)
+    return replace(result, circumstances=around)
+
+
+def test_a_table_has_the_axis_that_was_measured(plate):
+    other = replace(plate, deviations={"ECC": plate.deviations["ECC"] + 2e-6})
+    assert rc.make_table(of_machine(plate, "B")).axis == "B"
+    assert rc.make_table(of_machine(plate, "B"), axis="B").axis == "B"
+    assert rc.make_table(plate, reverse=of_machine(other, "B")).axis == "B"
+    assert rc.make_table(plate, axis="A").axis == "A"
+    with pytest.raises(ConfigurationError, match=r"axis B was measured.*that of axis C"):
+        rc.make_table(of_machine(plate, "B"), axis="C")
+    with pytest.raises(ConfigurationError, match="forward run is of axis B, the reverse run of a"):
+        rc.make_table(of_machine(plate, "B"), reverse=of_machine(other, "C"))
+
+
+@pytest.mark.parametrize(
+    ("word", "asked"), [("axis", {"axis": "C"}), ("serial", {"serial": "9999"}), ("age", {})]
+)
+def test_files_are_for_the_machine_that_was_measured(word, asked, plate, tmp_path):
+    table = rc.make_table(of_machine(plate, "B", "4711", days=40.0 if word == "age" else 1.0))
+    with pytest.raises(rc.RotcalError, match=f"--accept {word}"):
+        rc.write_controller_files(table, "csv", tmp_path, replaces=True, **asked)
+    assert list(tmp_path.iterdir()) == []
+    files = rc.write_controller_files(
+        table, "csv", tmp_path, replaces=True, accept=[word], **asked
+    )
+    assert any("accepted by a person" in file.read_text() for file in files)
+    if word == "age":
+        old = tmp_path / "old"
+        rc.write_controller_files(table, "csv", old, replaces=True, largest_age_days=60.0)
+
+
+def test_files_say_which_table_was_in_force(plate, tmp_path):
+    table = rc.make_table(plate)
+    with pytest.raises(DataError, match="not known which table was in force"):
+        rc.write_controller_files(table, "csv", tmp_path)
+    rc.write_controller_files(table, "csv", tmp_path, replaces=True)
+    on_top = tmp_path / "on_top"
+    with pytest.raises(ConfigurationError, match="exclude each other"):
+        rc.write_controller_files(table, "csv", on_top, replaces=True, add_to=tmp_path)
+    # What is added to itself says that the deviation was as large with the table as without.
+    with pytest.raises(DataError, match="not added"):
+        rc.write_controller_files(table, "csv", on_top, add_to=tmp_path)
+    less = replace(plate, deviations={"ECC": 1e-7 * np.cos(3 * plate.angles)})
+    files = rc.write_controller_files(rc.make_table(less), "csv", on_top, add_to=str(tmp_path))
+    assert any("adds to the table" in file.read_text() for file in files)
 
 
 def test_changes_of_a_configuration_are_checked():

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import rotcal_ros as rc
+from rotcal_ros.machine_load import patient
 
 ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -30,7 +31,7 @@ def test_the_script_calibrates_the_simulated_cell(cell):
     cell.start("planner", "capture", "solver", "recorder", "simulated_cell")
     script = ROOT / "examples" / "11_calibrate_from_a_script.py"
     done = subprocess.run(
-        [sys.executable, script, cell.file], capture_output=True, text=True, timeout=120
+        [sys.executable, script, cell.file], capture_output=True, text=True, timeout=patient(120)
     )
     assert done.returncode == 0, done.stderr
     assert "verdict ok" in done.stdout

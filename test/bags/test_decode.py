@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotcal_ros import messages as records
-from rotcal_ros.bags import names
+from rotcal_ros.bags import decode, names
 from rotcal_ros.bags.blocks import HEADER_TYPE, Block
 from rotcal_ros.bags.decode import Columns, Decoder
 from rotcal_ros.bags.definitions import ChannelDefinition
@@ -172,6 +172,32 @@ def test_messages_of_many_shapes(states: list[Any]) -> None:
         assert found[row][:3] == (stamp, [frame], joints)
         assert bits(tuple(found[row][3])) == bits(tuple(position))
         assert bits(tuple(found[row][4])) == bits(tuple(velocity))
+
+
+def test_texts_that_nobody_asked_for_make_no_shapes_of_their_own(monkeypatch) -> None:
+    """A recorder that numbers its frames: once every length was a shape, looked for among all."""
+    frames = [f"frame_{k:03d}" for k in range(200)] + ["größ_01", "größ_02"]
+    messages = [
+        serialised(
+            TYPES[names.TRACER_LENGTH], stamp_ns=k, frame_id=frame, sequence=k, length=0.5 * k,
+            length_std=1e-7, status=0,
+        )
+        for k, frame in enumerate(frames)
+    ]  # fmt: skip
+    assert {len(message) for message in messages} == {len(messages[0])}
+    odd = messages[3].replace(b"frame_003", b"frame_\xff03")
+    walked = []
+    once = decode.work_out_layout
+    monkeypatch.setattr(decode, "work_out_layout", lambda *a: walked.append(a) or once(*a))
+    reader = decoder(names.TRACER_LENGTH)
+    found: dict[int, tuple[int, float]] = {}
+    for columns in reader.columns(block_of([*messages, odd]), ("sequence", "length"), ()):
+        found |= dict(zip(columns.rows.tolist(), columns.values.tolist(), strict=True))
+    assert found == {k: (k, 0.5 * k) for k in range(len(frames))}
+    assert reader.broken == 1
+    assert len(walked) == 2  # one shape, and what is no text
+    apart = decoder(names.TRACER_LENGTH).columns(block_of(messages), ("sequence",))
+    assert len(list(apart)) == len(frames)
 
 
 def test_big_endian_messages() -> None:

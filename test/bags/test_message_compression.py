@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from pathlib import Path
 
@@ -14,9 +15,12 @@ from rotcal_ros.bags.mcap_records import DamagedRecord
 from rotcal_ros.bags.message_compression import (
     declared_compression,
     decompressor,
+    looks_packed,
     stated_compression,
     unpacked,
 )
+from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS
+from rotcal_ros.bags.unpacking import Unpacker
 from rotcal_ros.errors import BagError
 
 MESSAGE = b"\0\1\0\0" + b"length" * 5000
@@ -31,6 +35,45 @@ def test_a_message_is_unpacked_whole_or_refused(size_stated: bool) -> None:
     for cut in (0, 1, 5, len(packed) // 2, len(packed) - 1):
         with pytest.raises(DamagedRecord):
             unpack(packed[:cut])
+
+
+ONE, TWO = MESSAGE[:7000], MESSAGE[7000:]
+SKIPPED = struct.pack("<II", 0x184D2A57, 5) + b"hello"
+
+
+def frame(data: bytes, *, stated: bool = True) -> bytes:
+    return zstandard.ZstdCompressor(write_content_size=stated).compress(data)
+
+
+SEVERAL = {
+    "two frames": frame(ONE) + frame(TWO),
+    "the first without its size": frame(ONE, stated=False) + frame(TWO),
+    "one to be skipped first": SKIPPED + frame(MESSAGE),
+    "one to be skipped last": frame(MESSAGE) + SKIPPED,
+    "one to be skipped between": frame(ONE) + SKIPPED + frame(TWO),
+    "an empty one first": frame(b"") + frame(MESSAGE),
+    "many": b"".join(frame(MESSAGE[k : k + 5]) for k in range(0, len(MESSAGE), 5)),
+}
+
+
+@pytest.mark.parametrize("how", SEVERAL)
+def test_every_frame_of_a_message_counts(how: str) -> None:
+    """RFC 8878, 3.1; the reader of chunks and the reader of rows alike."""
+    unpack = decompressor("MESSAGE", "zstd")
+    assert unpack is not None
+    for each in (unpack, Unpacker(DEFAULT_LIMITS, 1 << 20).message):
+        assert each(SEVERAL[how]) == MESSAGE
+        for broken in (SEVERAL[how][:-1], SEVERAL[how] + b"more"):
+            with pytest.raises(DamagedRecord):
+                each(broken)
+    assert looks_packed(SEVERAL[how])
+
+
+def test_frames_together_are_not_larger_than_a_message_may_be() -> None:
+    unpack = decompressor("MESSAGE", "zstd")
+    assert unpack is not None
+    with pytest.raises(DamagedRecord, match="more than 134217728"):
+        unpack(frame(bytes(70 << 20)) * 2)
 
 
 @pytest.mark.parametrize("size_stated", [True, False])

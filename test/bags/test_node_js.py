@@ -5,12 +5,13 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from aids import on_node
 from bag_samples import simulate, write_run
-from node_packages import installed
 
 from rotcal_ros.bags.closing import open_end
 from rotcal_ros.bags.reader import check_files
 from rotcal_ros.bags.writer_settings import WriterSettings
+from rotcal_ros.machine_load import patient
 from rotcal_ros.observations import ProbeSample, TableSample, TracerSample
 
 HERE = Path(__file__).parent / "node"
@@ -19,11 +20,13 @@ HERE = Path(__file__).parent / "node"
 @pytest.fixture(scope="module")
 def reader():
     """Return a function that reads a bag on Node.js."""
-    program = installed(HERE / "read_bag.mjs")
+    program = on_node(HERE / "read_bag.mjs")
 
     def read(path):
         command = ["node", str(program), str(path)]
-        lines = subprocess.run(command, check=True, timeout=120, capture_output=True, text=True)
+        lines = subprocess.run(
+            command, check=True, timeout=patient(120), capture_output=True, text=True
+        )
         found = {}
         for line in lines.stdout.splitlines():
             message = json.loads(line)

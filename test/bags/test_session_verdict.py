@@ -157,6 +157,11 @@ def test_one_file_alone_is_a_part(tmp_path: Path) -> None:
 def test_a_renamed_or_moved_file_is_no_missing_one(tmp_path: Path) -> None:
     folder = split(tmp_path / "bag")
     (folder / "bag_3.mcap").rename(folder / "three.mcap")
+    found = judged(folder)
+    assert found.missing == ()
+    (words,) = found.differing  # rosbag2 would not find it
+    assert words.startswith("metadata.yaml lists bag_3.mcap, which is called three.mcap here")
+    reindex(folder)
     assert judged(folder).sound
     writer, channels = open_writer(tmp_path / "single")
     with writer:
@@ -164,6 +169,17 @@ def test_a_renamed_or_moved_file_is_no_missing_one(tmp_path: Path) -> None:
     moved = tmp_path / "table 7.mcap"
     shutil.copy(tmp_path / "single" / "single_0.mcap", moved)
     assert judged(moved).sound
+
+
+def test_files_that_have_exchanged_their_names_are_told(tmp_path: Path) -> None:
+    folder = split(tmp_path / "bag")
+    (folder / "bag_1.mcap").rename(folder / "other")
+    (folder / "bag_2.mcap").rename(folder / "bag_1.mcap")
+    (folder / "other").rename(folder / "bag_2.mcap")
+    found = judged(folder)
+    assert found.missing == ()
+    told = [text for text in found.differing if "exchanged their names" in text]
+    assert [text.split()[0] for text in told] == ["bag_1.mcap", "bag_2.mcap"]
 
 
 def test_a_repaired_copy_keeps_identity_and_what_was_lost(tmp_path: Path) -> None:

@@ -275,7 +275,9 @@ def test_waiting_for_names_the_stream():
     assert capture.waiting_for == ""
     for record in [*scene.temperature, *scene.table, scene.probe[0]]:
         capture.feed(record)
-    assert capture.waiting_for.startswith("step 0, attempt 0: waiting for tracer readings")
+    assert capture.waiting_for.startswith(
+        "table position 0, target 0: waiting for tracer readings"
+    )
 
 
 def test_station_and_indices_come_from_the_plan():

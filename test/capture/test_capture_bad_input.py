@@ -231,7 +231,7 @@ def test_a_temperature_that_never_comes_is_told():
     found = [o for record in records for o in capture.feed(record)]
     assert found
     assert all(o.accepted and o.temperature_c is None for o in found)
-    assert capture.remarks()[0] == "step 0: no temperature came in time"
+    assert capture.remarks()[0] == "table position 0, target 0: no temperature came in time"
 
 
 @pytest.mark.parametrize("shift_s", [-1e9, 1e9])

@@ -195,7 +195,8 @@ def test_what_is_waited_for_and_how_long_already():
     for record in (*scene.temperature, *scene.table, *scene.probe):
         capture.feed(record)
     assert capture.waiting_for == (
-        "step 0, attempt 0: waiting for tracer readings, now 0.84 s behind the other streams"
+        "table position 0, target 0: waiting for tracer readings, now 0.84 s behind the other "
+        "streams"
     )
     for record in scene.tracer:
         capture.feed(record)

@@ -1,7 +1,7 @@
 """Feedback that can never be in position says what is wrong with it: no velocity, degrees."""
 
 from dataclasses import replace
-from math import degrees, nan
+from math import degrees, nan, pi
 
 import pytest
 from capture_scenes import RULES, SECOND, SETTINGS, make_plan, make_scene, replay
@@ -47,10 +47,39 @@ def test_a_table_that_is_not_in_position_is_told_long_before_the_attempt_is_give
     scene.probe = scene.probe[:2]  # nothing follows step 1
     at_rest = {"angle": degrees(ANGLE), "velocity": 0.0}
     scene.edit("table", lambda r: replace(r, **at_rest), SECOND, 7 * SECOND)
-    said = {}
+    said, hopeless = {}, {}
     for record in scene.by_stamp():
         capture.feed(record)
         said[record.stamp_ns // SECOND] = capture.complaint()
+        hopeless[record.stamp_ns // SECOND] = capture.hopeless()
     assert said[3] == ""
-    assert "step 1, attempt 0: table not at rest in position" in said[5]
+    assert "table position 1, target 0: table not at rest in position" in said[5]
     assert "degrees?" in said[5]
+    assert hopeless[1] == ""
+    assert hopeless[3].startswith("step 1, attempt 0: it says 28.6479 where 0.5 rad")
+
+
+@pytest.mark.parametrize(
+    ("feedback", "since_ns", "words"),
+    [
+        ({"angle": degrees(ANGLE), "velocity": 0.0}, SECOND, "degrees?"),
+        ({"angle": ANGLE, "velocity": nan}, -SECOND, "no velocity"),
+        ({"angle": ANGLE, "velocity": nan}, SECOND, ""),
+        ({"angle": ANGLE * pi / 180.0, "velocity": 0.0}, SECOND, "radians, not degrees"),
+        ({"angle": ANGLE, "velocity": 0.0}, SECOND, ""),
+        ({"angle": 2.0, "velocity": 0.0}, SECOND, ""),
+    ],
+)
+def test_only_what_no_patience_mends_is_hopeless(feedback, since_ns, words):
+    """A table that stands elsewhere may still come; one that is told wrongly never does.
+
+    One that had a velocity before has not begun to obey its order, as table_adapter says.
+    """
+    capture = Capture(PLAN, replace(SETTINGS, step_timeout_s=30.0), RULES)
+    scene = make_scene(PLAN, 6)
+    scene.probe = scene.probe[:2]
+    scene.edit("table", lambda r: replace(r, **feedback), since_ns, 7 * SECOND)
+    for record in scene.by_stamp():
+        capture.feed(record)
+    assert words in capture.hopeless()
+    assert bool(words) == bool(capture.hopeless())

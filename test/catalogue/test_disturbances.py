@@ -1,13 +1,15 @@
 """What disturbs a measurement is physics that can be checked by hand, and nothing else changes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from chances import LONG, most
 
 from rotcal_ros.catalogue import prepare, read_configuration
 from rotcal_ros.observations import PointKind
-from rotcal_ros.protection import EFFECTS
+from rotcal_ros.protection import EFFECTS, PARTICULAR
 from rotcal_ros.units import ARCSEC
 
 PLANS = Path(__file__).parents[2] / "scripts" / "power_plans"
@@ -17,6 +19,14 @@ each_method = pytest.mark.parametrize("name", METHODS)
 
 def calibration(name):
     return prepare(read_configuration(PLANS / f"{name}.yaml"))
+
+
+def calm(name):
+    """A calibration whose uncertainty holds nothing that the undisturbed simulation lacks."""
+    given = read_configuration(PLANS / f"{name}.yaml")
+    if name == "plane_mirror":
+        given = replace(given, solver=replace(given.solver, uneven_drift_std_arcsec=0.0))
+    return prepare(given)
 
 
 def change(prepared, effect, size, seed=3):
@@ -32,7 +42,7 @@ def change(prepared, effect, size, seed=3):
 def test_every_effect_is_there_once_and_none_of_it_is_nothing(name):
     prepared = calibration(name)
     listed = prepared.method.disturbances.listed
-    assert sorted(d.effect for d in listed) == sorted(EFFECTS)
+    assert sorted(d.effect for d in listed if d.effect not in PARTICULAR) == sorted(EFFECTS)
     for d in listed:
         nothing = 1.0 if d.effect == "axis noise" else 0.0
         assert not np.any(change(prepared, d.effect, nothing)[0]), d.effect
@@ -42,11 +52,11 @@ def test_every_effect_is_there_once_and_none_of_it_is_nothing(name):
 
 @each_method
 def test_noise_follows_the_seed_and_the_undisturbed_result_agrees_with_the_truth(name):
-    prepared = calibration(name)
+    prepared = calm(name)
     first, again, other = (prepared.measured({}, seed) for seed in (5, 5, 6))
     assert first.observations == again.observations
     assert first.observations != other.observations
-    squares, doubts, runs = [], 0, 20
+    squares, doubts, runs = [], 0, 20 if LONG else 8
     for seed in range(runs):
         measured = prepared.measured({}, seed)
         result = prepared.solve(measured.observations)
@@ -55,8 +65,8 @@ def test_noise_follows_the_seed_and_the_undisturbed_result_agrees_with_the_truth
             known = result.std[component] > 0.0
             off = result.deviations[component] - measured.truth[component]
             squares.append(np.mean((off[known] / result.std[component][known]) ** 2))
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.35)
-    assert doubts <= 2
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.35 * np.sqrt(20 / runs))
+    assert doubts <= most(0.02, runs)
 
 
 def test_a_tracer_is_knocked_half_way_and_the_machine_drifts_from_nothing():
@@ -77,6 +87,20 @@ def test_a_tracer_is_knocked_half_way_and_the_machine_drifts_from_nothing():
     assert drifted[-1, 0] == pytest.approx(expected, rel=1e-4)
 
 
+def test_a_tracer_shifted_along_its_circle_reads_as_a_table_that_turns_further():
+    prepared = calibration("tracer")
+    size, mount = 1e-6, np.array(prepared.configuration.simulation.tracer.mount_m)
+    shifted, _ = change(prepared, "tangential motion", size)
+    for step, by in zip(prepared.plan.steps, shifted[:, 0], strict=True):
+        further = step.table_angle + size * np.cos(2 * step.table_angle) / np.hypot(*mount[:2])
+        lengths = []
+        for angle in (step.table_angle, further):
+            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            at = np.array([*(turn @ mount[:2]), mount[2]])
+            lengths.append(np.linalg.norm(np.array(step.position) - at))
+        assert by == pytest.approx(lengths[1] - lengths[0], abs=2e-9)  # the target's own error
+
+
 def test_a_tracer_with_a_wrong_scale_and_in_air_with_a_gradient():
     prepared = calibration("tracer")
     dead = prepared.configuration.simulation.tracer.dead_distance_m
@@ -86,6 +110,16 @@ def test_a_tracer_with_a_wrong_scale_and_in_air_with_a_gradient():
     height = np.array([step.position[2] for step in prepared.plan.steps])
     expected = 1e-6 * 0.5 * (height - height.mean()) * (lengths[:, 0] + dead)
     np.testing.assert_allclose(bent[:, 0], expected, atol=5e-12)
+
+
+def test_two_fifths_of_one_stations_beams_are_too_long_in_one_sector():
+    prepared = calibration("tracer")
+    longer, _ = change(prepared, "one place", 1e-6)
+    steps = np.array(prepared.plan.steps, dtype=object)[longer[:, 0] != 0.0]
+    np.testing.assert_allclose(longer[longer != 0.0], 1e-6, atol=1e-12)
+    (position,) = {step.table_position for step in steps}
+    mine = [step for step in prepared.plan.steps if step.table_position == position]
+    assert len(steps) == round(0.4 * len(mine))
 
 
 def test_a_leaning_table_moves_the_tracer_by_its_height():

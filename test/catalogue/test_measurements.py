@@ -19,11 +19,13 @@ from rotcal_ros.catalogue.configuration import (
 )
 from rotcal_ros.catalogue.measurements import read_measurements
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import measure, paper_cell
+from rotcal_ros.catalogue.setup_file import read_setup
 from rotcal_ros.catalogue.tracer.table import read_targets
 from rotcal_ros.errors import BagError, DataError
 from rotcal_ros.observations import PointKind
 from rotcal_ros.units import ARCSEC, DEGREE
 
+EXAMPLES = Path(__file__).parents[2] / "examples/data"
 TARGETS = [(0.1 * x, 0.2 * y, 0.5 + 0.1 * z) for x, y, z in product(range(2), repeat=3)]
 STATIONS = [(0.3, 0.0, 0.2), (0.0, 0.3, 0.2), (-0.3, 0.0, 0.2)]
 
@@ -50,7 +52,7 @@ def write_tracer(
     lines = [f"{i},{x!r},{y!r},{z!r}" for i, (x, y, z) in enumerate(targets or TARGETS)]
     (folder / "targets.csv").write_text("\n".join(["target,x_m,y_m,z_m", *lines]))
     path = folder / "lengths.csv"
-    path.write_text("\n".join(["# made by hand", "station,target,length_m", "", *rows]) + "\n")
+    path.write_text("\n".join(["# made by hand", "position,target,length_m", "", *rows]) + "\n")
     return path
 
 
@@ -88,7 +90,7 @@ def test_rows_may_be_missing_and_in_any_order(
         ("0,1,inf", "finite"),
         ("0,1,", "finite"),
         ("0,1,0,3", "expected 3 values"),
-        ("a,1,0.3", "station must be a whole number from 0, found 'a'"),
+        ("a,1,0.3", "position must be a whole number from 0, found 'a'"),
         ("-1,1,0.3", "whole number"),
         ("1.0,1,0.3", "whole number"),
         ("3,1,0.3", "positions 0 to 2"),
@@ -120,12 +122,12 @@ def test_lengths_in_millimetres_do_not_fit_the_targets(
     [
         ("", "expected the header line"),
         (
-            "station,target,length\n0,0,1\n",
-            "expected the header line 'position,target,length_m' or 'station,target,length_m'",
+            "position,target,length\n0,0,1\n",
+            "expected the header line 'position,target,length_m' or 'position,target,length_m,",
         ),
-        ("station,target,length_mm\n0,0,1\n", "found 'station,target,length_mm'"),
+        ("position,target,length_mm\n0,0,1\n", "found 'position,target,length_mm'"),
         ("0,0,0.25\n", "expected the header line"),
-        ("station;target;length_m\n0;0;1\n", "separated by semicolons: save it with commas"),
+        ("position;target;length_m\n0;0;1\n", "separated by semicolons: save it with commas"),
     ],
 )
 def test_wrong_header(configuration: Configuration, tmp_path: Path, text: str, error: str) -> None:
@@ -142,7 +144,7 @@ def test_empty_missing_and_binary_tables(configuration: Configuration, tmp_path:
     path.write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(BagError, match="cannot read the table"):
         read_measurements(path, configuration)
-    path.write_text("station,target,length_m\n")
+    path.write_text("position,target,length_m\n")
     with pytest.raises(DataError, match="no rows"):
         read_measurements(path, configuration)
 
@@ -171,35 +173,31 @@ PLATE = {
 }
 
 
-@pytest.mark.parametrize("position", ["position", "table_index"])
-def test_ball_plate_table(position: str, tmp_path: Path) -> None:
+def test_ball_plate_table(tmp_path: Path) -> None:
     setup = parse_configuration(dump_configuration("ball_plate", {"plan": {"plate": PLATE}}))
     path = tmp_path / "plate.csv"
-    path.write_text(f"{position},ball_step,x_m,y_m,z_m\n1,0,0.1,0.2,0.3\n0,5,1,2,3\n")
+    path.write_text("position,ball_step,x_m,y_m,z_m\n1,0,0.1,0.2,0.3\n0,5,1,2,3\n")
     data = read_measurements(path, setup)
     assert [(o.step, o.table_position, o.target, o.mean, o.kind) for o in data.observations] == [
         (0, 1, 0, (0.1, 0.2, 0.3), PointKind.CENTRE),  # rows in the order of measurement
         (1, 0, 5, (1.0, 2.0, 3.0), PointKind.CENTRE),
     ]
-    path.write_text(f"{position},ball_step,x_m,y_m,z_m\n1,2,0.1,0.2,0.3\n")
+    path.write_text("position,ball_step,x_m,y_m,z_m\n1,2,0.1,0.2,0.3\n")
     with pytest.raises(
         DataError, match=r"row 2: position 1, ball step 2 is not .* ball steps 0, 1, 5"
     ):
         read_measurements(path, setup)
 
 
-@pytest.mark.parametrize("header", ["position,target,length_m", "station,target,length_m"])
-def test_both_headers_of_a_tracer_table_mean_the_same(
-    header: str, configuration: Configuration, tmp_path: Path
+def test_a_row_that_is_not_in_the_plan_is_named(
+    configuration: Configuration, tmp_path: Path
 ) -> None:
     path = write_tracer(tmp_path, tracer_rows())
-    path.write_text("\n".join([header, *tracer_rows()]))
     data = read_measurements(path, configuration)
     assert [o.table_position for o in data.observations] == [p for p in range(3) for _ in range(8)]
-    path.write_text("\n".join([header, "99,0,0.1"]))
-    with pytest.raises(DataError, match=r"row 2: position 99, target 0 is not in the plan") as no:
+    path.write_text("\n".join(["position,target,length_m", "99,0,0.1"]))
+    with pytest.raises(DataError, match=r"row 2: position 99, target 0 is not in the plan"):
         read_measurements(path, configuration)
-    assert "station" not in str(no.value)
 
 
 def test_plane_mirror_table_is_read_by_its_method(tmp_path: Path) -> None:
@@ -248,3 +246,22 @@ def test_table_solves_to_the_injected_deviations(tmp_path: Path) -> None:
     result = read_measurements(path, setup).solve()
     np.testing.assert_allclose(result.deviations["ECC"], errors, atol=1e-3 * ARCSEC)
     assert result.n_observations == 7 * 27
+
+
+@pytest.mark.parametrize(
+    ("table", "setup"),
+    [("lengths.csv", "tracer.yaml"), ("three_places/lengths.csv", "tracer_six.yaml")],
+)
+def test_a_table_of_lengths_with_the_sign_turned_round_says_so(table, setup, tmp_path):
+    """Not "spread the targets": that no target would cure."""
+    path = EXAMPLES / table
+    head, *rows = path.read_text().splitlines()
+    column = head.split(",").index("length_m")
+    cells = [row.split(",") for row in rows]
+    for row in cells:
+        row[column] = row[column].removeprefix("-") if "-" in row[column] else f"-{row[column]}"
+    (tmp_path / "targets.csv").write_text((path.parent / "targets.csv").read_text())
+    turned = tmp_path / "lengths.csv"
+    turned.write_text("\n".join([head, *(",".join(row) for row in cells)]) + "\n")
+    with pytest.raises(DataError, match="opposite sign they fit: turn their sign round"):
+        read_measurements(turned, read_setup(EXAMPLES / setup)).solve()

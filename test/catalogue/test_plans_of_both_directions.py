@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from chances import LONG, share
 from plate_cell import measure, simulated_cell, small
 
 from rotcal_ros.catalogue import changed, prepare, read_configuration
@@ -185,5 +186,8 @@ def held(calibration, seeds):
 
 @pytest.mark.parametrize(("make", "seeds"), [(small, 100), (six, 60)])
 def test_stated_intervals_of_reversal_and_mean_hold_the_truth(make, seeds):
-    for share in held(make(BOTH), seeds):
-        assert 0.93 <= share <= 0.97, share
+    seeds = seeds if LONG else seeds // 4
+    # Six components of a run are independent, its angles may not be.
+    low, high = (0.93, 0.97) if LONG else share(0.95, 6 * seeds)
+    for inside in held(make(BOTH), seeds):
+        assert low <= inside <= high

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotcal_ros.capture.settings import CaptureSettings
 from rotcal_ros.catalogue.ball_plate.simulated_probe import (
     MachineError,
     plate_balls,
@@ -16,7 +17,9 @@ from rotcal_ros.catalogue.ball_plate.simulation_settings import (
     SimulatedPlateSettings,
     TouchProbeSettings,
 )
+from rotcal_ros.catalogue.ball_plate.touched_ball import fitted_centre
 from rotcal_ros.observations import Approach, Command, PointKind
+from rotcal_ros.planning.plan import Step
 from rotcal_ros.simulation import SimulatedCell
 from rotcal_ros.simulation.settings import LinearHarmonics, TableSettings
 from rotcal_ros.units import ARCSEC
@@ -94,3 +97,14 @@ def test_touch_directions_cover_the_upper_half():
     assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
     assert np.abs(directions[:, :2].mean(axis=0)).max() < 0.05
     assert directions[:, 2].mean() == pytest.approx(0.5)
+
+
+def test_touch_points_tell_a_z_of_the_wrong_sign():
+    samples = touches(EXACT)
+    step = Step(0, 0, np.pi / 2, Approach.POSITIVE, PointKind.SURFACE, 0, (0.0, 0.185, 0.0),
+                n_points=15, ball_diameter=EXACT.plate.ball_diameter_m)  # fmt: skip
+    assert fitted_centre(samples, step, CaptureSettings()).reason == ""
+    mirrored = [replace(s, position=(*s.position[:2], -s.position[2])) for s in samples]
+    reason = fitted_centre(mirrored, step, CaptureSettings()).reason
+    assert "below the centre" in reason
+    assert "z of the probe has the wrong sign" in reason

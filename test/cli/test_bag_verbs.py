@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from mcap.writer import Writer
 
 from rotcal_ros import catalogue
 from rotcal_ros.cli.main import rotcal
@@ -116,9 +118,17 @@ def test_unreadable_input(verb: str, content: bytes | None, tmp_path: Path) -> N
         path.write_bytes(content)
     result = run(*verb.split(), path)
     # an empty file is a bag that was begun and lost at once
-    empty = {"bag info": 0, "bag check": 1, "bag repair": 0, "solve": 2}
+    empty = {"bag info": 1, "bag check": 1, "bag repair": 1, "solve": 2}
     assert result.exit_code == (empty[verb] if content == b"" else 2)
     assert "Traceback" not in result.output
+
+
+def test_a_bag_without_choices_says_so() -> None:
+    """The bag of the examples was made without a planner."""
+    outcome = run("bag", "choices", Path(__file__).parents[2] / "examples/data/ball_plate_bag")
+    assert outcome.exit_code == 0
+    assert outcome.stdout == ""
+    assert "no choice of a planner was recorded" in outcome.stderr
 
 
 @pytest.mark.usefixtures("solver")
@@ -155,13 +165,13 @@ def test_solve_gives_json_and_nothing_else(bag: Path, tmp_path: Path) -> None:
 def test_solve_for_people(bag: Path) -> None:
     result = run("solve", bag)
     assert "ECC/arcsec" in result.stdout
-    assert re.search(r"verdict ok.*: 32 observations", result.stderr)
+    assert re.search(r"measurement: ok.*: 32 observations", result.stderr)
 
 
 @pytest.mark.usefixtures("solver")
 def test_solve_a_cut_off_bag_warns(cut: Path) -> None:
     result = run("solve", cut, "--json")
-    assert result.exit_code == 0
+    assert result.exit_code == 1
     assert "warning: cut.mcap: truncated at byte" in result.stderr
     assert 3 <= json.loads(result.stdout)["n_observations"] < 32
 
@@ -185,10 +195,38 @@ def test_solve_a_table(tmp_path: Path) -> None:
     setup = tmp_path / "setup.yaml"
     setup.write_text(bag_samples.CONFIGURATION)
     table = tmp_path / "lengths.csv"
-    table.write_text("station,target,length_m\n0,0,0.5\n1,0,0.5\n2,1,0.6\n")
+    table.write_text("position,target,length_m\n0,0,0.5\n1,0,0.5\n2,1,0.6\n")
     result = run("solve", table, "--setup", setup, "--json")
     assert result.exit_code == 0
     assert json.loads(result.stdout)["n_observations"] == 3
     without = run("solve", table)
     assert without.exit_code == 2
     assert "--setup" in without.stderr
+
+
+def test_the_folder_one_stands_in_is_repaired_beside_it(
+    bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "mine"
+    shutil.copytree(bag, folder)
+    monkeypatch.chdir(folder)
+    assert run("bag", "repair", ".").exit_code == 0
+    assert (tmp_path / "mine_repaired" / "metadata.yaml").is_file()
+    (folder / "deeper").mkdir()
+    monkeypatch.chdir(folder / "deeper")
+    assert "exists already" in run("bag", "repair", "..").stderr
+
+
+@pytest.mark.parametrize("count", ["--5", "5-", "²", "", "9" * 5000])
+def test_a_recorded_loss_that_is_no_number(count: str, tmp_path: Path) -> None:
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/a", "json", 0)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.add_metadata("rotcal_losses", {"lost /a": count, "queue": "7"})
+        writer.add_metadata("rotcal_run", {"number": count})
+        writer.finish()
+    found = json.loads(run("bag", "info", tmp_path / "a.mcap", "--json").stdout)
+    assert found["losses_recorded"] == {"queue": 7}
+    assert run("bag", "check", tmp_path / "a.mcap").exit_code == 0

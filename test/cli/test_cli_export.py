@@ -1,13 +1,16 @@
 """``rotcal export``: files of every controller from a result, and why it refuses."""
 
 import json
+import time
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from rotcal_ros.circumstances import Circumstances
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.controllers import controller_names
+from rotcal_ros.identity import Identity
 from rotcal_ros.protection import Protection
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
@@ -19,7 +22,7 @@ def deviation(angles):
     return 12.0 * ARCSEC * (np.sin(angles) + 0.3 * np.sin(3 * angles))
 
 
-def write_result(path, verdict="ok", angles=ANGLES, protections=()):
+def write_result(path, verdict="ok", angles=ANGLES, protections=(), **circumstances):
     result = Result(
         method="tracer_multistation",
         angles=angles,
@@ -31,6 +34,7 @@ def write_result(path, verdict="ok", angles=ANGLES, protections=()):
         n_observations=100,
         verdict=verdict,
         protections=protections,
+        circumstances=Circumstances(**circumstances),
     )
     path.write_text(result.to_json())
     return path
@@ -41,7 +45,8 @@ def export(tmp_path):
     def run(*arguments, source=None):
         source = source or write_result(tmp_path / "result.json")
         out = ["--out", str(tmp_path / "files")]
-        word = [] if "--add-to" in arguments or "measured" in arguments else ["--replace"]
+        alone = {"--add-to", "measured", "volumetric"}
+        word = [] if alone.intersection(map(str, arguments)) else ["--replace"]
         words = [*out, *word, *(str(a) for a in arguments if a != "measured")]
         return CliRunner().invoke(rotcal, ["export", str(source), *words])
 
@@ -148,6 +153,32 @@ def test_what_cannot_be_is_refused_and_nothing_is_written(
     assert not (tmp_path / "files").exists()
 
 
+def test_a_volumetric_table_says_which_table_was_in_force(export, tmp_path):
+    source = write_result(tmp_path / "r.json")
+    data = json.loads(source.read_text()) | {"measured_on": "a" * 64}
+    source.write_text(json.dumps(data))
+    done = export("--to", "volumetric", source=source)
+    words = "measured on top of the table aaaaaaaaaaaa: the deviations are what it leaves"
+    assert words in done.stderr
+    facts = json.loads((tmp_path / "files" / "c_volumetric.json").read_text())
+    assert facts["measured_on"] == "a" * 64
+    assert words in facts["warnings"]
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        ["--spacing", "10"], ["--reference", "0"], ["--harmonics", "3"], ["--replace"],
+        ["--add-to", "."], ["--revolutions", "0:3"], ["--set", "resolution=1"],
+    ],
+)  # fmt: skip
+def test_what_a_volumetric_table_would_not_heed_is_refused(export, tmp_path, option):
+    done = export("--to", "volumetric", *option)
+    assert done.exit_code == 2
+    assert f"{option[0]}: not for a volumetric table" in done.stderr
+    assert not (tmp_path / "files").exists()
+
+
 @pytest.mark.parametrize("verdict", ["suspect", "failed"])
 @pytest.mark.parametrize("controller", ["csv", "volumetric"])
 def test_a_bad_verdict_is_not_fed(export, tmp_path, verdict, controller):
@@ -194,3 +225,73 @@ def test_a_missing_file_is_named(export, tmp_path):
     run = export("--to", "csv", source=tmp_path / "nothing.json")
     assert run.exit_code == 2
     assert "nothing.json" in run.stderr
+
+
+DAY_NS = 86_400 * 10**9
+
+
+@pytest.mark.parametrize("controller", ["csv", "volumetric"])
+@pytest.mark.parametrize(
+    ("word", "arguments", "known", "words"),
+    [
+        ("axis", ["--axis", "B"], {"axis": "C"}, "axis C was measured and the export"),
+        (
+            "serial",
+            ["--serial", "4711"],
+            {"identity": Identity(serial="9999")},
+            "serial number 9999 was measured and the export (--axis, --serial) has 4711",
+        ),
+        ("age", [], {"begun_ns": 366 * DAY_NS}, "days old, at most 30 are taken"),
+    ],
+)
+def test_what_contradicts_the_machine_is_refused_unless_its_word_is_given(
+    export, tmp_path, controller, word, arguments, known, words
+):
+    if word == "age":
+        known = {"begun_ns": time.time_ns() - known["begun_ns"], "ended_ns": time.time_ns()}
+    source = write_result(tmp_path / "result.json", **known)
+    run = export("--to", controller, *arguments, source=source)
+    assert run.exit_code == 3
+    assert words in run.stderr
+    assert f"--accept {word}" in run.stderr
+    assert not (tmp_path / "files").exists()
+    run = export("--to", controller, *arguments, "--accept", word, source=source)
+    assert run.exit_code == 0, run.stderr
+    assert f"accepted by a person ({word})" in run.stderr
+    letter = "b" if word == "axis" else "c"
+    assert {path.name[0] for path in (tmp_path / "files").iterdir()} == {letter}
+
+
+def test_the_largest_age_can_be_set(export, tmp_path):
+    begun_ns = time.time_ns() - 366 * DAY_NS
+    source = write_result(tmp_path / "result.json", begun_ns=begun_ns, ended_ns=begun_ns)
+    assert export("--to", "csv", "--max-age", 400, source=source).exit_code == 0
+    assert export("--to", "csv", "--accept", "agee", source=source).exit_code == 2
+
+
+@pytest.mark.parametrize("controller", ["csv", "volumetric"])
+def test_a_result_without_a_date_does_not_pass_for_young(export, tmp_path, controller):
+    words = "warning: nothing says how many days ago this was measured, at most 30 are taken"
+    ran = export("--to", controller)
+    assert ran.exit_code == 0
+    assert words in ran.stderr
+    dated = {"begun_ns": time.time_ns() - DAY_NS, "ended_ns": time.time_ns()}
+    source = write_result(tmp_path / "dated.json", **dated)
+    assert words not in export("--to", controller, "--name", "dated", source=source).stderr
+
+
+def test_what_is_added_to_has_the_same_item(tmp_path):
+    """The table of 4711 is in force; what 9999 left on top of one is not added to it."""
+    first = write_result(tmp_path / "one.json", identity=Identity(serial="4711"), axis="C")
+    words = ["export", str(first), "--to", "csv", "--replace", "--out", str(tmp_path / "one")]
+    assert CliRunner().invoke(rotcal, words).exit_code == 0
+    other = write_result(tmp_path / "other.json", identity=Identity(serial="9999"), axis="C")
+    words = ["export", str(other), "--to", "csv", "--out", str(tmp_path / "other")]
+    run = CliRunner().invoke(rotcal, [*words, "--add-to", str(tmp_path / "one")])
+    assert run.exit_code == 3
+    assert f"9999 was measured and the table in {tmp_path / 'one'} has 4711" in run.stderr
+    same = write_result(tmp_path / "same.json", identity=Identity(serial="4711"), axis="C")
+    words = ["export", str(same), "--to", "csv", "--out", str(tmp_path / "same")]
+    run = CliRunner().invoke(rotcal, [*words, "--add-to", str(tmp_path / "one")])
+    assert run.exit_code == 3  # the same deviation again: the first table does not act
+    assert "it is inactive, or on the wrong axis" in run.stderr

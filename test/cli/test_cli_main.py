@@ -112,6 +112,13 @@ def test_an_unexpected_error_is_one_line_that_says_how_to_learn_more(verb):
     )
 
 
+def test_a_package_of_pip_alone_that_is_missing_is_named(verb):
+    verb(raising(ModuleNotFoundError("No module named 'mcap.writer'", name="mcap")))
+    result = run("doctor")
+    assert result.exit_code == 2
+    assert result.stderr == "rotcal: mcap is missing: pip install mcap rosbags\n"
+
+
 def test_debug_shows_the_traceback(verb):
     verb(raising(BagError("damaged")))
     assert isinstance(run("--debug", "doctor").exception, BagError)

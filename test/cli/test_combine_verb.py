@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from two_groups import GRID, plate_problem
 
 from rotcal_ros.cli.combine import command
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.evaluation.component_groups import ENLARGEMENTS
+from rotcal_ros.methods.ball_plate import solve
 from rotcal_ros.results import Result
 from rotcal_ros.units import ARCSEC
 
@@ -32,7 +34,7 @@ def combined(tmp_path):
 def reference(path, shift=0.0):
     result = Result.from_dict(json.loads(TRACER.read_text()))
     rows = [
-        f"{np.rad2deg(a)},{d / ARCSEC + shift * (k % 2) + 0.03 * (k % 3)},0.2"
+        f"{np.rad2deg(a)},{d / ARCSEC + shift * (k % 2) + 0.25 * (k % 3 - 1)},0.2"
         for k, (a, d) in enumerate(zip(result.angles, result.deviations["ECC"], strict=True))
     ]
     path.write_text("angle_deg,deviation_arcsec,u_arcsec\n" + "\n".join(rows) + "\n")
@@ -63,7 +65,7 @@ def test_json_and_words(tmp_path):
     assert set(data["details"]["inputs"]) == {str(TRACER), str(PLATE)}
     words = run("combine", TRACER, PLATE)
     assert "chi-square" in words.stderr
-    assert "verdict ok" in words.stderr
+    assert "measurement: ok" in words.stderr
 
 
 def test_sessions_bags_and_references_are_inputs(tmp_path):
@@ -139,3 +141,21 @@ def test_what_cannot_be_combined(tmp_path):
 def test_the_choice_offers_every_enlargement():
     (option,) = [p for p in command.params if p.name == "enlarge"]
     assert tuple(option.type.choices) == ENLARGEMENTS
+
+
+def test_two_groups_are_exported_only_when_a_second_result_joins_them(tmp_path):
+    """Six balls leave 4 arcsec between odd and even positions open; twelve tell them."""
+    six, other, best = (tmp_path / name for name in ("six.json", "other.json", "best.json"))
+    six.write_text(solve(plate_problem()).to_json())
+    other.write_text(solve(plate_problem(range(GRID), seed=2)).to_json())
+    for form in (("--to", "csv", "--replace"), ("--to", "volumetric")):
+        refused = run("export", six, *form, "--out", tmp_path / "six")
+        assert refused.exit_code == 3
+        assert "the offset between the odd and even table positions is not" in refused.output
+        assert "rotcal combine" in refused.output
+        assert not (tmp_path / "six").exists()
+    found = run("combine", six, other, "-o", best)
+    assert found.exit_code == 0
+    assert "comes from" in found.output
+    assert run("export", best, "--to", "csv", "--replace", "--out", tmp_path / "b").exit_code == 0
+    assert (tmp_path / "b" / "c_csv.csv").exists()

@@ -1,9 +1,11 @@
 """rotcal doctor: it must say what is wrong, and what to do."""
 
 import json
+import re
 import shutil
 from collections import namedtuple
 from importlib import metadata, util
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -133,6 +135,33 @@ def test_a_node_that_cannot_start_is_seen(monkeypatch):
     _, wrong = trial_start.trial()
     assert wrong.startswith("no_such_node ended with 1: ")
     assert "No module named rotcal_ros.nodes.no_such_node" in wrong
+
+
+@pytest.mark.ros
+def test_the_rate_is_tried_with_all_that_recorder_and_capture_do(tmp_path):
+    check = doctor.rate(tmp_path / "not made yet")
+    assert re.match(r"\d+ of 5000 readings in 5 s came and were written, the longest", check.found)
+    assert re.search(r"; load \d+\.\d on \d+ cores?$", check.found)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("came", "written", "longest_s", "error", "ok"),
+    [
+        (5000, 5000, 0.04, "", True),
+        (4999, 5000, 0.04, "", False),
+        (5000, 4000, 0.04, "cannot write", False),
+        (5000, 5000, 3.0, "", False),
+    ],
+)
+def test_a_reading_that_is_missing_or_a_long_wait_is_told(came, written, longest_s, error, ok):
+    rate_trial = pytest.importorskip("rotcal_ros.nodes.rate_trial")
+    recording = SimpleNamespace(messages=written, finished=True, error=error)
+    found, text = rate_trial.verdict(5000, came, recording, longest_s)
+    assert found is ok
+    assert text.startswith(f"{min(came, written)} of 5000 readings")
+    assert f"the longest wait was {1000 * longest_s:.0f} ms" in text
+    assert error in text
 
 
 @pytest.mark.ros

@@ -102,7 +102,7 @@ def test_impossible_wishes_are_explained(arguments, text):
 def centres_table(path, grid=12, balls=range(12), noise=1e-7, factor=1.0):
     """Write a table of scattered centres of the plain 12-ball plate."""
     rng = np.random.default_rng(3)
-    lines = ["table_index,ball_step,x_m,y_m,z_m"]
+    lines = ["position,ball_step,x_m,y_m,z_m"]
     for i in range(grid):
         for j in balls:
             angle = 2 * np.pi * (i + j) / grid

@@ -1,5 +1,6 @@
 """Where ``rotcal report`` writes: beside what it is about, never into a bag, never over a file."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -34,6 +35,42 @@ def test_a_report_of_a_bag_is_written_beside_it(session):
     again = report(session / "bag")
     assert again.exit_code == 2
     assert "is not overwritten" in again.stderr
+
+
+@pytest.mark.parametrize(
+    ("left", "code", "words"),
+    [
+        (0.0, 0, "table acts: "),
+        (1.0, 1, "it is inactive, or on the wrong axis"),
+        (2.0, 1, "its sign is turned round"),
+    ],
+)
+def test_a_result_on_top_of_a_table_says_whether_that_table_acts(left, code, words, tmp_path):
+    data = json.loads((ROOT / "examples/data/result_ball_plate.json").read_text())
+    whole = data["deviations"]["ECC"]
+    source = tmp_path / "first.json"
+    source.write_text(json.dumps(data))
+    out = ["--to", "csv", "--replace", "-o", str(tmp_path / "files"), "--json"]
+    done = CliRunner().invoke(rotcal, ["export", str(source), *out])
+    held = json.loads(done.stdout)["provenance"]["contents_sha256"]
+    # What the table leaves: that share of it, and 0.002 arcsec of something else.
+    rest = [1e-8 * (7 * n % 5 - 2) for n in range(len(whole))]
+    data["deviations"]["ECC"] = [left * x + r for x, r in zip(whole, rest, strict=True)]
+    second = tmp_path / "second.json"
+    second.write_text(json.dumps(data | {"measured_on": held}))
+    plain = report(second, "-o", tmp_path / "plain.html")
+    assert plain.exit_code == 0
+    assert "Does that table act? not tested" in (tmp_path / "plain.html").read_text()
+    ran = report(second, "-o", tmp_path / "page.html", "--in-force", tmp_path / "files")
+    assert (ran.exit_code, words in ran.stderr) == (code, True)
+    page = (tmp_path / "page.html").read_text()
+    assert "times what it corrects is left" in page
+    assert (words in page) == bool(left)
+    second.write_text(json.dumps(data | {"measured_on": "a" * 64}))
+    other = report(second, "-o", tmp_path / "other.html", "--in-force", tmp_path / "files")
+    assert other.exit_code == 2
+    assert "name the folder with the files of the table that was in force" in other.stderr
+    assert not (tmp_path / "other.html").exists()
 
 
 def test_a_report_never_goes_into_a_bag(session):

@@ -85,7 +85,8 @@ def test_a_configuration_file(refused, tmp_path, arguments, change, nearest):
     [
         (["--to", "fanucc"], "did you mean 'fanuc'"),
         (["--to", "fanuc"], "--accept-unverified"),
-        (["--spacing", 0], "spacing 0 deg"),
+        (["--spacing", "nan"], "spacing nan deg"),
+        (["--spacing", 400], "spacing 400 deg"),
         (["--spacing", -10], "spacing -10 deg"),
         (["--spacing", 0.5], "the controller holds 256"),
         (["-o", "file/out"], "takes no new files"),

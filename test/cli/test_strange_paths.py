@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from rotcal_ros.cli import main
 from rotcal_ros.escapes import printable_lines
+from rotcal_ros.machine_load import patient
 
 LONG = bool(os.environ.get("ROTCAL_FUZZ_SECONDS"))
 """All endings of files, not only those that a kind is most likely taken for."""
@@ -79,7 +80,9 @@ def test_a_folder_that_nobody_may_read_is_answered(tmp_path):
         if not shutil.which("setpriv"):
             pytest.skip("root reads every folder, and setpriv is not here to prevent it")
         command = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *command]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(
+        command, capture_output=True, text=True, timeout=patient(60), check=False
+    )
     locked.chmod(0o700)
     if ended.returncode == 77 or "setpriv:" in ended.stderr:
         pytest.skip(f"this user reads every folder: {ended.stderr}")

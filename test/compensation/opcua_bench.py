@@ -19,6 +19,8 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
+from rotcal_ros.machine_load import patient
+
 START_S = 120.0
 PASSWORD = "turn the table"
 
@@ -128,6 +130,7 @@ class Server:
         """Start it (anew), and wait until it listens."""
         self.stop()
         self.fault.unlink(missing_ok=True)
+        self.say_size(None)
         if self.process is None or self.process.poll() is not None:
             self.process = subprocess.Popen(
                 [*self.command, str(self.work / "setup.json")],
@@ -156,7 +159,7 @@ class Server:
     def end(self):
         self.stop()
         self.process.terminate()
-        self.process.wait(30)
+        self.process.wait(patient(30))
         self.process.stdin.close()
         self.process.stdout.close()
         self.log.close()
@@ -164,6 +167,13 @@ class Server:
     def fail(self, calls, kind, when, method=""):
         """Fail after ``calls`` calls of methods, or of one of them."""
         self.fault.write_text(f"{calls} {kind} {when} {method}")
+
+    def say_size(self, size):
+        """Let the server show this size for every file; None: the true one."""
+        said = self.fault.with_name("size_of_all")
+        said.unlink(missing_ok=True)
+        if size is not None:
+            said.write_text(str(size))
 
     def settings(self, **changes):
         """Return the values of ``bridge.opcua``."""

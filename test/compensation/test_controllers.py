@@ -8,6 +8,7 @@ from datetime import datetime, timezone
 
 import numpy as np
 import pytest
+from chances import LONG
 from compensation_examples import TAU, even, result_of, wavy
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -63,7 +64,7 @@ def deviation_curves(draw):
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=30 if LONG else 3, deadline=None)
 @given(
     curve=deviation_curves(),
     rows=st.sampled_from([36, 40, 72, 80]),
@@ -142,7 +143,7 @@ def test_rounding_is_half_a_step_and_what_the_angle_moves(name, value_arcsec, an
     """
     angles = even(36)
     table = table_from_result(result_of(angles, wavy(angles)))
-    done = export(table, name)
+    done = export(table, name, spacing=TAU / 36)  # the measured angles
     rounding = done.residual.rounding / ARCSEC
     fine = even(36_000)
     slope = np.max(np.abs(np.diff(wavy(fine)))) / (fine[1] - fine[0])

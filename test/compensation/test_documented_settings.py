@@ -19,7 +19,7 @@ WORDS = {"empty": "", "true": True, "false": False}
 
 def test_the_bridge_is_as_documented():
     assert BridgeSettings().controller_settings == {}
-    assert assert_documented(BridgeSettings, "bridge") == 29
+    assert assert_documented(BridgeSettings, "bridge") == 31
 
 
 def documented(name):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compensation_examples import even, result_of, wavy
-from test_feed import COMP, SECOND, Cell, applied, table_of, undone
+from test_feed import COMP, SECOND, Cell, applied, made_before, table_of, undone
 
 from rotcal_ros.compensation.controller_folder import STATE_FOLDER, ControllerFolder
 from rotcal_ros.compensation.feed import Feed
@@ -38,7 +38,7 @@ def test_every_event_is_noted_with_its_time(cell):
     feed = cell.feed()
     table = table_of()
     feed.take(table, cell.clock())
-    start = cell.clock.ns
+    start = cell.clock.ns + SECOND  # the age of the measurement is asked first
     done = feed.apply(feed.offer.confirmation)
     first, second = start + SECOND, start + 2 * SECOND
     backup = f"before-{first}"
@@ -101,6 +101,22 @@ def test_a_failed_write_is_rolled_back_and_noted(cell):
         undone(feed)
 
 
+def test_where_nothing_was_written_nothing_is_said_to_be_put_back(cell):
+    class Deaf(ControllerFolder):
+        def _write(self, files):
+            pass
+
+    feed = cell.feed()
+    applied(feed, table_of())
+    feed.close()
+    before = cell.files()
+    deaf = cell.feed(Deaf(cell.folder, 20.0))
+    with pytest.raises(ControllerError, match="holds what it held before, nothing had to be put"):
+        applied(deaf, table_of(1.5))
+    assert cell.files() == before
+    assert [entry["action"] for entry in journal_of(cell)][-1] == "rolled_back"
+
+
 def test_a_half_written_table_has_no_change_to_tell(cell):
     feed = cell.feed()
     applied(feed, table_of())
@@ -149,7 +165,7 @@ def test_the_settings_reach_the_export(cell):
 
 def test_a_table_has_its_own_reference_unless_told_otherwise(cell):
     result = replace(result_of(even(24), wavy(even(24))), measured_on="none")
-    table = table_from_result(result, reference_angle=2.0, axis="C")
+    table = made_before(table_from_result(result, reference_angle=2.0, axis="C"))
     feed = cell.feed()
     feed.take(table, 1)
     assert feed.offer.export.table.reference_angle == 2.0
@@ -198,7 +214,8 @@ def arc_table(scale=1.0):
     """An arc 705 .. 795 degrees, 100 arcsec high at 750: outside of LinuxCNC's first turn."""
     angles = np.deg2rad(np.arange(705.0, 796.0, 15.0))
     bump = np.where(np.isclose(angles, np.deg2rad(750.0)), 100.0 * ARCSEC * scale, 0.0)
-    return table_from_result(replace(result_of(angles, bump), measured_on="none"))
+    table = table_from_result(replace(result_of(angles, bump), measured_on="none"))
+    return made_before(table)
 
 
 def test_the_change_of_an_arc_is_sought_where_the_arc_is(cell):
@@ -234,7 +251,7 @@ def test_a_feed_keeps_to_the_folder_and_the_patience_of_its_settings(cell):
 
 # The journal.
 
-ENTRY = Entry("applying", 5, "ab", "before-5")
+ENTRY = Entry("applying", 5, "ab", "before-5", "00", "01")
 
 
 def test_entries_come_back_in_their_order(tmp_path):
@@ -286,19 +303,26 @@ def test_a_journal_that_cannot_be_written_is_told(tmp_path):
         ("A1", "A1", 0),
         ("A1 a2 A3 a4", "A3", 0),
         ("A1 a2 A3 r4", "A1", 0),
-        ("A1 a2 A3 a4 R5", "A1", 5),
-        ("A1 a2 A3 a4 R5 R6", None, 6),
+        ("A1 a2 A3 a4 B5 R6", "A1", 6),
+        ("A1 a2 A3 a4 B5 R6 B7 R8", None, 8),
         ("A1 r2", None, 0),
-        ("R7", None, 7),
-        ("A1 a2 R5 A6 a7", "A6", 5),
+        ("A1 a2 B5", "B5", 0),
+        ("A1 a2 B5 r6", "A1", 0),
+        ("A1 a2 B5 R6 A7 a8", "A7", 6),
     ],
 )
 def test_what_is_undone_next(tmp_path, events, undo, restored_ns):
-    """A: applying, a: applied, r: rolled back, R: restored, each with its time."""
-    actions = {"A": "applying", "a": "applied", "r": "rolled_back", "R": "restored"}
-    journal = Journal(tmp_path)
+    """A: applying, a: applied, r: rolled back, B: restoring, R: restored, each with its time."""
+    actions = {"A": "applying", "a": "applied", "r": "rolled_back", "B": "restoring"}
+    journal, held, wanted = Journal(tmp_path), "nothing", ""
     for event in events.split():
-        journal.note(Entry(actions[event[0]], int(event[1:]), "ab", event))
+        if event[0] == "A":
+            wanted = f"table {event}"
+        elif event[0] == "B":
+            wanted = journal.to_undo().before_hash
+        action = actions.get(event[0], "restored")
+        journal.note(Entry(action, int(event[1:]), "ab", event, held, wanted))
+        held = wanted if event[0] in "aR" else held
     found = journal.to_undo()
     assert (found and found.backup) == undo
     assert journal.last_restore_ns() == restored_ns

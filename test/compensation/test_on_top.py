@@ -194,6 +194,9 @@ def test_a_wrong_combination_is_refused_with_the_reason(measured_on, word, there
 def test_what_fits_is_taken_and_told(measured_on, word, words):
     held = held_small()
     table = small(measured_on=held.in_force if measured_on == "held" else measured_on)
+    table = replace(
+        table, correction_forward=np.roll(table.correction_forward, 3)
+    )  # another shape
     done = combined(table, lambda: held, word)
     assert standing(done).startswith(words)
     on_word = any("the word of a person" in warning for warning in done.warnings)
@@ -210,6 +213,7 @@ def test_what_a_table_left_is_never_written_alone():
 
 def test_an_arc_is_not_added_to_a_circle():
     arc = replace(small(), period=0.0, measured_on=held_small().in_force)
+    arc = replace(arc, correction_forward=np.roll(arc.correction_forward, 3))  # another shape
     with pytest.raises(DataError, match="one in force covers the full circle"):
         combined(arc, held_small)
 
@@ -245,3 +249,17 @@ def test_an_earlier_export_is_read_whole_or_not_at_all(tmp_path):
     (tmp_path / "c_csv.csv").write_text("changed")
     with pytest.raises(BagError, match="was changed since it was written"):
         read_earlier(tmp_path, "csv", "C")
+
+
+def test_a_side_file_of_a_schema_that_is_not_known_is_refused(tmp_path):
+    """Its entries may mean something else: neither its numbers nor its names are believed."""
+    write_files(exported(small(measured_on="none")).files, tmp_path)
+    side = next(tmp_path.glob("*.provenance.json"))
+    text = side.read_text()
+    assert '"schema": 1,' in text
+    side.write_text(text.replace('"schema": 1,', '"schema": 2,'))
+    with pytest.raises(BagError, match="its schema is 2, expected 1"):
+        read_earlier(tmp_path, "csv", "C")
+    files = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    with pytest.raises(DataError, match="of another schema; measure without"):
+        held_table(PlainCsv(), files)

@@ -6,7 +6,7 @@ node-opcua with node-opcua-file-transfer, on Node.js.
 from pathlib import Path
 
 import pytest
-from node_packages import installed
+from aids import on_node
 from test_feed import applied, table_of, undone
 
 pytest.importorskip("asyncua")
@@ -20,7 +20,7 @@ HERE = Path(__file__).parent / "node"
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    program = installed(HERE / "file_server.mjs")
+    program = on_node(HERE / "file_server.mjs")
     work = tmp_path_factory.mktemp("opcua_node")
     opcua_bench.make_certificates(work)
     made = opcua_bench.Server(work, ["node", str(program)], "1:Machine/FileSystem")

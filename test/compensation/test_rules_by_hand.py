@@ -136,7 +136,7 @@ def test_pmac_writes_the_example_of_its_manual():
     table = replace(two_ways(8), correction_forward=-off[0], correction_reverse=-off[1])
     files, controller = example("pmac", table, motor=3, counts_per_turn=4000)
     assert files["x.pmc"] == (
-        "#3 DEFINE COMP 8,4000\n-160 80 120 96 40 -56 -8 0\n"
+        "#3 DELETE BLCOMP\n#3 DELETE COMP\n#3 DEFINE COMP 8,4000\n-160 80 120 96 40 -56 -8 0\n"
         "#3 DEFINE BLCOMP 8,4000\n16 -24 -56 16 -24 32 48 0\nI385=16\nI386=80\nI51=1\n"
     )
     at = np.append(np.arange(8), 9) * 45.0
@@ -145,13 +145,44 @@ def test_pmac_writes_the_example_of_its_manual():
         np.testing.assert_allclose(applied(files, controller, at, way), expected, atol=1e-12)
 
 
+def pmac_takes(text, there):
+    """What a Turbo PMAC holds after a download: its rules of pp. 301, 303 for tables, and no more.
+
+    ``there`` are (kind, motor) from before. COMP is rejected while a BLCOMP of any motor is there,
+    each of them while one of its kind is there for a lower motor, or for this one.
+    """
+    for motor, verb, kind in re.findall(r"^#(\d+) (DEFINE|DELETE) (\w+)", text, re.MULTILINE):
+        if verb == "DELETE":
+            there = there - {(kind, int(motor))}
+            continue
+        in_the_way = {k for k in there if k[0] == kind and k[1] <= int(motor)}
+        if kind == "COMP":
+            in_the_way |= {k for k in there if k[0] == "BLCOMP"}
+        assert not in_the_way, f"ERR003: {kind} of motor {motor}, there is {in_the_way}"
+        there = there | {(kind, int(motor))}
+    return there
+
+
+def test_pmac_takes_a_second_download():
+    table = replace(two_ways(8), correction_reverse=two_ways(8).correction_forward - 1e-4)
+    both, _ = example("pmac", table, motor=3, counts_per_turn=360_000)
+    one, _ = example("pmac", table, motor=3, counts_per_turn=360_000, reversal="mean")
+    there = pmac_takes(both["x.pmc"], frozenset())
+    assert there == {("COMP", 3), ("BLCOMP", 3)}
+    assert pmac_takes(both["x.pmc"], there) == there
+    assert pmac_takes(one["x.pmc"], there) == {("COMP", 3)}
+
+
 def test_pmac_has_no_negative_backlash():
     """The axis of the example comes out 0.002 deg lower from above, which Ixx86 cannot hold."""
     words = r"zero is -32 sixteenths of a count \(-7.2 arcsec\), and I186 holds 0 .. 8388607: give"
     with pytest.raises(ConfigurationError, match=words):
         example("pmac")
     files, controller = example("pmac", reversal="mean")
-    assert files["x.pmc"] == "#1 DEFINE COMP 4,360000\n-80 48 -16 0\nI51=1\n"
+    assert (
+        files["x.pmc"]
+        == "#1 DELETE BLCOMP\n#1 DELETE COMP\n#1 DEFINE COMP 4,360000\n-80 48 -16 0\nI51=1\n"
+    )
     for way in (UP, DOWN):
         np.testing.assert_allclose(applied(files, controller, [90, 450], way), -0.005)
 

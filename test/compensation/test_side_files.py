@@ -27,12 +27,43 @@ def side_of(done):
     return json.loads(text)
 
 
+FACTS_OF_A_TABLE = {
+    "schema": 1,
+    "written": "2026-01-02T03:04:05+00:00",
+    "axis": "C",
+    "item": "",
+    "serial": "",
+    "measured_from": "",
+    "measured_until": "",
+    "simulated": False,
+    "method": "simulated",
+    "verdict": "ok",
+    "verdict_line": "ok",
+    "sources_sha256": {},
+    "measured_on": "unknown",
+    "adds_to": "",
+    "in_force": "replaces the table in force; not known which table was in force: the whole "
+    "deviation, or what a table leaves",
+    "sign_of_the_table": "correction = -(actual - commanded); add it to the commanded angle",
+    "rows": 72,
+    "row_angles_deg": pytest.approx(list(range(0, 360, 5))),
+    "closed": True,
+    "first_angle_deg": 0.0,
+    "last_angle_deg": pytest.approx(355.0),
+    "widest_spacing_deg": pytest.approx(5.0),
+    "reference_angle_deg": 0.0,
+    "blind_to": "what repeats more than 36 times in a turn: the measured angles are up to "
+    "5 deg apart; a reversal: both directions are equal",
+}
+"""What the side file says of a simulated table of 72 rows, whatever the controller."""
+
+
 @pytest.mark.parametrize("name", controller_names())
 def test_the_side_file_holds_what_the_page_promises(name):
     """docs/compensation.md: hashes, date, verdict, units, sign, settings, residual, warnings."""
     table = table_from_result(result_of(even(72), wavy(even(72))))
     table = replace(table, warnings=("a remark",))
-    done = prepare_export(table, name, now=NOW, accept_unverified=True)
+    done = prepare_export(table, name, now=NOW, spacing=5.0 * DEGREE, accept_unverified=True)
     side = side_of(done)
     facts = make_controller(name).facts
     confirmation = side.pop("confirmation_sha256")
@@ -52,40 +83,25 @@ def test_the_side_file_holds_what_the_page_promises(name):
     assert side.pop("contents_sha256") == hashlib.sha256(text).hexdigest()
     unverified = [f"not verified: {text}" for text in make_controller(name).unverified]
     assert tuple(side["warnings"]) == done.warnings
-    assert side == {
-        "schema": 1,
-        "written": "2026-01-02T03:04:05+00:00",
-        "axis": "C",
-        "item": "",
-        "simulated": False,
-        "method": "simulated",
-        "verdict": "ok",
-        "verdict_line": "ok",
+    wide = [text for text in done.warnings if text.startswith("between rows 5 deg apart")]
+    assert bool(wide) == (name == "fanuc")  # a staircase
+    assert side.pop("warnings") == [
+        "a remark",
+        *unverified,
+        *wide,
+        *([UNKNOWN_LIMITS] if name == "linuxcnc" else []),
+    ]
+    assert side.pop("residual") == done.residual.in_words()
+    assert {k: v for k, v in side.items() if k not in FACTS_OF_A_TABLE} == {
         "table_sha256": table.table_hash,
-        "sources_sha256": {},
-        "measured_on": "unknown",
-        "adds_to": "",
-        "in_force": "replaces the table in force; not known which table was in force: the whole "
-        "deviation, or what a table leaves",
-        "sign_of_the_table": ("correction = -(actual - commanded); add it to the commanded angle"),
         "controller": name,
         "controller_title": facts.title,
         "sign": facts.sign,
         "wrap": facts.wrap,
         "unit": facts.unit,
         "source": facts.source,
-        "rows": 72,
-        "row_angles_deg": pytest.approx(list(range(0, 360, 5))),
-        "closed": True,
-        "first_angle_deg": 0.0,
-        "last_angle_deg": pytest.approx(355.0),
-        "widest_spacing_deg": pytest.approx(5.0),
-        "reference_angle_deg": 0.0,
-        "residual": done.residual.in_words(),
-        "blind_to": "what repeats more than 36 times in a turn: the measured angles are up to "
-        "5 deg apart; a reversal: both directions are equal",
-        "warnings": ["a remark", *unverified, *([UNKNOWN_LIMITS] if name == "linuxcnc" else [])],
     }
+    assert {k: side[k] for k in FACTS_OF_A_TABLE} == FACTS_OF_A_TABLE
 
 
 def test_rows_and_reference_of_the_file_are_those_written():
@@ -180,6 +196,8 @@ def test_the_volumetric_file_is_whole():
         "method": "simulated",
         "simulated": False,
         "item": "",
+        "serial": "",
+        "measured_on": "unknown",
         "verdict": "ok",
         "verdict_line": "ok",
         "not_protected": [],

@@ -249,19 +249,6 @@ def test_the_stated_interval_of_the_reversal_holds_the_truth():
     assert 0.93 <= np.mean(inside) <= 0.97
 
 
-def test_results_of_earlier_versions_give_both_columns_too():
-    """JSON with the runs but without directions; the uncertainty must not come out too small."""
-    result = both_ways(even(18), wavy, play, 0.3 * ARCSEC, seed=5, runs=3)
-    data = result.to_dict()
-    del data["directions"]
-    older = table_from_result(Result.from_dict(data))
-    table = table_from_result(result)
-    np.testing.assert_allclose(older.correction_forward, table.correction_forward, atol=1e-15)
-    np.testing.assert_allclose(older.correction_reverse, table.correction_reverse, atol=1e-15)
-    assert np.all(older.std_reverse >= 0.999 * table.std_reverse)
-    assert np.all(older.std >= 0.999 * table.std)
-
-
 def test_an_angle_that_was_reached_from_one_side_only_is_left_out():
     angles = even(12)
     target = np.concatenate([np.arange(12), [11, 10, 9, 8, 7, 6, 4, 3, 2, 1, 0]])

@@ -9,10 +9,13 @@ from datetime import datetime, timezone
 
 import numpy as np
 import pytest
-from compensation_examples import d4_table
+from compensation_examples import d4_table, two_ways
+from independent_controls import CONTROLS
 
 from rotcal_ros.compensation.controllers import make_controller
+from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.parsing import number, only_file, parse_rows
+from rotcal_ros.compensation.writing import of_the_controller
 from rotcal_ros.errors import BagError
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import DEGREE
@@ -99,7 +102,8 @@ FILES = {
         "P005 C1 360.0000 EC1 0.0000 EC1 -0.0020\n",
     }),
     "pmac": ({"motor": 4, "counts_per_turn": 36_000, "reversal": "mean"}, {
-        "x.pmc": "#4 DEFINE COMP 4,36000\n-8 5 -2 0\nI51=1\n",  # a unit of 0.000625 deg
+        "x.pmc": "#4 DELETE BLCOMP\n#4 DELETE COMP\n#4 DEFINE COMP 4,36000\n-8 5 -2 0\n"
+        "I51=1\n",  # a unit of 0.000625 deg
     }),
     "kflop": ({}, {
         "x.txt": "5\n90.000000\n0.000000\n0,0.000000000\n1,89.995000000\n2,180.003000000\n"
@@ -159,7 +163,9 @@ def test_twincat_writes_two_columns_only_for_two_directions(directional, lines):
 def test_pmac_writes_a_backlash_table_only_for_two_directions():
     table = replace(d4_table(), correction_reverse=d4_table().correction_forward)
     text = make_controller("pmac").write(table, "x")["x.pmc"]
-    assert text == "#1 DEFINE COMP 4,360000\n-80 48 -16 0\nI51=1\n"
+    assert (
+        text == "#1 DELETE BLCOMP\n#1 DELETE COMP\n#1 DEFINE COMP 4,360000\n-80 48 -16 0\nI51=1\n"
+    )
 
 
 # Damage: the reader names it.
@@ -303,3 +309,48 @@ def test_parsing_names_file_and_row():
     for text in ("x", "nan", "-inf", " "):
         with pytest.raises(BagError, match=rf"^here: found '{text.strip()}', expected a number$"):
             number(text, "here")
+
+
+# Marks of a simulation, and TwinCAT's list header.
+
+WITH_COMMENTS = {"linuxcnc", "sinumerik", "twincat", "twincat_nc", "pmac"}
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_a_simulated_table_says_so_inside_every_file_whose_form_has_comments(name):
+    """The control that reads it, and our own reader, make the same of it."""
+    control, settings = CONTROLS[name]
+    plain = two_ways(36)
+    if name.startswith("pmac"):  # from above it comes out higher
+        plain = replace(plain, correction_reverse=plain.correction_forward - 1e-4)
+    texts = [
+        prepare_export(
+            replace(plain, simulated=simulated),
+            name.split()[0],
+            now=NOW,
+            settings=settings,
+            stem="c_x",
+            accept_unverified=True,
+        )
+        for simulated in (False, True)
+    ]
+    real, marked = (of_the_controller(done.files) for done in texts)
+    assert not any("SIMULATED" in text for text in real.values())
+    has = name.split()[0] in WITH_COMMENTS
+    assert all(("SIMULATED" in text) == has for text in marked.values())
+    at = np.linspace(0.0, 359.0, 97)
+    for way in (True, False):
+        np.testing.assert_array_equal(control(marked)(at, way), control(real)(at, way))
+
+
+def test_the_list_header_of_twincat_names_the_axis():
+    """TF5200, list header: kopf.achs_nr and kopf.log_achs_name."""
+    controller = make_controller("twincat", {"axis_number": 6})
+    files = controller.write(d4_table(), "x")
+    head, rest = files["x.lis"].split("kw.ssfk.unit", 1)
+    assert head == "kopf.achs_nr 6\nkopf.log_achs_name C1\n"
+    without = make_controller("twincat").write(d4_table(), "x")
+    assert without["x.lis"] == f"kw.ssfk.unit{rest}"
+    at = np.linspace(0.0, 6.0, 50)
+    read = [controller.read(f).correction(at, Approach.POSITIVE) for f in (files, without)]
+    np.testing.assert_array_equal(*read)

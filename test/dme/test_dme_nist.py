@@ -1,42 +1,27 @@
 """What our client says and our server answers, read by the parsers of NIST's test suite for 1.4.
 
-They are built from their sources, which are not part of this repository: they are fetched, or
-ROTCAL_NIST_DME names a folder with a copy of the suite's standAloneTestSuiteComponents.
+They are built from their sources, which are not part of this repository: `make test-aids`
+fetches them, or ROTCAL_NIST_DME names a folder with a copy of standAloneTestSuiteComponents.
 """
 
-import os
-import shutil
 import socket
 import subprocess
-from pathlib import Path
 
 import pytest
+from aids import nist_suite
 from dme_plates import measure, small
 
 from rotcal_ros.dme.link import DmeLink
 from rotcal_ros.dme.server import DmeServer, serving
+from rotcal_ros.machine_load import patient
 
-COPY = os.environ.get("ROTCAL_NIST_DME", "")
-SOURCE = "https://github.com/aschet/nistippdmetestsuite"
-"""NIST's suite, made ready for the compilers of today."""
-COMMIT = "890b29966b741e4cbdeda67a14954b61b3721a0f"
-FETCH_S, BUILD_S = 60, 120
+BUILD_S = 120
 
 
 @pytest.fixture(scope="module")
-def suite(tmp_path_factory):
+def suite():
     """Return the folder of the suite's stand-alone components."""
-    if shutil.which("g++") is None:
-        pytest.skip("no g++ to build NIST's I++ DME test suite with")
-    if COPY:
-        return Path(COPY)
-    folder = tmp_path_factory.mktemp("suite")
-    fetch = f"timeout {FETCH_S} git fetch -q --depth=1 {SOURCE} {COMMIT}"
-    command = f"git init -q && {fetch} && git checkout -q FETCH_HEAD"
-    done = subprocess.run(command, shell=True, cwd=folder, capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip(f"ROTCAL_NIST_DME names no copy of {SOURCE}, and {done.stderr.strip()}")
-    return folder / "standAloneTestSuiteComponents"
+    return nist_suite()
 
 
 @pytest.fixture(scope="module")
@@ -49,12 +34,12 @@ def parsers(suite, tmp_path_factory):
         if not program.exists():
             sources = sorted((suite / f"{name}PC" / "source").glob("*.cpp"))
             command = ["g++", "-w", "-DPARSER_MAIN", "-o", str(program), *map(str, sources)]
-            subprocess.run(command, check=True, timeout=BUILD_S)
+            subprocess.run(command, check=True, timeout=patient(BUILD_S))
         text = "".join(f"{line}\r\n\\\\\r\n" for line in lines)
         (folder / "lines").write_bytes(f"{text}:\r\n:\r\n".encode())
         run = subprocess.run(
             [program], input="n\nlines\nq\n", text=True, cwd=folder, capture_output=True,
-            timeout=30, check=True,
+            timeout=patient(30), check=True,
         )  # fmt: skip
         assert run.stdout.count("\\\\") + run.stderr.count("\n\n") == len(lines)
         return run.stderr

@@ -5,6 +5,7 @@ import time
 from threading import Thread
 
 from rotcal_ros.dme.grammar import parse_call
+from rotcal_ros.machine_load import patient
 
 ANSWERS = {
     "GetDMEVersion": ['DMEVersion("1.4.3")'],
@@ -21,7 +22,7 @@ DEADLINE_S = 10.0
 
 
 def wait_for(condition):
-    deadline = time.monotonic() + DEADLINE_S
+    deadline = time.monotonic() + patient(DEADLINE_S)
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.005)

@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from campaigns import TAU, about_mean, campaign, combined, result_of, three, truth
+from click.testing import CliRunner
 from scipy import stats
 
 from rotcal_ros.circumstances import Circumstances
+from rotcal_ros.cli.main import rotcal
 from rotcal_ros.compensation.table import check_verdict, table_from_result
 from rotcal_ros.compensation.volumetric import volumetric_files
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
@@ -70,6 +72,81 @@ def with_protection(result, **stated):
     )
 
 
+HASH, OTHER = "a" * 64, "b" * 64
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "words"),
+    [
+        ({"serial": "4711"}, {"serial": "9999"}, "serial number 4711 (r0), 9999 (r1)"),
+        ({"axis": "B"}, {"axis": "C"}, "axis B (r0), C (r1)"),
+        ({"on": HASH}, {"on": "none"}, "compensation in force aaaaaaaaaaaa (r0), none (r1)"),
+        ({"on": HASH}, {"on": OTHER}, "in force aaaaaaaaaaaa (r0), bbbbbbbbbbbb (r1)"),
+    ],
+)
+def test_what_was_measured_of_two_tables_is_not_combined(ours, theirs, words):
+    rng = np.random.default_rng(31)
+    grid = np.arange(12) * TAU / 12
+    both = [measured_of(campaign(grid, 0.2 * ARCSEC, rng)[2], **said) for said in (ours, theirs)]
+    with pytest.raises(DataError) as refused:
+        combined(*both)
+    assert words in str(refused.value)
+    assert combined(both[0], campaign(grid, 0.2 * ARCSEC, rng)[2]).verdict == "ok"
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "words"),
+    [
+        ({"serial": "4711"}, {"serial": "9999"}, "serial number 4711 ({0}), 9999 ({1})"),
+        ({"axis": "B"}, {"axis": "C"}, "axis B ({0}), C ({1})"),
+    ],
+)
+def test_nor_is_it_compared_or_checked(ours, theirs, words, tmp_path):
+    """The numbers agree: nothing but what the results say of themselves can tell."""
+    rng = np.random.default_rng(33)
+    grid = np.arange(12) * TAU / 12
+    first, second, bare = (campaign(grid, 0.2 * ARCSEC, rng)[2] for _ in range(3))
+    paths = []
+    for name, result in (
+        ("a", measured_of(first, **ours)), ("b", measured_of(second, **theirs)), ("c", bare),
+    ):  # fmt: skip
+        paths.append(tmp_path / f"{name}.json")
+        paths[-1].write_text(result.to_json())
+    a, b, c = map(str, paths)
+    verbs = {("compare",): (a, b), ("check", "--within", "3"): _ROLES}
+    for (verb, *options), names in verbs.items():
+        ran = CliRunner().invoke(rotcal, [verb, a, b, *options])
+        assert ran.exit_code == 3, ran.output
+        assert words.format(*names) in ran.stderr
+        for other in (a, b):
+            assert CliRunner().invoke(rotcal, [verb, other, c, *options]).exit_code == 0
+
+
+_ROLES = ("the earlier result", "the new measurement")
+
+
+def measured_of(result, serial="", axis="", on="unknown", begun_ns=None, place=""):
+    identity = Identity(item="table", serial=serial, place=place)
+    around = Circumstances(axis=axis, identity=identity, begun_ns=begun_ns, ended_ns=begun_ns)
+    return replace(result, circumstances=around, measured_on=on)
+
+
+def test_a_combination_is_of_its_item_axis_and_table_and_as_old_as_its_first_measurement():
+    rng = np.random.default_rng(32)
+    grid = np.arange(12) * TAU / 12
+    first, second, bare = (campaign(grid, 0.2 * ARCSEC, rng)[2] for _ in range(3))
+    known = measured_of(first, "4711", "B", HASH, 10**18, place="hall 1")
+    later = measured_of(second, "4711", "B", HASH, 2 * 10**18, place="hall 2")
+    found = combined(known, later, bare)
+    around = found.circumstances
+    assert (around.identity.serial, around.identity.place, around.axis) == ("4711", "", "B")
+    assert (around.begun_ns, around.ended_ns) == (10**18, None)  # nobody knows when bare ended
+    assert combined(known, later).circumstances.ended_ns == 2 * 10**18
+    assert found.measured_on == HASH
+    table = table_from_result(found, axis="B")
+    assert (table.serial, table.measured_from_ns) == ("4711", 10**18)
+
+
 def test_a_failed_input_is_refused_and_a_suspect_one_named():
     rng = np.random.default_rng(14)
     grid = np.arange(12) * TAU / 12
@@ -99,10 +176,11 @@ def test_false_alarms_are_one_percent_over_all_groups():
     alone = combined(result_of(grid, one, cov), result_of(grid, two, cov))
     assert alone.details["consistency"]["ECC"]["p_value"] == pytest.approx(0.007, rel=1e-6)
     assert alone.verdict == "suspect"
+    usual = np.sqrt(2.0) * std * (-1.0) ** np.arange(12)
     both = combined(
         *(
             result_of(grid, {"EZC": ezc, "ECC": ecc}, {"EZC": cov, "ECC": cov})
-            for ecc, ezc in ((one, wave * 1e-9), (two, wave * 2e-9))
+            for ecc, ezc in ((one, 0.0 * wave), (two, usual))
         )
     )
     assert both.verdict == "ok"
@@ -111,7 +189,7 @@ def test_false_alarms_are_one_percent_over_all_groups():
 def test_a_combination_says_what_was_measured_and_whether_anything_was():
     rng = np.random.default_rng(21)
     grid = np.arange(12) * TAU / 12
-    table, other = Identity(item="table", serial="1"), Identity(item="table", serial="2")
+    table, other = Identity(item="table", serial="1"), Identity(item="turntable")
 
     def made(**known):
         found = campaign(grid, 0.2 * ARCSEC, rng)[2]
@@ -122,7 +200,7 @@ def test_a_combination_says_what_was_measured_and_whether_anything_was():
         True, table, "C",
     )  # fmt: skip
     two = combined(made(identity=table), made(identity=other))
-    assert (two.simulated, two.circumstances.identity) == (False, Identity())
+    assert (two.simulated, two.circumstances.identity) == (False, Identity(serial="1"))
     curve = measured_curve(made(simulated=True))
     assert combined(made(), curve).simulated
     assert not combined(made(), replace(curve, simulated=False)).simulated

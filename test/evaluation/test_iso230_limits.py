@@ -180,7 +180,7 @@ def test_three_that_are_missing_are_named_and_the_others_counted(gone, words):
 
 
 def test_a_table_without_a_line_has_no_columns():
-    with pytest.raises(BagError, match=r"r\.csv: the columns are , expected angle_deg, run"):
+    with pytest.raises(BagError, match=r"r\.csv: the columns are none, expected angle_deg, run"):
         read_runs("", "r.csv")
 
 

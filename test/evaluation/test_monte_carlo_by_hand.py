@@ -326,6 +326,7 @@ def test_the_file_of_the_trials_holds_si_numbers():
         "probability": 0.95,
         "seed": 11,
         "angles_rad": ANGLES.tolist(),
+        "open_zeros": "",
         "warnings": list(trials_about(2.0).warnings),
     }
 

@@ -10,7 +10,7 @@ import pytest
 from rotcal_ros.catalogue import prepare, read_configuration
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.evaluation.power_table import Bench, PowerRow, power_rows
-from rotcal_ros.protection import EFFECTS, Protection
+from rotcal_ros.protection import EFFECTS, PARTICULAR, Protection
 from rotcal_ros.units import MICROMETRE
 
 ROOT = Path(__file__).parents[2]
@@ -32,11 +32,15 @@ def sections():
     return found
 
 
-def test_the_page_has_every_plan_with_all_nine_effects():
+def test_the_page_has_every_plan_with_all_nine_effects_and_those_of_its_instrument():
     headings = [p.read_text().splitlines()[0].removeprefix("# ") for p in PLANS.glob("*.yaml")]
     assert sorted(sections()) == sorted(headings)
-    for rows in sections().values():
-        assert [row[0] for row in rows] == list(EFFECTS)
+    for heading, rows in sections().items():
+        named = [row[0] for row in rows]
+        assert named[: len(EFFECTS)] == list(EFFECTS)
+        assert set(named[len(EFFECTS) :]) <= set(PARTICULAR)
+        of_tracer = heading.startswith("Laser tracer")
+        assert ("tangential motion" in named) == of_tracer
 
 
 @pytest.mark.parametrize("heading", sections())

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import one_table
 import pytest
+from two_groups import plate_problem
 
 from rotcal_ros.evaluation.monte_carlo import propagate
 from rotcal_ros.evaluation.propagated import Propagated
@@ -56,3 +57,14 @@ def test_plain_form_holds_everything(both):
         assert len(part["low"]) == len(data["angles_rad"])
         inside = np.array(part["low"]) <= both.result.deviations[name]
         assert inside.all()
+
+
+def test_trials_do_not_hide_an_offset_that_none_of_them_tells():
+    problem = plate_problem()
+    told = Propagated(
+        ball_plate.solve(problem),
+        propagate(ball_plate.plate_trials(problem), seed=1, max_trials=200, block=100),
+        1,
+    )
+    assert "the odd and even table positions is not measured" in told.in_words()
+    assert told.to_dict()["open_zeros"] == told.result.zeros.in_words()

@@ -89,18 +89,18 @@ def test_plain_form_and_name():
 
 def test_words_hold_expanded_uncertainties_and_distances_in_their_units():
     """The largest of three standard uncertainties is 3e-9; U = 2 u."""
-    given = result([0, 90, 180], "suspect", ECC=np.zeros(3), EXC=np.zeros(3))
+    given = result([0, 90, 180], "ok", ECC=np.zeros(3), EXC=np.zeros(3))
     given = replace(given, protections=(Protection("drift", "not protected", ""),))
-    other = Evaluation(("solver.coarser=2",), given, {"ECC": 5.0 * ARCSEC, "EXC": 1.25e-6})
+    doubted = replace(given, verdict="suspect")
+    other = Evaluation(("solver.coarser=2",), doubted, {"ECC": 5.0 * ARCSEC, "EXC": 1.25e-6})
     assert in_words([Evaluation((), given, {}), other]) == [
-        "all data: 70 observations, 7 degrees of freedom, verdict suspect, "
-        "not protected against drift",
-        "  EXC  U 0.006 µm",
-        "  ECC  U 0.001 arcsec",
+        "all data: 70 observations, 7 degrees of freedom, verdict ok, not protected against drift",
+        "  EXC  U (k = 2) 0.006 µm",
+        "  ECC  U (k = 2) 0.001 arcsec",
         "coarser=2: 70 observations, 7 degrees of freedom, verdict suspect, "
         "not protected against drift",
-        "  EXC  U 0.006 µm, at most 1.250 from the first",
-        "  ECC  U 0.001 arcsec, at most 5.000 from the first",
+        "  EXC  U (k = 2) not stated, at most 1.250 µm from the first",
+        "  ECC  U (k = 2) not stated, at most 5.000 arcsec from the first",
     ]
 
 

@@ -15,6 +15,7 @@ import yaml
 from one_table import by_ball_plate
 
 from rotcal_polygon.simulation import PolygonSimulationSettings, SimulatedAutocollimator
+from rotcal_ros.machine_load import patient
 from rotcal_ros.methods import ball_plate
 from rotcal_ros.sessions.domains import free_domain
 from rotcal_ros.settings import load
@@ -54,7 +55,7 @@ def rotcal(environment):
             command,
             capture_output=True,
             text=True,
-            timeout=DEADLINE_S,
+            timeout=patient(DEADLINE_S),
             cwd=ROOT,
             env={**environment, "ROS_DOMAIN_ID": str(free_domain())},
         )
@@ -166,7 +167,7 @@ def test_an_interrupted_plan_goes_on_in_the_same_mounting(rotcal, environment, t
                 break
         first.send_signal(signal.SIGINT)
         assert "interrupted; the bag is closed" in first.stderr.read()
-        assert first.wait(DEADLINE_S) == 130
+        assert first.wait(patient(DEADLINE_S)) == 130
     done = rotcal("run", DEMO, *slowly, "--resume", folder, "--json")
     assert json.loads(done.stdout)["verdict"] == "ok"
     assert "mounting 1 of 3" not in done.stderr
@@ -204,7 +205,7 @@ def test_work_that_no_step_shows_is_asked_for_once(environment, tmp_path):
         [sys.executable, "-m", "rotcal_ros.cli.main", "run", demo, "--output", tmp_path / "out"],
         capture_output=True,
         text=True,
-        timeout=DEADLINE_S,
+        timeout=patient(DEADLINE_S),
         cwd=ROOT,
         env={**environment, "PYTHONPATH": path, "ROS_DOMAIN_ID": str(free_domain())},
     )

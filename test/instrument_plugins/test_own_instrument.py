@@ -22,6 +22,7 @@ from rotcal_ros.instrument_plugins.instrument import (
 )
 from rotcal_ros.instrument_plugins.settings import InstrumentSettings
 from rotcal_ros.instrument_plugins.table_rest import TableRest
+from rotcal_ros.machine_load import patient
 from rotcal_ros.observations import Approach, Command, LengthStatus, PointKind, TableSample
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_instrument" / "mytracer.py"
@@ -65,7 +66,7 @@ class Heard:
         self.driver.begin()
 
     def until(self, condition):
-        deadline = time.monotonic() + DEADLINE_S
+        deadline = time.monotonic() + patient(DEADLINE_S)
         while not condition(self):
             assert time.monotonic() < deadline, (self.lengths, self.complaints)
             time.sleep(0.01)
@@ -182,7 +183,7 @@ def test_an_order_that_waits_too_long_says_for_what(monkeypatch):
 def test_a_place_without_reflector_is_told_and_the_next_attempt_measured():
     heard = Heard(Finder(failing=1), settings("here"))
     heard.driver.order(ORDER)
-    deadline = time.monotonic() + DEADLINE_S
+    deadline = time.monotonic() + patient(DEADLINE_S)
     while not heard.complaints and time.monotonic() < deadline:
         time.sleep(0.01)
     assert heard.complaints == ["step 3, attempt 1: no reflector"]

@@ -15,7 +15,7 @@ from pathlib import Path
 
 NML = Path("/usr/share/linuxcnc/linuxcnc.nml")
 MODULES = "/usr/lib/linuxcnc/modules"
-DEADLINE_S = 30.0
+DEADLINE_S = 300.0
 UID = "65534"
 """Nobody: the real-time part refuses to run as root."""
 OWNERS = {"emcCommand": "emc", "emcStatus": "emc"}
@@ -67,6 +67,8 @@ def live(ini, program, options):
 
     try:
         start("io", "-ini", str(ini))
+        # It makes the shared memory and the pins that axis.hal connects.
+        wait_for("iocontrol", parts, options["env"])
         run("halcmd", "loadrt", "tpmod")
         run("halcmd", "loadrt", "homemod")
         run("halcmd", "-i", str(ini), "-f", str(ini.parent / "axis.hal"))
@@ -75,9 +77,8 @@ def live(ini, program, options):
         wait_for("inihal", parts, options["env"])
         return subprocess.call(program, env=options["env"], cwd=ini.parent)
     finally:
+        # One after the other: milltask waits 5 s for an answer of an io that is gone.
         for process in reversed(parts):
-            process.terminate()
-        for process in parts:
             end(process)
         subprocess.run(["halcmd", "stop"], check=False, **options)
         subprocess.run(["halcmd", "unload", "all"], check=False, **options)
@@ -85,13 +86,14 @@ def live(ini, program, options):
 
 def wait_for(component, parts, environment):
     deadline = time.monotonic() + DEADLINE_S
-    while component not in components(environment):
+    while component not in ready(environment):
         if time.monotonic() > deadline or any(part.poll() is not None for part in parts):
             sys.exit("LinuxCNC did not start; see linuxcnc.log beside its ini file")
         time.sleep(0.05)
 
 
 def end(process):
+    process.terminate()
     try:
         process.wait(10.0)
     except subprocess.TimeoutExpired:
@@ -99,11 +101,14 @@ def end(process):
         process.wait()
 
 
-def components(environment):
+def ready(environment):
+    """Return the components that have made all their pins."""
     shown = subprocess.run(
-        ["halcmd", "list", "comp"], env=environment, capture_output=True, text=True, check=False
-    )
-    return shown.stdout.split()
+        ["halcmd", "-s", "show", "comp"],
+        env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    rows = [line.split() for line in shown.stdout.splitlines()]
+    return [row[2] for row in rows if row[-1:] == ["ready"]]
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import pytest
 
 from rotcal_ros.compensation.linuxcnc_ini import Ini
 from rotcal_ros.compensation.linuxcnc_machine import agent_command
+from rotcal_ros.machine_load import patient
 
 HERE = Path(__file__).parent
 DEADLINE_S = 60.0
@@ -190,6 +191,7 @@ class Running:
 
     def __init__(self, axis):
         self.errors = []
+        self._log = axis.folder / "linuxcnc.log"
         self._process = subprocess.Popen(
             axis.command(), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
         )
@@ -210,21 +212,24 @@ class Running:
             if "motor_deg" not in line:
                 return False
             recent.append((line["angle_deg"], line["motor_deg"]))
-            (a0, m0), (a1, m1) = recent[-min(len(recent), 15)], recent[-1]
-            there = abs(line["angle_deg"] - angle_deg) < 1e-7 and len(recent) > 15
+            # On a busy machine LinuxCNC itself may not have moved between two looks.
+            looks = int(patient(15))
+            (a0, m0), (a1, m1) = recent[-min(len(recent), looks)], recent[-1]
+            there = abs(line["angle_deg"] - angle_deg) < 1e-7 and len(recent) > looks
             return there and abs(a1 - a0) < 1e-10 and abs(m1 - m0) < 1e-10
 
         return self._next(resting)
 
     def _next(self, wanted):
-        deadline = time.monotonic() + DEADLINE_S
+        deadline = time.monotonic() + patient(DEADLINE_S)
         while time.monotonic() < deadline:
             try:
                 line = self._lines.get(timeout=1.0)
             except Empty:
                 continue
             if line is None:
-                pytest.fail(f"LinuxCNC ended with code {self._process.wait()}")
+                said = self._log.read_text()[-2000:] if self._log.exists() else ""
+                pytest.fail(f"LinuxCNC ended with code {self._process.wait()}: {said}")
             self.errors += line.get("errors", [])
             if wanted(line):
                 return line
@@ -242,7 +247,7 @@ class Running:
     def __exit__(self, *_):
         self._process.stdin.close()
         try:
-            self._process.wait(30.0)
+            self._process.wait(patient(30.0))
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

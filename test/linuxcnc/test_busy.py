@@ -9,6 +9,7 @@ from real_linuxcnc import HERE
 from rotcal_ros.compensation.busy import work_of
 from rotcal_ros.compensation.controllers import make_controller
 from rotcal_ros.compensation.linuxcnc_machine import AGENT
+from rotcal_ros.machine_load import patient
 
 
 @pytest.mark.linuxcnc
@@ -17,7 +18,11 @@ def test_the_agent_tells_whether_the_machine_moves_or_a_program_runs(axis):
     scenes = [python, str(HERE / "busy_scenes.py"), agent, str(axis.ini)]
     inside = [python, str(HERE / "by_hand.py"), str(axis.ini), *scenes]
     run = subprocess.run(
-        ["unshare", "--ipc", *inside], capture_output=True, text=True, timeout=120, check=False
+        ["unshare", "--ipc", *inside],
+        capture_output=True,
+        text=True,
+        timeout=patient(120),
+        check=False,
     )
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout.splitlines()[-1])

@@ -1,5 +1,7 @@
 """Tables of ours in the real LinuxCNC: it takes them all, and moves as our model says."""
 
+import os
+import shutil
 import subprocess
 from dataclasses import replace
 from datetime import datetime, timezone
@@ -11,6 +13,7 @@ from real_linuxcnc import Axis, Running
 from rotcal_ros.compensation import linuxcnc
 from rotcal_ros.compensation.export import prepare_export
 from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.machine_load import patient
 from rotcal_ros.observations import Approach
 from rotcal_ros.units import ARCSEC, DEGREE
 
@@ -82,6 +85,16 @@ def test_the_real_motion_follows_our_model(axis, file_type, every):
     assert len(FROM_BELOW) + len(FROM_ABOVE) >= 30
 
 
+@pytest.mark.parametrize("part", ["io", "milltask"])
+def test_a_part_that_starts_late_is_waited_for(axis, part, tmp_path, monkeypatch):
+    late = tmp_path / part
+    late.write_text(f'#!/bin/sh\nsleep 1.5\nexec {shutil.which(part)} "$@"\n')
+    late.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    with Running(axis) as running:
+        assert running.go(10.0, 1)["motor_deg"] == pytest.approx(10.0, abs=1e-6)
+
+
 def test_a_full_table_of_256_rows_is_taken_without_a_message(axis):
     made = prepare_export(
         table(),
@@ -139,7 +152,7 @@ def test_a_machine_that_is_off_is_not_switched_on_by_the_driver(axis):
         input="",
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=patient(60),
         check=False,
     )
     assert run.returncode == 1
@@ -159,6 +172,7 @@ def exported_for(axis, forward_arcsec, reverse_arcsec, reference):
         "linuxcnc",
         now=datetime(2024, 1, 1, tzinfo=timezone.utc),
         settings={"machine_ini": str(axis.ini)},
+        spacing=10 * DEGREE,
     )
     axis.take(made)
     return made

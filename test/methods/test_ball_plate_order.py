@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG, most, share
 from plate_data import PAPER_PLATE, RADIUS, rotate_z
 from plate_disturbed import (
     DEMO_PLATE,
@@ -37,19 +38,19 @@ from rotcal_ros.planning.ball_plan import plan_measurement
 from rotcal_ros.protection import EFFECTS
 
 
-@pytest.mark.parametrize("share", [0.02, 0.1, 0.37, 0.5, 0.81, 0.97])
-def test_a_knock_between_two_stops_is_never_a_bare_ok(share):
+@pytest.mark.parametrize("part", [0.02, 0.1, 0.37, 0.5, 0.81, 0.97])
+def test_a_knock_between_two_stops_is_never_a_bare_ok(part):
     """Every seed at each moment: the plate moves while the table turns."""
     plan = plan_measurement(36, DEMO_PLATE)
     stops = np.flatnonzero(np.diff(plan.position)) + 1
-    moment = stops[int(share * len(stops))]
-    for seed in range(10):
+    moment = stops[int(part * len(stops))]
+    for seed in range(10 if LONG else 3):
         problem, _ = measured(
             36, DEMO_PLATE, seed, displaced=lambda i, j: knocked(36, i, j, moment)
         )
         clean, _ = measured(36, DEMO_PLATE, seed)
         found, expected = solve(problem), solve(clean)
-        bare = found.verdict == "ok" and not found.unprotected
+        bare = found.verdict == "ok" and "knock" not in found.unprotected
         assert not bare or caused(found, expected) < 2.0
         assert found.verdict != "ok"
 
@@ -58,7 +59,7 @@ def test_a_knock_between_two_stops_is_never_a_bare_ok(share):
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_drift_of_a_micrometre_is_seen_or_does_no_harm(order, axis):
     amount = np.eye(3)[axis] * 1e-6
-    for seed in range(8):
+    for seed in range(8 if LONG else 2):
         problem, _ = measured(
             36, DEMO_PLATE, seed, ORDERS[order], displaced=lambda i, _: drifted(len(i), amount)
         )
@@ -87,12 +88,13 @@ def test_without_closure_one_turn_says_what_it_hides():
 
 def test_good_data_in_the_default_order_are_protected_from_drift_and_knock():
     doubted = 0
-    for seed in range(40):
+    seeds = 40 if LONG else 12
+    for seed in range(seeds):
         problem, _ = measured(36, DEMO_PLATE, seed)
         found = solve(problem)
         assert not {"drift", "knock", "repeatability"} & set(found.unprotected)
         doubted += found.verdict != "ok"
-    assert doubted <= 4  # three tests at 1 %
+    assert doubted <= most(0.03, seeds)  # three tests at 1 %
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -132,7 +134,7 @@ def test_predicted_errors_are_what_a_simulation_gives(order, grid):
 
 
 def test_a_drift_of_the_predicted_size_is_found_in_95_percent():
-    n, hits, runs = 144, 0, 120
+    n, hits, runs = 144, 0, 120 if LONG else 40
     problem, _ = measured(12, list(range(12)), 0, {"closing": False})
     effects = order_effects(problem, None)
     dof = least_squares(problem).dof
@@ -143,7 +145,8 @@ def test_a_drift_of_the_predicted_size_is_found_in_95_percent():
             displaced=lambda _i, _j: drifted(n, [0.0, 0.0, size * NOISE]),
         )  # fmt: skip
         hits += solve(disturbed).details["drift"][0]["p_value"] < 0.01
-    assert 0.88 * runs <= hits < runs
+    low, high = (0.88, 119 / 120) if LONG else share(0.95, runs)
+    assert low <= hits / runs <= high
 
 
 def test_the_default_order_is_the_one_that_shows_most():
@@ -240,9 +243,14 @@ def test_groups_close_and_are_protected_each_for_itself():
     assert (bounded.std["EXC"] > found.std["EXC"]).all()
 
 
-def test_all_nine_effects_are_stated():
+def test_all_nine_effects_and_those_of_plates_are_stated():
     problem, _ = measured(12, list(range(12)), 0)
-    assert [p.effect for p in solve(problem).protections] == list(EFFECTS)
+    assert [p.effect for p in solve(problem).protections] == [
+        *EFFECTS,
+        "one place",
+        "numbering",
+        "sign of z",
+    ]
 
 
 def test_exact_centres_are_not_doubted_for_their_rounding():

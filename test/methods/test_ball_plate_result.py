@@ -167,7 +167,7 @@ def test_a_test_value_is_what_a_fit_without_the_row_gains(name):
 
 def dirty(count, size=4e-6, **fields):
     problem, _ = simulated(24, BALLS, seed=3, **fields)
-    rows = 1 + 13 * np.arange(count)
+    rows = 1 + 31 * np.arange(count)  # of balls, positions and CMM positions of their own
     centres = problem.centres.copy()
     centres[rows, 0] += size
     return replace(problem, centres=centres), rows
@@ -272,7 +272,7 @@ def test_three_groups_have_three_zeros():
     result = solve(problem)
     assert result.warnings[0] == (
         "The offset between the 3 groups of table positions is not measured: each group has its "
-        "own zero."
+        "own zero"
     )
     groups = result.details["groups"]
     assert [group["table_positions"].tolist() for group in groups] == [

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from exact_plate import ExactPlate
 from plate_data import PAPER_PLATE, RADIUS, grid_rows
 
 from rotcal_ros.errors import DataError
+from rotcal_ros.methods.ball_plate import solve
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.screening import screen
 
@@ -127,3 +129,64 @@ def test_what_is_rejected_is_not_fitted():
     fitted, _ = screen(perfect(turned=one(STEP)))
     assert len(fitted.centres) == GRID * len(PAPER_PLATE) - 1
     assert 100 not in fitted.rows
+
+
+MIRRORS = {
+    "y of the other sign": np.diag([1.0, -1.0, 1.0]),
+    "x of the other sign": np.diag([-1.0, 1.0, 1.0]),
+    "x and y exchanged": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+    "z down, right-handed": np.diag([1.0, -1.0, -1.0]),
+}
+
+
+@pytest.mark.parametrize("mirror", MIRRORS.values(), ids=MIRRORS.keys())
+def test_a_mirrored_frame_is_told_from_a_clockwise_table(mirror):
+    problem = perfect()
+    with pytest.raises(DataError, match="left-handed or its z axis points down"):
+        screen(replace(problem, centres=problem.centres @ mirror.T))
+
+
+def test_a_clockwise_table_is_no_mirrored_frame():
+    table, ball = grid_rows(GRID, PAPER_PLATE)
+    angle = STEP * (ball - table)
+    centres = RADIUS * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    with pytest.raises(DataError, match="reverse the sign of the table angle") as caught:
+        screen(BallPlateProblem(GRID, RADIUS, table, ball, centres))
+    assert "left-handed" not in str(caught.value)
+
+
+def test_no_centre_can_tell_the_sign_of_z_and_the_result_says_so():
+    """The mirror z -> -z is a symmetry of the exact model, whatever tilts and shifts there are."""
+    plate = ExactPlate(
+        24, [0, 3, 4, 9, 14, 20], tilt=(1e-3, 2e-3), eccentric=(1e-3, 0.0), table=3e-6,
+        machine=2e-6, made=2e-5,
+    )  # fmt: skip
+    problem = plate.problem(noise=5e-8, sigma=5e-8)
+    there = solve(problem)
+    mirrored = solve(replace(problem, centres=problem.centres * [1.0, 1.0, -1.0]))
+    assert mirrored.verdict == there.verdict
+    assert mirrored.sigma0 == pytest.approx(there.sigma0, rel=1e-6)
+    for name, sign in {"EXC": 1, "EYC": 1, "EZC": -1, "EAC": -1, "EBC": -1, "ECC": 1}.items():
+        np.testing.assert_allclose(
+            mirrored.deviations[name], sign * there.deviations[name],
+            atol=1e-3 * there.std[name].max(),
+        )  # fmt: skip
+    assert "sign of z" in there.verdict_line
+    (named,) = [p for p in there.protections if p.effect == "sign of z"]
+    assert named.treatment == "not protected"
+    assert "EZC, EAC and EBC" in named.why
+
+
+def test_positions_and_balls_renumbered_to_fit_are_named_as_no_centre_tells_it():
+    """Position 0 is called 1, and the balls are counted from the next one: the same places."""
+    plate = ExactPlate(24, [0, 3, 4, 9, 14, 20], table=3e-6, machine=2e-6, made=2e-5)
+    problem = plate.problem(noise=5e-8, sigma=5e-8)
+    off = replace(problem, position=(problem.position + 1) % 24)
+    with pytest.raises(DataError, match="Or the table positions are numbered off by as many"):
+        solve(off)
+    there = solve(problem)
+    renumbered = solve(replace(off, ball_step=(problem.ball_step - 1) % 24))
+    assert renumbered.verdict == there.verdict == "ok"
+    turned = renumbered.deviations["ECC"] - np.roll(there.deviations["ECC"], 1)
+    assert np.abs(turned).max() < 1e-3 * there.std["ECC"].max()
+    assert "numbering" in there.verdict_line

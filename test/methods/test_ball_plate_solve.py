@@ -23,6 +23,11 @@ def at(place_of, grid=72, balls=PAPER_PLATE, direction=1.0, noise=1e-7):
     return BallPlateProblem(grid, RADIUS, table, ball, centres)
 
 
+def mirrored(problem, signs):
+    """The same plate in a frame with axes turned round."""
+    return replace(problem, centres=problem.centres * np.array(signs))
+
+
 def index_of(problem, table, ball):
     return int(np.flatnonzero((problem.position == table) & (problem.ball_step == ball))[0])
 
@@ -181,6 +186,17 @@ def test_nan_is_set_aside_with_its_row():
             at(lambda b: {8: 9, 12: 14, 18: 20}.get(b, b)),
             r"at step: 8 at 9, 12 at 14, 18 at 20\): wrong plate file",
         ),
+        # Nearest to their own steps, but all by 0.4 of one, or each by another part of one:
+        (
+            at(lambda b: b + 0.4),
+            r"all centres lie 2\.00 degrees from their place.* mounted turned",
+        ),
+        (
+            at({b: b + (0.4, -0.45)[i % 2] for i, b in enumerate(PAPER_PLATE)}.get),
+            r"ball step 0 by 2\.00 degrees, .* by -2\.25 degrees.*wrong plate file",
+        ),
+        (mirrored(at(lambda b: b), (1.0, -1.0, 1.0)), "frame of the CMM is left-handed"),
+        (mirrored(at(lambda b: b), (-1.0, 1.0, 1.0)), "frame of the CMM is left-handed"),
         (replace(at(lambda b: b), radius=0.19), "radius 0.185000 m, the plate says 0.190000"),
         (
             replace(at(lambda b: b), centres=1e3 * at(lambda b: b).centres),
@@ -263,7 +279,7 @@ def test_two_groups_equal_two_closed_forms_and_warn():
     result = solve(replace(problem, separate_groups=True))
     assert (
         "The offset between the odd and even table positions is not measured: "
-        "each group has its own zero." in result.warnings
+        "each group has its own zero" in result.warnings
     )
     for first in (0, 1):
         # Eq. 1-12 by hand for one group: 0-based, ball j at table position i at 2 pi (i + j)/N

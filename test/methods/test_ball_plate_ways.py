@@ -12,7 +12,7 @@ from plate_data import PAPER_PLATE, RADIUS, simulated
 from scipy.optimize import lsq_linear
 
 from rotcal_ros.errors import ObservabilityError, PlanError
-from rotcal_ros.methods.ball_plate import closed_form, model
+from rotcal_ros.methods.ball_plate import closed_form, model, solve
 from rotcal_ros.methods.ball_plate.estimate import least_squares
 from rotcal_ros.methods.ball_plate.gaps import gap_cells, solve_with_gaps
 from rotcal_ros.methods.ball_plate.general import solve_general
@@ -223,6 +223,17 @@ def test_spectral_takes_thousands_of_positions_within_little_memory():
     error = solution.estimate.component("ECC") - truth.component("ECC")
     expected = 5e-8 * solution.unit_std.component("ECC")
     assert np.sqrt(np.mean((error / expected) ** 2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_whole_result_of_thousands_of_positions_holds_no_matrix_of_them():
+    problem, _ = simulated(3600, [50 * b + b % 7 for b in PAPER_PLATE], seed=3)
+    tracemalloc.start()
+    result = solve(problem)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert result.verdict == "ok"
+    assert not result.covariance
+    assert peak < 1.2 * 8 * 3600**2  # one matrix is 104 MB; there were six
 
 
 @settings(max_examples=15, deadline=None)

@@ -20,7 +20,7 @@ CHORD = 2 * 0.2 * math.sin(math.pi / 12)
     ("cls", "group", "method", "count"),
     [
         (Plate, "plan.plate", "ball_plate", 7),
-        (MirrorSolverSettings, "solver", "plane_mirror", 8),
+        (MirrorSolverSettings, "solver", "plane_mirror", 9),
         (TracerSolverSettings, "solver", "tracer_multistation", 16),
     ],
 )

@@ -9,6 +9,7 @@ import pytest
 from live_cell import DEMO, SHORT, LiveCell
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.machine_load import patient
 
 sys.path.append(str(Path(__file__).parents[1] / "compensation"))
 
@@ -49,4 +50,4 @@ def rotcal(monkeypatch):
     for process in started:
         if process.poll() is None:
             process.terminate()
-            process.wait(60)
+            process.wait(patient(60))

@@ -8,6 +8,8 @@ from threading import Thread
 
 from live_cell import wait_until
 
+from rotcal_ros.machine_load import patient
+
 
 def address(live, name="operator_page"):
     """Return where a page is served, once it is."""
@@ -41,14 +43,14 @@ class Viewer:
             f"{self.url}/{what}", json.dumps(values).encode(), headers, method="POST"
         )
         try:
-            with urllib.request.urlopen(request, timeout=60) as answer:
+            with urllib.request.urlopen(request, timeout=patient(60)) as answer:
                 return answer.status, json.loads(answer.read())
         except urllib.error.HTTPError as error:
             return error.code, json.loads(error.read())
 
     def _read(self):
         name = ""
-        with urllib.request.urlopen(f"{self.url}/events", timeout=60) as stream:
+        with urllib.request.urlopen(f"{self.url}/events", timeout=patient(60)) as stream:
             for line in stream:
                 field, _, text = line.decode().strip().partition(": ")
                 if field == "event":

@@ -1,6 +1,6 @@
-"""A node that publishes a plan which is nobody's, until it is ended."""
+"""A node that publishes a plan which is nobody's, once for each line on its standard input."""
 
-import time
+import sys
 
 import rclpy
 from rclpy.node import Node
@@ -12,6 +12,5 @@ if __name__ == "__main__":
     rclpy.init()
     node = Node("stranger", namespace="/cell")
     publisher = node.create_publisher(CalibrationPlan, "plan", LATCHED)
-    publisher.publish(CalibrationPlan(plan_id="nobody's", total_steps=3))
-    while rclpy.ok():
-        time.sleep(0.1)
+    for line in sys.stdin:
+        publisher.publish(CalibrationPlan(plan_id=line.strip(), total_steps=3))

@@ -14,6 +14,7 @@ from live_cell import DEADLINE_S, DEMO, SHORT, LiveCell, wait_until
 from pseudo_terminal import PseudoTerminal
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.recordings.sources import read_source
 
@@ -54,7 +55,7 @@ def terminal():
         if made.process.poll() is None:
             made.process.send_signal(signal.SIGCONT)
             made.process.terminate()
-            made.process.wait(DEADLINE_S)
+            made.process.wait(patient(DEADLINE_S))
         made.hang_up()
 
 
@@ -69,7 +70,7 @@ def rotcal(*arguments, code=0):
         [*ROTCAL, *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=2 * DEADLINE_S,
+        timeout=patient(2 * DEADLINE_S),
         stdin=subprocess.DEVNULL,
     )
     assert done.returncode == code, done.stderr
@@ -83,10 +84,12 @@ def test_a_lost_terminal_does_not_end_a_calibration_and_attach_shows_it_again(tm
     run.hang_up()
     attached = rotcal("attach", folder)
     assert "of 60 steps, " in attached.stderr
-    assert run.process.wait(DEADLINE_S) == 0
+    assert run.process.wait(patient(DEADLINE_S)) == 0
 
     result = read_source(folder / "result.json").result
-    assert attached.stdout.startswith(f"verdict {result.verdict_line}: 59 steps used, 1 skipped")
+    assert attached.stdout.startswith(
+        f"measurement: {result.verdict_line}: 59 steps used, 1 skipped"
+    )
     assert str(folder / "report.html") in attached.stdout
     assert (folder / "report.html").exists()
     assert (folder / "compensation").is_dir()
@@ -120,9 +123,9 @@ def test_a_pause_is_answered_by_one_of_two_who_are_attached(tmp_path, terminal):
             viewer.wait_for("put the tracker at station 1")
         first.press(ENTER)
         for viewer in (first, second):
-            assert viewer.process.wait(DEADLINE_S) == 0
-            viewer.wait_for("verdict ok")
-        assert run.process.wait(DEADLINE_S) == 0
+            assert viewer.process.wait(patient(DEADLINE_S)) == 0
+            viewer.wait_for("measurement: ok")
+        assert run.process.wait(patient(DEADLINE_S)) == 0
     finally:
         instruments.processes.end()
 
@@ -136,22 +139,22 @@ def test_viewers_come_and_go_and_one_of_them_stops_it(tmp_path, terminal):
     assert stat.S_IMODE(address.stat().st_mode) == 0o600
     assert stat.S_IMODE(address.parent.stat().st_mode) == 0o700
 
-    killed, leaving, stuck, patient = (terminal("attach", folder) for _ in range(4))
-    for viewer in (killed, leaving, stuck, patient):
+    killed, leaving, stuck, waiting = (terminal("attach", folder) for _ in range(4))
+    for viewer in (killed, leaving, stuck, waiting):
         viewer.wait_for("/60")
     killed.process.kill()
     stuck.process.send_signal(signal.SIGSTOP)
     leaving.press(CTRL_C)
-    assert leaving.process.wait(DEADLINE_S) == 130
+    assert leaving.process.wait(patient(DEADLINE_S)) == 130
     leaving.wait_for("left; the calibration goes on")
     leaving.wait_for(f"rotcal attach {folder} --stop")
     steps = run.text.count("/60")
     wait_until(lambda: run.text.count("/60") > steps + 20, "the calibration goes on")
 
     rotcal("attach", folder, "--stop")
-    assert run.process.wait(DEADLINE_S) == 130
-    assert patient.process.wait(DEADLINE_S) == 130
-    for shown in (run, patient):
+    assert run.process.wait(patient(DEADLINE_S)) == 130
+    assert waiting.process.wait(patient(DEADLINE_S)) == 130
+    for shown in (run, waiting):
         shown.wait_for("interrupted; the bag is closed")
         shown.wait_for(f"--resume {folder}")
     assert [v.state for v in read_recording(folder / "bag").verdicts] == ["complete"]
@@ -187,7 +190,7 @@ def test_an_ignored_hangup_stays_ignored_and_the_dead_terminal_kills_nothing(tmp
     )
     run.wait_for("/60")
     run.hang_up()
-    assert run.process.wait(DEADLINE_S) == 0
+    assert run.process.wait(patient(DEADLINE_S)) == 0
     assert "verdict " in (folder / "log" / "run.log").read_text()
 
 
@@ -205,7 +208,7 @@ def test_an_error_is_told_to_those_who_are_attached_with_its_exit_code(tmp_path,
         and int((p.parent / "stat").read_text().rsplit(")", 1)[1].split()[1]) == run.process.pid
     )
     os.kill(capture, signal.SIGKILL)
-    assert run.process.wait(DEADLINE_S) == viewer.process.wait(DEADLINE_S) == 3
+    assert run.process.wait(patient(DEADLINE_S)) == viewer.process.wait(patient(DEADLINE_S)) == 3
     for shown in (run, viewer):
         shown.wait_for("capture")
         shown.wait_for("go on with: rotcal run")

@@ -10,6 +10,7 @@ import pytest
 from live_cell import DEADLINE_S
 from test_bridge import SECRET, Bench, table
 
+from rotcal_ros.machine_load import patient
 from rotcal_ros.middleware import middleware
 
 rclpy = pytest.importorskip("rclpy")
@@ -44,7 +45,7 @@ def test_started_by_hand_the_bridge_alone_keeps_to_this_machine(cell, monkeypatc
                  "FASTRTPS_DEFAULT_PROFILES_FILE"):  # fmt: skip
         monkeypatch.delenv(name, raising=False)
     live.start(node)
-    deadline = time.monotonic() + DEADLINE_S
+    deadline = time.monotonic() + patient(DEADLINE_S)
     process = live.processes.children[node]
     while len(found := addresses(process)) == 0 or (ANYWHERE not in found and not alone):
         assert time.monotonic() < deadline, found
@@ -108,7 +109,7 @@ def test_the_wheels_have_no_security_plugin(tmp_path, strategy):
         env={**os.environ, **middleware(os.environ), **secured, "AMENT_PREFIX_PATH": sys.prefix},
         capture_output=True,
         text=True,
-        timeout=DEADLINE_S,
+        timeout=patient(DEADLINE_S),
         check=False,
     )
     assert run.returncode == 1

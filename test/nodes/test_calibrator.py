@@ -181,7 +181,7 @@ def test_a_killed_planner_ends_the_wait(cell, calibrator):
     outcome = calibrator.result(LIMIT_S)
     assert outcome.error_code == NODE_LOST
     assert re.fullmatch(
-        r"node planner fell silent; start it again, then continue with start_index \d+",
+        r"node planner is lost; start it again, then continue with start_index \d+",
         outcome.error_msg,
     )
 

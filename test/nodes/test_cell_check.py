@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from rotcal_ros.machine_load import patient
 from rotcal_ros.sessions.domains import domains_in_use, free_domain
 
 pytest.importorskip("rclpy")
@@ -32,7 +33,7 @@ def checking(*options, **environment):
 
 
 def answer(process):
-    out, error = process.communicate(timeout=DEADLINE_S)
+    out, error = process.communicate(timeout=patient(DEADLINE_S))
     assert "Traceback" not in error
     return process.returncode, out, error
 
@@ -123,7 +124,7 @@ def _astray(code, out, _error):
 def test_ctrl_c_ends_it_at_once_and_leaves_nothing_behind():
     process = checking(CONFIGURATION, "--time", 600)
     domain = int(os.environ["ROS_DOMAIN_ID"])
-    deadline = time.monotonic() + DEADLINE_S
+    deadline = time.monotonic() + patient(DEADLINE_S)
     while domain not in domains_in_use() and time.monotonic() < deadline:
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)

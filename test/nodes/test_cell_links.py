@@ -11,6 +11,8 @@ pytest.importorskip("rotcal_msgs")
 from rotcal_ros.catalogue import changed, prepare, read_configuration
 from rotcal_ros.nodes import goal_preflight
 from rotcal_ros.nodes.cell_links import CellLinks
+from rotcal_ros.nodes.crew import GoalError
+from rotcal_ros.nodes.goal_watch import GoalWatch
 
 STOP = "/safety/estop"
 
@@ -63,3 +65,45 @@ def test_the_preflight_asks_for_the_stop_of_its_goal(monkeypatch):
         missing_topics=lambda _topics, _silent, stop: [f"asked for {stop}"],
     )
     assert goal_preflight._missing(calibration, asked) == [f"asked for {STOP}"]
+
+
+OURS, NEW = [1] * 16, [2] * 16
+
+
+def offer(name, gid):
+    return SimpleNamespace(node_name=name, node_namespace="/cell", endpoint_gid=gid)
+
+
+def watched(*offers, machines=(), crew=()):
+    """Return a watch over a run that hears the tracer, and who publishes its lengths now."""
+    there = [offer("tracer", OURS)]
+    cell = CellLinks.__new__(CellLinks)
+    cell.instrument = lambda role: f"/cell/{role}"
+    cell.graph = SimpleNamespace(offers=lambda _: there, machines=lambda _: machines)
+    watch = GoalWatch.__new__(GoalWatch)
+    watch.links, watch.crew = cell, SimpleNamespace(nodes={*crew})
+    watch.instruments = ["tracer_length"]
+    watch.heard = cell.offered(watch.instruments)
+    there[:] = offers
+    return watch
+
+
+@pytest.mark.parametrize(
+    ("machines", "another_run"), [((), True), (["tracer"], False), (["other"], True)]
+)
+def test_an_instrument_that_was_started_anew_is_named_and_measured_with_in_another_run(
+    machines, another_run
+):
+    """Nobody heard it before the next run: its steps were rejected for want of lengths."""
+    watch = watched(offer("tracer", NEW), machines=machines)
+    with pytest.raises(GoalError) as lost:
+        watch._check_publishers("at step 3 of 9")
+    assert "node tracer, which publishes /cell/tracer_length, was started anew" in str(lost.value)
+    assert lost.value.in_another_run == another_run
+
+
+def test_who_is_there_still_or_belongs_to_the_crew_is_not_started_anew():
+    watched(offer("tracer", OURS))._check_publishers("")
+    watched(offer("tracer", OURS), offer("tracer", NEW))._check_publishers("")
+    watched(offer("stranger", NEW))._check_publishers("")
+    watched(offer("tracer", NEW), crew=["tracer"])._check_publishers("")

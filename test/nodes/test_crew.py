@@ -34,7 +34,12 @@ class Health:
 @pytest.fixture
 def clock(monkeypatch):
     clock = SimpleNamespace(now_s=100.0)
-    monkeypatch.setattr(crew.time, "monotonic", lambda: clock.now_s)
+
+    def patience(seconds):
+        end_s = clock.now_s + seconds
+        return SimpleNamespace(is_over=lambda: clock.now_s > end_s)
+
+    monkeypatch.setattr(crew, "Patience", patience)
     return clock
 
 
@@ -75,8 +80,8 @@ def test_capture_and_recorder_need_another_run_even_if_they_were_away_unnoticed(
 
 def test_a_machine_that_is_lost_ends_the_goal():
     health, made = watched()
-    health.gone, health.lost = {"machine", "capture"}, {"machine": 2.0}
-    text = r"node capture, machine fell silent at step 3 \(last words of machine\)"
+    health.gone, health.lost = {"machine", "capture"}, {"machine": "gone"}
+    text = r"node capture, machine is lost at step 3 \(last words of machine\)"
     with pytest.raises(GoalError, match=text) as raised:
         made.check("at step 3")
     assert not raised.value.in_another_run

@@ -55,6 +55,7 @@ class Adapter(DmeAdapter):
 
     def __init__(self):
         self.planner = {}
+        self.given = {}
         self.health = SimpleNamespace(
             concerns={},
             alarms={},
@@ -141,7 +142,7 @@ def test_a_lost_planner_stops_the_machine_once_and_another_node_does_not(made):
     made._node_lost("planner")
     made.health.lost["planner"] = 2.0
     made._watch()
-    assert made._driver.aborted == ["the planner fell silent in the middle of a step"]
+    assert made._driver.aborted == ["the planner was lost in the middle of a step"]
 
 
 def test_an_adapter_that_is_deactivated_stops_the_machine_and_keeps_its_session(made):

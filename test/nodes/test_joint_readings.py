@@ -6,7 +6,7 @@ pytest.importorskip("rclpy")
 
 from sensor_msgs.msg import JointState
 
-from rotcal_ros.nodes.joint_readings import JointReadings
+from rotcal_ros.nodes.instrument_streams import JointReadings
 from rotcal_ros.nodes.latest import MOST_JOINTS
 
 

@@ -80,7 +80,7 @@ def test_kill_9_of_the_planner(cell):
     live = cell()
     client, accepted, file, before = under_way(live, 20)
     live.kill("planner")
-    assert "planner fell silent" in client.result()["error_msg"]
+    assert "planner is lost" in client.result()["error_msg"]
     wait_until(
         lambda: read_recording(live.bag).verdicts[0].state == "complete",
         "the recorder closes the bag",

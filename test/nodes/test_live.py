@@ -160,7 +160,7 @@ def test_a_killed_node_ends_the_calibration_and_is_named_by_all_others(cell, vic
     assert outcome["error_code"] == NODE_LOST
     assert f"node {victim}" in outcome["error_msg"]
     for name in {*SUITE, "simulated_cell"} - {victim}:
-        live.wait_for_log(name, f"node {victim} fell silent")
+        live.wait_for_log(name, f"node {victim} is lost: its process")
     if victim != "recorder":
         assert [v.state for v in verdicts(live)] == ["complete"]
     recording = read_recording(live.bag)

@@ -1,6 +1,8 @@
 """A whole ball plate calibration over DDS, and set-up mistakes that show live."""
 
 import json
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +71,46 @@ def test_six_curves_live_and_the_bag_repeats_them_bit_for_bit(plate_cell):
     topics = recording.verdicts[0].topics
     assert topics["/cell/probe_point"].messages >= 78 * 15
     assert "/cell/tracer_length" not in topics
+    assert topics["/cell/volumetric_correction"].messages == 1
+
+
+def test_who_joins_a_run_is_named_and_left_alone_live_and_in_the_bag(plate_cell):
+    """A second probe, a second table and forged observations, from the third step on."""
+    live = plate_cell()
+    live.start(*SUITE, "simulated_cell")
+    client = live.client()
+    client.wait_for_step(3)
+    script = str(Path(__file__).with_name("second_probe.py"))
+    live.processes.start("second_probe", [sys.executable, script])
+    named = [
+        client.wait_for(
+            "warning",
+            where=lambda event, t=topic: f"{t}: node second_probe publishes" in event["text"],
+        )
+        for topic in ("/cell/probe_point",)
+    ]
+    assert all("left alone" in event["text"] for event in named)
+    outcome = client.result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert "/cell/observation: node second_probe publishes" in live.log("planner")
+
+    recording = read_recording(live.bag)
+    text = (live.session / "result.json").read_text()
+    assert recording.same_as_recorded
+    again = recording.solve()
+    known = json.loads(text)["warnings"]
+    assert replace(again, warnings=tuple(known)).to_json() == text
+    further = " ".join(set(again.warnings) - set(known))
+    assert "messages on probe_point were of somebody who joined during the run" in further
+    result = Result.from_dict(json.loads(text))
+    calibration = prepare(read_configuration(live.file))
+    settings = calibration.configuration.simulation
+    truth = calibration.method.gauge(result.angles, SimulatedCell(settings).truth(result.angles))
+    error = (result.deviations["EXC"] - truth["EXC"]) / result.std["EXC"]
+    assert np.abs(error).max() < 5.0
+    beside = recording.verdicts[0].topics
+    for topic in ("probe_point", "joint_states", "observation"):
+        assert beside[f"/cell/recorder/{topic}_left_alone"].messages > 0
 
 
 def test_a_shifted_plate_is_told_and_given_up_after_three_balls(plate_cell):
@@ -87,10 +129,10 @@ def test_a_shifted_plate_is_told_and_given_up_after_three_balls(plate_cell):
     )
     outcome = client.result()
     assert outcome["error_code"] == 605  # too few observations
-    assert "3 steps running (0 to 2) failed" in outcome["error_msg"]
+    assert "3 steps running failed" in outcome["error_msg"]
     assert "plate mounted shifted" in outcome["error_msg"]
     assert outcome["n_used"] == 0
-    assert "step 0, attempt 0 rejected: " in live.log("capture")
+    assert "table position 0, target 0 rejected: " in live.log("capture")
     recording = read_recording(live.bag)
     assert len(recording.recorded) == 3
     with pytest.raises(DataError, match=r"3 of 3 like this: .*plate mounted shifted"):

@@ -61,6 +61,9 @@ class Watch(SimpleNamespace):
     def heed_stop(self):
         pass
 
+    async def have_all_answer(self):
+        pass
+
     async def wait(self, condition, _):
         return condition()
 

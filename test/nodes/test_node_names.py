@@ -35,6 +35,7 @@ NO_NODES = {
     "client",
     "linuxcnc_agent",
     "player",
+    "rate_trial",
     "readiness",
     "selftest",
     "trial_start",

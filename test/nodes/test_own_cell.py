@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rotcal_ros.api.reading import read_result
+from rotcal_ros.machine_load import patient
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -31,7 +32,7 @@ def test_the_readme_s_commands_find_the_error_of_its_table(tmp_path, monkeypatch
         done = subprocess.run(
             [sys.executable, "-m", "rotcal_ros.cli.main", "run", str(OWN / "own_cell.yaml"),
              "--output", str(tmp_path / "out"), "--no-page", "--json"],
-            capture_output=True, text=True, timeout=DEADLINE_S,
+            capture_output=True, text=True, timeout=patient(DEADLINE_S),
         )  # fmt: skip
     finally:
         own.terminate()

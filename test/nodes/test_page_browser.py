@@ -10,6 +10,7 @@ from page_viewer import address
 from test_bridge import SECRET, Bench, table
 
 from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.machine_load import patient
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -30,7 +31,7 @@ SIX = (
 
 @pytest.fixture
 def browser():
-    expect.set_options(timeout=TIMEOUT_MS)
+    expect.set_options(timeout=patient(TIMEOUT_MS))
     with sync_api.sync_playwright() as playwright:
         opened = launched(playwright)
         yield opened
@@ -87,7 +88,7 @@ def test_a_whole_calibration_with_its_pauses(six, opened):
     expect(narrow.locator("#total")).to_contain_text("of 192")
     assert client.result()["error_code"] == 0
     for viewer in (page, narrow):
-        expect(viewer.locator("#headline")).to_contain_text("Finished:")
+        expect(viewer.locator("#headline")).to_contain_text("Finished, measurement")
         expect(viewer.locator("#curve canvas")).to_be_visible()
         expect(viewer.get_by_role("button", name="EXC")).to_be_visible()
         assert overflow(viewer) <= 0
@@ -126,7 +127,7 @@ def test_a_killed_node_is_told_large(cell, opened):
     expect(page.locator("#step")).to_have_text(re.compile("^[3-9]"))
     live.kill("capture")
     expect(page.locator("#headline")).to_have_text("The calibration ended without a result")
-    expect(page.locator("#detail")).to_contain_text("Node capture fell silent")
+    expect(page.locator("#detail")).to_contain_text("Node capture is lost")
     expect(page.locator('#nodes li:has(.name:text-is("capture"))')).to_contain_text("silent")
     expect(page.locator("#now")).to_have_attribute("data-kind", "failed")
 

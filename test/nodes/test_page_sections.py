@@ -19,10 +19,37 @@ def solution(**changes):
     return DeviationArray(**(values | changes))
 
 
-def shown(message):
+def shown(message, tolerance_arcsec=0.0):
+    from rotcal_ros.identity import Identity
     from rotcal_ros.nodes import page_sections
 
-    return page_sections.deviations(message)
+    return page_sections.deviations(message, Identity(tolerance_arcsec=tolerance_arcsec))
+
+
+@pytest.mark.parametrize(
+    ("tolerance_arcsec", "kind"), [(4.1, "within"), (3.5, "undecided"), (1.9, "beyond")]
+)
+def test_a_final_solution_has_two_marks(tolerance_arcsec, kind):
+    about, against = shown(solution(), tolerance_arcsec).marks
+    assert about.line == "measurement: ok"
+    assert (against.kind, against.line) == (
+        kind, f"tolerance: {kind} ±{tolerance_arcsec:g} arcsec (ECC)"
+    )  # fmt: skip
+    assert shown(solution(final=False), tolerance_arcsec).marks == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "kind"),
+    [("ok (SIMULATED)", "ok"), ("ok, not protected against knock", "partly"), ("", "partly")],
+)
+def test_the_mark_of_the_measurement_says_what_it_does_not_cover(line, kind):
+    (about,) = shown(solution(verdict_line=line)).marks
+    assert (about.kind, about.line) == (kind, f"measurement: {line or 'ok'}")
+
+
+def test_where_u_may_not_be_stated_the_tolerance_is_undecided():
+    about, against = shown(solution(verdict="suspect", warnings=["it drifted"]), 1.9).marks
+    assert (about.kind, against.kind) == ("suspect", "undecided")
 
 
 def test_a_good_solution_shows_its_band_in_arcsec():

@@ -10,8 +10,11 @@ pytest.importorskip("rotcal_msgs")
 from builtin_interfaces.msg import Time
 from rotcal_msgs.msg import CalibrationPlan
 
+from rotcal_ros.capture.heard import PATIENCE_S
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.nodes import planners_plans
-from rotcal_ros.nodes.planners_plans import PATIENCE_S, PlannersPlans
+from rotcal_ros.nodes.concerns import FOREIGN_PLAN
+from rotcal_ros.nodes.planners_plans import PlannersPlans
 from rotcal_ros.nodes.plans import RUN, run_name
 
 
@@ -116,11 +119,47 @@ def test_a_plan_that_cannot_be_taken_is_offered_once_and_keeps_no_other_back(clo
             raise ValueError("another version")
 
     PlannersPlans(node, take)
+    node.goal, node.planner = "", ""
     for message in (STRAY, OURS):
         node.offer(message)
-    node.goal = ""
+    node.planner = "ready"
     with pytest.raises(ValueError, match="another version"):
         node.look()
     node.look()
     node.look()
     assert taken == [STRAY, OURS]
+
+
+def refuse(message):
+    raise ConfigurationError(f"plan {message.plan_id} names no method")
+
+
+def test_a_strangers_plan_that_is_none_is_said_and_is_no_error_of_the_node(clock):
+    node = Node()
+    PlannersPlans(node, refuse)
+    node.goal = ""
+    node.offer(STRAY)
+    (warning,) = node.warnings
+    assert "a plan on /cell/plan cannot be used: plan stray names no method" in warning
+    assert "published by stranger" in warning
+    assert node.health.concerns == {FOREIGN_PLAN: warning}
+
+
+def test_the_planners_own_plan_that_cannot_be_used_is_an_error(clock):
+    node = Node()
+    PlannersPlans(node, refuse)
+    node.goal = run_name(OURS)
+    with pytest.raises(ConfigurationError, match="plan ours names no method"):
+        node.offer(OURS)
+
+
+def test_what_came_in_a_goal_is_left_alone_behind_it_too(clock):
+    node, taken = Node(), []
+    PlannersPlans(node, taken.append)
+    node.offer(STRAY)
+    node.goal = ""
+    node.look()
+    clock.now_s += PATIENCE_S + 0.1
+    node.look()
+    assert taken == []
+    assert "is not the planner's and was left alone (plan 'stray'" in node.warnings[0]

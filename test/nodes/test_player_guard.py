@@ -24,7 +24,7 @@ class Replay:
         self.hear = lambda: None
         publisher = SimpleNamespace(publish=self.published.append)
         self.player = player = Player.__new__(Player)
-        player._publishers = dict.fromkeys(TOPICS, (publisher, lambda data, _run: data))
+        player._publishers = dict.fromkeys(TOPICS, publisher)
         bag = player._bag = SimpleNamespace(
             called=SimpleNamespace(role=lambda topic: topic.removeprefix("/cell/")), outputs=()
         )
@@ -38,7 +38,7 @@ class Replay:
         player._guard = ReplayGuard(node, health, bag, given, self._wait)
 
     def publish(self, topic):
-        self.player._publish(SimpleNamespace(topic=topic), topic, 1)
+        self.player._publish(SimpleNamespace(topic=topic), topic)
 
     def _subscription(self, name):
         return SimpleNamespace(node_name=name, endpoint_gid=[len(self.listeners)] * 16)

@@ -68,7 +68,7 @@ def test_every_setting_of_every_method_is_known_by_its_exact_name_only(method):
             tree = {last + "x": 1}
             for name in reversed(inner):
                 tree = {name: tree}
-            changed = {**groups, group: {**groups.get(group, {}), **tree}}
+            changed = {"plan": groups["plan"], group: {**groups.get(group, {}), **tree}}
             place = ".".join([group, *inner])
             with pytest.raises(ConfigurationError, match=f"{place}: unknown setting '{last}x'"):
                 parse_configuration(dump_configuration(method, changed))

@@ -10,6 +10,7 @@ import pytest
 
 from rotcal_ros.bags import names
 from rotcal_ros.catalogue.configuration import changed, read_configuration
+from rotcal_ros.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
@@ -30,7 +31,7 @@ SEEN = ("-r", "observation:=/cell/seen")
 def rotcal(*arguments):
     return subprocess.run(
         [sys.executable, "-m", "rotcal_ros.cli.main", *map(str, arguments)],
-        capture_output=True, text=True, timeout=100.0, check=False, env=os.environ,
+        capture_output=True, text=True, timeout=patient(100.0), check=False, env=os.environ,
     )  # fmt: skip
 
 

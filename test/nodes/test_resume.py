@@ -11,6 +11,7 @@ from mcap.reader import SeekingReader
 from rosbags.rosbag2 import Reader
 
 from rotcal_ros.bags.session_identity import session_of
+from rotcal_ros.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 
 pytest.importorskip("rclpy")
@@ -65,5 +66,5 @@ def test_a_killed_run_is_resumed_to_a_true_result(rotcal, tmp_path):
     np.testing.assert_allclose(scatter.std(axis=0)[1:], result["std"]["ECC"][1:], rtol=0.2)
 
     third = rotcal("--resume", folder, log=tmp_path / "third.log")
-    assert third.wait(60) == 2
+    assert third.wait(patient(60)) == 2
     assert "is finished" in (tmp_path / "third.log").read_text()

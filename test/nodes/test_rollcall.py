@@ -1,81 +1,119 @@
-"""Who beats, who fell silent, who said goodbye."""
+"""Who answers, who is slow, who is lost, and who is back: on a clock of the test."""
 
 import pytest
 
-pytest.importorskip("rclpy")
+from rotcal_ros.nodes.roll_call import OVER_S, Overload, RollCall
+from rotcal_ros.planning.health_settings import HealthSettings
 
-from rotcal_ros.nodes.roll_call import LOADING, SOLVING, RollCall
-
-
-def watched(until, silent_from):
-    """Return the first check (s, every 0.2 s) at which "a" counts as lost; None: never."""
-    roll = RollCall(timeout_s=1.4)
-    roll.silent(0.0)
-    for turn in range(round(until / 0.2)):
-        now = 0.2 * turn
-        if now < silent_from:
-            roll.seen["a"] = now
-        if "a" in roll.silent(now):
-            return now
-    return None
+TURN_S = 0.2
+SETTINGS = HealthSettings(slow_after_s=1.5, lost_after_s=60.0)
 
 
-def test_a_silent_node_is_noticed_within_two_seconds():
-    noticed = watched(until=10.0, silent_from=3.0)
-    assert noticed is not None
-    assert 1.4 < noticed - 2.8 <= 2.0
+class Cell:
+    """Nodes that beat five times a second, by name; the test says who does not."""
+
+    def __init__(self, *names):
+        self.roll, self.now_s = RollCall(SETTINGS), 100.0
+        self.beating, self.gone, self.told = set(names), {}, []
+        self.pass_by(TURN_S)
+
+    def pass_by(self, seconds):
+        """Let time pass, with a look in every turn."""
+        for _ in range(round(seconds / TURN_S)):
+            self.now_s += TURN_S
+            for name in self.beating:
+                self.roll.hear(name, self.now_s)
+            self.told += self.roll.look(self.now_s, lambda name: self.gone.get(name, ""))
 
 
-def test_a_beating_node_is_never_lost():
-    assert watched(until=10.0, silent_from=99.0) is None
+def test_who_beats_is_neither_slow_nor_lost():
+    cell = Cell("a")
+    cell.pass_by(100.0)
+    assert (cell.roll.slow, cell.roll.lost, cell.told) == ({}, {}, [])
 
 
-def test_the_callers_own_pause_is_not_blamed_on_others():
-    roll = RollCall(timeout_s=1.4)
-    roll.seen["a"] = 0.0
-    assert roll.silent(0.2) == {}
-    assert roll.silent(60.2) == {}  # the machine was suspended
-    for now in (60.7, 61.2):
-        assert roll.silent(now) == {}
-    assert set(roll.silent(61.7)) == {"a"}
+def test_a_late_beat_is_slow_and_over_as_soon_as_it_comes():
+    cell = Cell("a", "b")
+    cell.beating = {"b"}
+    cell.pass_by(1.4)
+    assert cell.roll.slow == {}
+    cell.pass_by(3.6)
+    assert cell.roll.slow == {"a": pytest.approx(5.0)}
+    cell.beating = {"a", "b"}
+    cell.pass_by(TURN_S)
+    assert (cell.roll.slow, cell.roll.lost, cell.told) == ({}, {}, [])
 
 
-def test_behind_a_pause_of_its_own_the_caller_does_not_know_the_others_at_once():
-    roll = RollCall(timeout_s=1.4)
-    assert roll.aware(0.0)
-    roll.silent(0.2)
-    assert roll.aware(0.4)
-    assert not roll.aware(5.2)  # a call is answered before the beat that is due
-    roll.silent(5.2)
-    for now in (5.4, 5.6, 5.8):
-        assert not roll.aware(now)
-        roll.silent(now)
-    assert roll.aware(6.0)
+def test_a_process_that_is_gone_is_lost_at_once():
+    cell = Cell("a")
+    cell.beating, cell.gone = set(), {"a": "its process 7 is gone"}
+    cell.pass_by(1.0)
+    assert cell.roll.lost == {"a": "its process 7 is gone"}
+    assert (cell.roll.slow, cell.told) == ({}, ["a"])
+    cell.pass_by(100.0)
+    assert cell.told == ["a"]  # once
 
 
-def test_who_is_solving_is_given_more_time_and_no_more_than_that():
-    roll = RollCall(timeout_s=1.4)
-    lost: dict[str, int] = {}
-    for turn in range(100):
-        now = 0.2 * turn
-        if turn == 0:
-            roll.hear("solver", SOLVING, now)
-            roll.hear("dead solver", SOLVING, now)
-            roll.hear("recorder", "recording", now)
-        if turn == 25:
-            roll.hear("solver", "final result", now)
-        for name in roll.silent(now):
-            lost.setdefault(name, turn)
-    turns = {"recorder": (7, 8), "solver": (32, 33), "dead solver": (50, 51)}
-    assert lost.keys() == turns.keys()
-    for name, between in turns.items():
-        assert lost[name] in between, name
+def test_a_slow_node_is_given_up_only_after_the_settled_time():
+    cell = Cell("a")
+    cell.beating = set()
+    cell.pass_by(59.0)
+    assert set(cell.roll.slow) == {"a"}
+    assert cell.told == []
+    cell.pass_by(2.0)
+    assert cell.told == ["a"]
+    assert cell.roll.lost == {"a": "no sign of it for 60 s"}
+    assert cell.roll.slow == {}
 
 
-def test_who_loads_the_code_of_a_method_is_given_as_much():
-    roll = RollCall(timeout_s=1.4)
-    for name, state in (("capture", LOADING), ("cell", "idle")):
-        roll.hear(name, state, 0.0)
-    seen = {turn: set(roll.silent(0.2 * turn)) for turn in range(60)}
-    assert seen[20] == {"cell"}
-    assert seen[59] == {"capture", "cell"}
+def test_who_was_given_up_or_started_anew_is_back_with_its_next_beat():
+    cell = Cell("a")
+    cell.beating, cell.gone = set(), {"a": "its process 7 is gone"}
+    cell.pass_by(2.0)
+    cell.beating, cell.gone = {"a"}, {}
+    cell.pass_by(TURN_S)
+    assert (cell.roll.slow, cell.roll.lost) == ({}, {})
+    cell.beating, cell.gone = set(), {"a": "its process 8 is gone"}
+    cell.pass_by(2.0)
+    assert cell.told == ["a", "a"]
+
+
+def test_who_beats_without_taking_turns_is_slow():
+    cell = Cell()
+    for turn in range(20):
+        cell.now_s += TURN_S
+        cell.roll.hear("a", cell.now_s - TURN_S * turn)  # its executor has stood since the first
+        cell.roll.look(cell.now_s, lambda _: "")
+    assert cell.roll.slow == {"a": pytest.approx(3.8)}
+
+
+def test_who_said_goodbye_is_neither():
+    cell = Cell("a")
+    cell.beating = set()
+    cell.roll.forget("a")
+    cell.pass_by(100.0)
+    assert (cell.roll.slow, cell.roll.lost, cell.told) == ({}, {}, [])
+
+
+def test_an_overload_is_one_line_at_its_begin_and_one_at_its_end():
+    overload, lines = Overload(), []
+    for turn in range(3600):  # 12 minutes, in ten of which somebody is slow now and then
+        now_s = TURN_S * turn
+        slow = {"capture": 1.6, "solver": 2.0 + turn / 1000} if turn % 50 < 10 else {}
+        slow = slow if now_s < 600.0 else {}
+        lines += filter(None, [overload.look(slow, now_s, lambda: "load 23.0 on 2 cores")])
+    assert len(lines) == 2
+    assert lines[0] == (
+        "waiting for capture (1.6 s), solver (2.0 s): slow, not lost; load 23.0 on 2 cores; it "
+        "goes on by itself"
+    )
+    assert f"nobody has been slow for {OVER_S:g} s: waited 60 times" in lines[1]
+    assert "5.0 s" in lines[1]
+
+
+def test_an_overload_says_who_is_waited_for_as_long_as_it_is():
+    overload = Overload()
+    overload.look({"recorder": 3.0}, 0.0, lambda: "load 9.0 on 1 core")
+    assert overload.text == "waiting for recorder (3.0 s): slow, not lost; load 9.0 on 1 core"
+    overload.look({}, 1.0, lambda: "")
+    assert overload.text == ""

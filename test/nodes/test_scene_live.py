@@ -8,6 +8,7 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from live_cell import SUITE, wait_until
 from mcap.reader import make_reader
@@ -70,9 +71,11 @@ def test_a_calibration_is_drawn_and_does_not_end_with_its_scene(cell, monkeypatc
 
     tables = [named(array) for array in read(live.bag, "/cell/scene_motion")]
     marks = [scene["zero mark"].points for scene in tables]
-    angles = {round(math.degrees(math.atan2(end.y, end.x)), 1) for _, end in marks}
-    planned = {-145.0 + 30.0 * position for position in range(5)}
-    assert len(angles & planned) >= 3, angles
+    drawn = np.array([math.atan2(end.y, end.x) for _, end in marks])
+    told = np.array([message.position[0] for message in read(live.bag, "/cell/joint_states")])
+    assert len(np.unique(drawn.round(3))) >= 3
+    apart = np.abs(np.angle(np.exp(1j * (drawn[:, None] - told))))
+    assert (apart.min(axis=1) < 1e-9).all()
     beams = [scene["beam"].points for scene in tables if "beam" in scene]
     places = {(p.x, p.y, p.z) for p in first.points}
     assert beams

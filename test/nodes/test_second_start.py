@@ -21,12 +21,14 @@ def python(*arguments):
 def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cell):
     live = cell("simulation.time_scale=8.0")
     live.start(*SUITE, "simulated_cell")
+    publisher = python(str(Path(__file__).with_name("plan_publisher.py")))
+    live.processes.start("stranger", publisher, piped=True)
+    live.processes.tell("stranger", "anybody's")
+    for node in ("capture", "solver"):
+        live.wait_for_log(node, "a plan on /cell/plan cannot be used: the announced plan")
     client = live.client()
     client.wait_for_step(1)
-    stranger = python(str(Path(__file__).with_name("plan_publisher.py")))
-    live.processes.start("stranger", stranger)
-    live.wait_for_log("capture", "a plan on /cell/plan is not the planner's")
-    assert "published by stranger" in live.log("capture")
+    live.processes.tell("stranger", "nobody's")
     live.processes.start("second", python("-m", "rotcal_ros.nodes.client"), piped=True)
     for node in ("capture", "recorder"):
         live.processes.start(f"stray {node}", python("-m", f"rotcal_ros.nodes.{node}"))
@@ -43,3 +45,8 @@ def test_strays_are_refused_with_a_sentence_and_the_calibration_ends_as_ever(cel
     outcome = client.result()
     assert outcome["error_code"] == 0, outcome["error_msg"]
     assert outcome["n_used"] == 59
+    left_alone = "a plan on /cell/plan is not the planner's and was left alone (plan \"nobody's\""
+    for node in ("capture", "solver"):
+        live.wait_for_log(node, left_alone)
+        assert "published by stranger" in live.log(node)
+        assert "ERROR" not in live.log(node)

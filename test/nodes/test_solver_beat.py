@@ -1,8 +1,11 @@
 """The solver says that it solves as long as it does, so that nobody takes it for dead."""
 
 import threading
+from types import SimpleNamespace
 
 import pytest
+
+from rotcal_ros.machine_load import patient
 
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
@@ -21,12 +24,14 @@ pytestmark = pytest.mark.ros
 class SlowCalibration:
     """Solves as long as the test wants, each solution on its own."""
 
+    configuration = SimpleNamespace(cell=SimpleNamespace(axis="C"))
+
     def __init__(self):
         self.begun, self.go_on = threading.Semaphore(0), threading.Semaphore(0)
 
     def solve(self, *_):
         self.begun.release()
-        assert self.go_on.acquire(timeout=30.0)
+        assert self.go_on.acquire(timeout=patient(30))
         raise DataError("nothing to solve")
 
 
@@ -49,12 +54,12 @@ def test_a_preliminary_solution_that_ends_does_not_hide_the_final_one(solver):
     node._observations = {(0, 0): object()}
 
     node._preliminary()
-    assert slow.begun.acquire(timeout=30.0)
+    assert slow.begun.acquire(timeout=patient(30))
     assert node._report()[0] == SOLVING
 
     final = node._begin(slow)
     slow.go_on.release()
-    assert slow.begun.acquire(timeout=30.0)  # the preliminary one ended, the final one runs
+    assert slow.begun.acquire(timeout=patient(30))  # the preliminary one ended, the final one runs
     for _ in range(5):
         executor.spin_once(timeout_sec=0.05)
     assert node._report()[0] == SOLVING

@@ -34,7 +34,7 @@ def waiting():
     pauses = Pauses(node, lambda: obstacle(watch), lambda: "idle")
     health = SimpleNamespace(present=list)
     watch = SimpleNamespace(
-        stop=stop, pauses=pauses, links=SimpleNamespace(health=health), silent_streams=list
+        stop=stop, pauses=pauses, links=SimpleNamespace(health=health), silent_streams=dict
     )
 
     def resume():

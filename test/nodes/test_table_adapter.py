@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from live_cell import SUITE, wait_until
 from lone_adapters import expect
+from test_slow_nodes import stand_still
 
 from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.recordings.replay import read_recording
@@ -73,6 +74,20 @@ def test_a_calibration_through_the_controller_finds_the_truth(adapted, interface
     recording = read_recording(live.bag)
     assert recording.same_as_recorded
     assert recording.verdicts[0].topics["/cell/joint_states"].messages > 100
+
+
+@pytest.mark.parametrize("name", ["table_adapter", "machine"])
+def test_an_adapter_or_a_machine_that_stands_still_for_a_while_ends_nothing(adapted, name):
+    live = adapted(nodes=(*SUITE, "simulated_cell", "table_adapter"))
+    client = live.client()
+    client.wait_for_step(6)
+    stand_still(live, name)
+    outcome = client.result()
+    assert outcome["error_code"] == 0, outcome["error_msg"]
+    assert outcome["n_used"] == 32
+    recording = read_recording(live.bag)
+    assert recording.same_as_recorded
+    assert {o.run for o in recording.observations} == {0}
 
 
 WRONG = {

@@ -1,7 +1,6 @@
 """How the adapter to ros2_control stops a table in an emergency, and what it says; no graph."""
 
 import sys
-import time
 from concurrent.futures import Future
 from importlib import import_module
 from types import SimpleNamespace
@@ -14,6 +13,7 @@ pytest.importorskip("rotcal_msgs")
 
 from rotcal_msgs.msg import TableAngle
 
+from rotcal_ros.machine_load import AwakeClock
 from rotcal_ros.nodes import joint_controllers
 from rotcal_ros.nodes.joint_controllers import PositionController, TrajectoryController, Word
 from rotcal_ros.nodes.table_adapter import TableAdapter
@@ -45,7 +45,7 @@ class Adapter(TableAdapter):
     """An adapter whose joint and controller are the test's, and that is no node."""
 
     def __init__(self, controller=None):
-        self.logged = []
+        self.logged, self.health = [], SimpleNamespace(awake=AwakeClock())
         log = SimpleNamespace(warning=self.logged.append, error=self.logged.append)
         self.get_logger = lambda: log
         self._settings, self._joint = SETTINGS, "rotary"
@@ -61,10 +61,11 @@ class Adapter(TableAdapter):
         """Send the joint from 0 to 90 deg, some time ago."""
         way = way_to(90.0 * DEG, Approach.UNKNOWN, 0.0, SETTINGS)
         self._controller.send(way)
-        self._watch.begin(way, time.monotonic() - ago_s)
+        self._watch.begin(way, self.health.awake.now_s() - ago_s)
 
     def hear(self, angle_deg, velocity_deg_s=0.0):
-        self._watch.hear(TableSample(1, angle_deg * DEG, velocity_deg_s * DEG), time.monotonic())
+        now_s = self.health.awake.now_s()
+        self._watch.hear(TableSample(1, angle_deg * DEG, velocity_deg_s * DEG), now_s)
 
     def halt(self):
         self._stop.why = "estop"

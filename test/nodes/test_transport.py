@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from live_cell import wait_until
 
+from rotcal_ros.machine_load import patient
+
 pytest.importorskip("rclpy")
 pytest.importorskip("rotcal_msgs")
 pytestmark = pytest.mark.ros
@@ -28,4 +30,4 @@ def test_a_node_that_is_started_alone_talks_over_udp_only():
         assert not any(name.startswith("dds.shm") for name in names)
     finally:
         node.terminate()
-        node.wait(30)
+        node.wait(patient(30))

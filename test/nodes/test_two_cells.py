@@ -20,6 +20,7 @@ from live_cell import DEADLINE_S, wait_until
 from rotcal_ros.api.reading import read_result
 from rotcal_ros.catalogue import prepare
 from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.machine_load import patient
 from rotcal_ros.recordings.replay import read_recording
 from rotcal_ros.sessions.domains import free_domain
 from rotcal_ros.sessions.environment import node_environment
@@ -109,7 +110,7 @@ def test_two_cells_in_one_domain_find_their_own_truth(cells, tmp_path):
     changes = {"cell.namespace": "/right", "dme.port": port}
     cells.start("right", run(RIGHT, tmp_path / "out_right", changes))
     for name in ("left", "right"):
-        assert cells.children[name].wait(2 * DEADLINE_S) == 0, cells.log_tail(name, 50)
+        assert cells.children[name].wait(patient(2 * DEADLINE_S)) == 0, cells.log_tail(name, 50)
 
     left = outcome_of(tmp_path, "left", 8 * POSITIONS)
     right = outcome_of(tmp_path, "right", 78)

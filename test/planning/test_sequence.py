@@ -117,7 +117,17 @@ def competing():
 
 def test_every_order_measures_every_length(competing):
     _, _, costs, ways = competing
-    assert [way.name for way in ways] == ["quickest", "closed", "2 sweeps", "3 sweeps", "4 sweeps"]
+    assert [way.name for way in ways] == [
+        "quickest",
+        "closed",
+        "2 sweeps",
+        "2 sweeps and one of every 3 positions",
+        "2 sweeps and one of every 2 positions",
+        "3 sweeps",
+        "3 sweeps and one of every 3 positions",
+        "3 sweeps and one of every 2 positions",
+        "4 sweeps",
+    ]
     for way in ways:
         assert sorted(way.order) == list(range(110))
         assert way.seconds == pytest.approx(duration(costs, way.order))
@@ -125,10 +135,28 @@ def test_every_order_measures_every_length(competing):
 
 
 def test_their_times_are_lengths_and_turns(competing):
-    """109 more lengths of 5 s; turns: 10, one more to close, 2 x 10 and 3 x 10 without a turn."""
+    """109 more lengths of 5 s; turns: 10, one more to close, 10 for each sweep of all positions.
+
+    A last sweep from position 0 comes to 3, 6 and 9, or to 2, 4, ..., 10; one from position 10 to
+    9, 6, 3 and 0, or to 8, 6, ..., 0.
+    """
     ways = competing[-1]
     turns = [(way.seconds - 109 * 5.0) / 10.0 for way in ways]
-    assert turns == pytest.approx([10.0, 11.0, 20.0, 30.0, 40.0], abs=0.01)
+    expected = [10.0, 11.0, 20.0, 23.0, 25.0, 30.0, 34.0, 35.0, 40.0]
+    assert turns == pytest.approx(expected, abs=0.01)
+
+
+def test_a_last_sweep_of_some_positions_comes_to_no_others(competing):
+    _, position, _, ways = competing
+    for way in ways:
+        sweeps, _, every = way.name.partition(" sweeps and one of every ")
+        if not every:
+            continue
+        at = position[way.order]
+        visits = at[np.append(True, np.diff(at) != 0)]
+        last = visits[-len(range(0, 11, int(every[0]))) :]
+        assert set(last) == set(range(0, 11, int(every[0])))
+        assert len(set(visits[: 11 * int(sweeps) - int(sweeps) + 1])) == 11
 
 
 def test_a_closed_order_ends_where_it_began(competing):
@@ -178,7 +206,7 @@ def test_a_pair_that_comes_again_is_approached_anew():
     ways = measuring_orders(
         position, target, 1.0 + apart, progress=lambda done, total: shown.append((done, total))
     )
-    assert shown == [(1, 5), (2, 5), (3, 5), (4, 5), (5, 5)]
+    assert shown == [(number, 9) for number in range(1, 10)]
     for way in ways:
         pairs = np.column_stack([position, target])[way.order]
         assert (np.diff(pairs, axis=0) != 0).any(axis=1).all()

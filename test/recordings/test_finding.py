@@ -3,10 +3,14 @@
 import os
 
 import pytest
-from fleet_bags import RECORDING
+from fleet_bags import RECORDING, configuration_text
 
+from rotcal_ros.catalogue.configuration import parse_configuration
 from rotcal_ros.errors import BagError
 from rotcal_ros.recordings.finding import find_bags
+from rotcal_ros.recordings.many import Job, solve_bag
+
+CONFIGURATION = parse_configuration(configuration_text())
 
 
 @pytest.fixture
@@ -81,3 +85,16 @@ def test_what_names_no_bag_is_said(bags, tmp_path):
 def test_a_folder_with_brackets_in_its_name_is_a_folder(bags):
     named = bags.rename(bags.with_name("bags [2026]"))
     assert len(find_bags([str(named)])) == 2
+
+
+def test_a_line_that_names_nothing_stays_a_bag_that_cannot_be_read(bags, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "list.txt").write_text(
+        "bags/one\nbags/gone\nempty\nbags/*.nothing\nlist.txt\nbags/one\n"
+    )
+    found = find_bags([str(tmp_path / "list.txt")])
+    gone = [str(tmp_path / name) for name in ("bags/gone", "empty", "bags/*.nothing")]
+    assert found == (str(bags / "one"), *gone)
+    for name in gone:
+        outcome = solve_bag(Job(name, CONFIGURATION, str(tmp_path / "cache")))
+        assert "does not exist" in outcome.error or "is no bag" in outcome.error

@@ -23,7 +23,9 @@ ONE, OTHER = "a" * 64, "b" * 64
     [
         ((), "unknown"),
         (("unknown", ""), "unknown"),
-        (("unknown", "none"), "none"),
+        (("unknown", "none"), "unknown"),  # who announced it could not tell: no proof of nothing
+        (("none", "none", ""), "none"),
+        ((ONE, "unknown"), ONE),
         ((ONE, ONE, "unknown"), ONE),
         ((ONE, "none"), "unknown"),
         ((ONE, OTHER), "unknown"),
@@ -31,7 +33,8 @@ ONE, OTHER = "a" * 64, "b" * 64
 )
 def test_only_what_all_agree_on_is_known(states, expected):
     assert agreed(states) == expected
-    assert bool(contradiction(states)) == (len(set(states) - {"unknown", ""}) > 1)
+    several = len(set(states) - {"unknown", ""}) > 1
+    assert bool(contradiction(states)) == (several or set(states) == {"none", "unknown"})
 
 
 def test_a_bag_without_this_knowledge_reads_as_unknown_and_keeps_its_bits():
@@ -49,15 +52,16 @@ def test_a_bag_without_this_knowledge_reads_as_unknown_and_keeps_its_bits():
     assert any("more than one table was in force" in text for text in both.warnings())
 
 
-def announcing_bag(folder, run, states):
-    """A bag of a run during which the cell announced ``states``, one after the other."""
+def announcing_bag(folder, run, states, axes=("C",)):
+    """A bag of a run during which the cell announced ``states``, one after the other, of axes."""
     writer, channels = open_writer(folder)
     with writer:
         definition = STORE.generate_msgdef(KIND, ros_version=2)[0]
         topic = writer.channel(f"/cell/{names.TABLE_IN_FORCE}", KIND, definition)
         for number, state in enumerate(states):
-            data = serialised(KIND, stamp_ns=START_NS + number, axis="C", in_force=state)
-            writer.write(topic, data, START_NS + number, START_NS + number)
+            for axis in axes[number % len(axes) :][:1]:
+                data = serialised(KIND, stamp_ns=START_NS + number, axis=axis, in_force=state)
+                writer.write(topic, data, START_NS + number, START_NS + number)
         for number, record in enumerate(run.records):
             for role, data in encode(record):
                 writer.write(channels[role], data, START_NS + number, START_NS + number)
@@ -86,6 +90,40 @@ def test_what_a_cell_announced_is_read_from_the_bag(
     about = [text for text in recording.warnings() if "in force" in text]
     assert len(about) == bool(words)
     assert all(words in text for text in about)
+
+
+@pytest.mark.parametrize(
+    ("states", "axes", "expected"),
+    [
+        ((ONE, OTHER), ("C", "B"), ONE),  # two tables, one of them that of another axis
+        (("none",), ("B",), "unknown"),
+        ((ONE, OTHER), ("", "B"), ONE),
+    ],
+)
+def test_what_is_announced_of_another_axis_does_not_count(
+    tmp_path, simulated_run, states, axes, expected
+):
+    recording = announcing_bag(tmp_path / "bag", simulated_run, states, axes)
+    result = recording.solve()
+    assert result.measured_on == expected
+    assert any(
+        "the controller of axis B holds: not counted for axis C" in w for w in result.warnings
+    )
+
+
+def test_the_setting_none_is_no_match_for_a_bridge_that_cannot_tell(tmp_path, simulated_run):
+    recording = announcing_bag(tmp_path / "bag", simulated_run, ("unknown",))
+    configuration = recording.configuration
+    stated = replace(
+        recording.calibration,
+        configuration=replace(
+            configuration, cell=replace(configuration.cell, table_in_force="none")
+        ),
+    )
+    recording = replace(recording, calibration=stated)
+    assert recording.solve().measured_on == "unknown"
+    assert any("'none' was stated" in text for text in recording.warnings())
+    assert replace(recording, announced=frozenset()).solve().measured_on == "none"
 
 
 @pytest.mark.parametrize("state", ["", "yes", "A" * 64, "a" * 63])

@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.cli.main import rotcal
 from rotcal_ros.errors import BagError, ConfigurationError
+from rotcal_ros.machine_load import patient
 from rotcal_ros.recordings import workers
 from rotcal_ros.recordings.finding import find_bags
 from rotcal_ros.recordings.many import Job, solve_bag
@@ -154,7 +155,7 @@ def cluster(tmp_path, monkeypatch):
     ]  # fmt: skip
     log = (tmp_path / "dask.log").open("w")
     processes = [subprocess.Popen(command, stdout=log, stderr=log)]
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + patient(60)
     while not file.exists():
         assert time.monotonic() < deadline, (tmp_path / "dask.log").read_text()
         time.sleep(0.05)
@@ -162,7 +163,7 @@ def cluster(tmp_path, monkeypatch):
     yield json.loads(file.read_text())["address"], processes[0]
     for process in reversed(processes):
         process.terminate()
-        process.wait(30)
+        process.wait(patient(30))
 
 
 @pytest.mark.slow
@@ -171,7 +172,7 @@ def test_a_dask_cluster_gives_the_same_and_its_death_loses_nothing(cluster, jobs
 
     address, scheduler = cluster
     with Client(address) as client:
-        client.wait_for_workers(2, timeout=60)
+        client.wait_for_workers(2, timeout=patient(60))
     outcomes = by_source(on_cluster(jobs, address))
     assert [bool(outcome.error) for outcome in outcomes] == [False, False, False, True]
     assert not any(outcome.cached for outcome in outcomes)

@@ -32,6 +32,7 @@ from rotcal_ros.catalogue.setup_file import read_setup
 from rotcal_ros.errors import BagError, ConfigurationError, DataError
 from rotcal_ros.observations import LengthStatus, Observation, TracerSample
 from rotcal_ros.recordings.replay import read_recording
+from rotcal_ros.recordings.summary import describe
 from rotcal_ros.recordings.topics import Topics
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -173,7 +174,9 @@ def test_a_policy_in_a_comment_is_none() -> None:
 def test_two_cells_in_one_bag_must_be_told_apart(simulated_run: Run, tmp_path: Path) -> None:
     writer, channels = open_writer(tmp_path / "bag")
     with writer:
-        other = writer.channel("/cell2/tracer_length", "a/msg/B", "uint8 x\n")
+        kind = TYPES[names.TRACER_LENGTH]
+        definition = STORE.generate_msgdef(kind, ros_version=2)[0]
+        other = writer.channel("/cell2/tracer_length", kind, definition)
         tracer = next(r for r in simulated_run.records if isinstance(r, TracerSample))
         for channel in (channels[names.TRACER_LENGTH], other):
             writer.write(channel, encode(tracer)[0][1], START_NS, START_NS)
@@ -301,3 +304,38 @@ def test_other_names_are_read_without_arguments(simulated_run, run_bag, tmp_path
     recording = read_recording(tmp_path / "bag", topics=Topics(renamed=asked))
     assert recording.observations == read_recording(run_bag).observations
     assert recording.same_as_recorded
+
+
+@pytest.mark.parametrize("where", ["one attachment twice", "attachment and plan", "two plans"])
+def test_two_configurations_that_differ_are_refused_unless_one_is_given(
+    simulated_run: Run, tmp_path: Path, where: str
+) -> None:
+    changed = CONFIGURATION.replace("window_samples: 30", "window_samples: 20")
+    line = next(n for n, text in enumerate(CONFIGURATION.splitlines(), 1) if "window_sa" in text)
+    first = "x: 1" if where == "two plans" else CONFIGURATION
+    writer, channels = open_writer(tmp_path / "bag", configuration=first)
+    with writer:
+        if where == "one attachment twice":
+            writer.attach(names.CONFIGURATION, "application/yaml", changed.encode())
+        plans = {"attachment and plan": [changed], "two plans": [CONFIGURATION, changed]}
+        for number, text in enumerate(plans.get(where, [CONFIGURATION])):
+            data = serialised(
+                "rotcal_msgs/msg/CalibrationPlan", stamp_ns=START_NS, plan_id="", method="",
+                configuration=text, total_steps=32, start_index=0, run=0,
+            )  # fmt: skip
+            writer.write(channels[names.PLAN], data, START_NS + number, START_NS + number)
+    path = tmp_path / "bag" / "bag_0.mcap"
+    if where == "two plans":  # without an attachment
+        path.write_bytes(path.read_bytes().replace(b"configuration.yaml", b"configuration.yamX"))
+    with pytest.raises(BagError) as refused:
+        read_recording(path)
+    assert "holds 2 configurations that differ" in str(refused.value)
+    assert f"line {line} is " in str(refused.value)
+    assert "window_samples: 30" in str(refused.value)
+    assert "--setup" in str(refused.value)
+    if where == "one attachment twice":  # a summary reads no messages
+        told = describe(path)
+        assert told.contradiction == str(refused.value)
+        assert told.to_dict()["method"] is None
+    given = parse_configuration(CONFIGURATION)
+    assert read_recording(path, configuration=given).configuration.text == CONFIGURATION

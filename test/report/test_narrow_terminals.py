@@ -2,16 +2,24 @@
 
 import csv
 import io
+import json
+import math
 import os
 import pty
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from rotcal_ros.evaluation.monte_carlo import Propagation
+from rotcal_ros.evaluation.propagated import Propagated
 from rotcal_ros.report.terminal.columns import Column, stacked
+from rotcal_ros.report.terminal.tables import print_result, print_uncertainty
+from rotcal_ros.results import Result
 
 DATA = Path(__file__).parents[2] / "examples" / "data"
 CONFIG = Path(__file__).parents[2] / "config"
@@ -92,6 +100,44 @@ def test_at_a_narrow_terminal_no_digit_and_no_unit_is_cut(verb, width):
     assert numbers <= cells(narrow)
     units = {unit for cell in cells(wide) for unit in re.findall(r"/(\S+)", cell)}
     assert units <= set(re.findall(r"/(\S+)", " ".join(cells(narrow))))
+
+
+@pytest.mark.parametrize("verdict", ["ok", "suspect", "failed"])
+def test_in_a_pipe_u_is_what_the_words_say_and_withheld_where_they_withhold_it(verdict, capsys):
+    data = json.loads(TRACER.read_text())
+    print_result(Result.from_dict({**data, "verdict": verdict, "warnings": ["a doubt"]}))
+    out, words = capsys.readouterr()
+    header, *rows = csv.reader(io.StringIO(out))
+    assert header == ["angle/deg", "ECC/arcsec", "U(ECC) (k = 2)/arcsec"]
+    twice = [2.0 * math.degrees(u) * 3600.0 for u in data["std"]["ECC"]]
+    values = [math.degrees(value) * 3600.0 for value in data["deviations"]["ECC"]]
+    assert [float(row[1]) for row in rows] == pytest.approx(values)
+    if verdict == "ok":
+        assert [float(row[2]) for row in rows] == pytest.approx(twice)
+        assert "U (k = 2)" in words
+    else:
+        assert [row[2] for row in rows] == [""] * len(rows)
+        assert f"U: not stated, because the verdict is {verdict}" in words
+
+
+@pytest.mark.parametrize("verdict", ["ok", "suspect"])
+def test_u_of_trials_is_withheld_where_the_verdict_on_the_data_withholds_it(verdict, capsys):
+    result = replace(
+        Result.from_dict(json.loads(TRACER.read_text())), verdict=verdict, warnings=()
+    )
+    std = result.std["ECC"]
+    spread = Propagation(
+        result.deviations["ECC"], std, -2.0 * std, 2.0 * std, np.diag(std**2), 0.95, 2, 400,
+        stable=True,
+    )  # fmt: skip
+    print_uncertainty(Propagated(result, spread, 1))
+    out, words = capsys.readouterr()
+    header, *rows = csv.reader(io.StringIO(out))
+    stated = [
+        header.index(name) for name in ("U solver (k = 2)", "U trials (k = 2)", "from", "to")
+    ]
+    assert all((row[column] != "") == (verdict == "ok") for row in rows for column in stated)
+    assert ("U: not stated, because the verdict is suspect" in words) == (verdict != "ok")
 
 
 def test_columns_are_stacked_with_the_first_one_in_each_group():

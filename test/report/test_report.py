@@ -95,7 +95,7 @@ def test_page_is_self_contained_and_says_the_numbers() -> None:
     references.feed(page)
     assert references.found == []
     assert '<th scope="row">60</th><td>+6.60</td><td>–</td>' in page
-    assert "Verdict: suspect" in page
+    assert "Measurement: suspect" in page
     assert "normalised residual 5.1 &gt; 3.3" in page
     assert "&lt;rejected&gt;" in page
     assert "ab" * 32 in page
@@ -126,7 +126,9 @@ def test_an_ok_that_does_not_cover_everything_is_neither_said_nor_painted_as_one
     late = Protection("drift", "tested", "closure", error=2.14)
     whole = Protection("scale", "harmless", "a larger circle")
     page = trusting(bare, late, whole)
-    assert '<span class="verdict partly">Verdict: ok, not protected against drift, tilt' in page
+    assert (
+        '<span class="verdict partly">Measurement: ok, not protected against drift, tilt' in page
+    )
     assert "What could be wrong, and would it show?" in page
     assert (
         '<tr class="bare"><th scope="row">tilt</th><td>not protected</td>'
@@ -137,10 +139,10 @@ def test_an_ok_that_does_not_cover_everything_is_neither_said_nor_painted_as_one
         "<td>tested</td><td>closure</td><td>2.1</td></tr>"
     ) in page
     assert '<tr><th scope="row">scale</th>' in page
-    assert '<span class="verdict ok">Verdict: ok</span>' in trusting(whole)
+    assert '<span class="verdict ok">Measurement: ok</span>' in trusting(whole)
 
 
 def test_a_method_that_states_nothing_is_told_from_one_that_is_protected() -> None:
     page = trusting()
-    assert '<span class="verdict partly">Verdict: ok, protection against drift' in page
+    assert '<span class="verdict partly">Measurement: ok, protection against drift' in page
     assert "does not state what it does about drift" in page

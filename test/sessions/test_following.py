@@ -1,11 +1,13 @@
 """What the client reports, followed to the end; no process runs here."""
 
 from queue import SimpleQueue
+from types import SimpleNamespace
 
 import pytest
 
 from rotcal_ros.catalogue.configuration import dump_configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions import following
 from rotcal_ros.sessions.following import _follow, _result_of_cancelling
 from rotcal_ros.sessions.person import Person
@@ -134,3 +136,35 @@ def test_the_result_of_a_canceled_goal_is_waited_for(monkeypatch):
     assert _result_of_cancelling(Nodes(feedback(1), RESULT)) == RESULT
     monkeypatch.setattr(following, "CANCEL_TIMEOUT_S", 0.1)
     assert _result_of_cancelling(Nodes(feedback(1))) == {}
+
+
+class Told(list):
+    """Stands for viewers: notes what is said."""
+
+    say = list.append
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_a_second_interruption_says_how_to_go_on_too(tmp_path, monkeypatch, recorded):
+    """The first one is still being obeyed: the bag is being closed."""
+    folder = SessionFolder(tmp_path)
+    folder.bag.mkdir()
+    if recorded:
+        (folder.bag / "bag_0.mcap").touch()
+    real = SimpleNamespace(
+        configuration=SimpleNamespace(simulated=False),
+        folder=folder,
+        finished=False,
+        resume_command="rotcal run c.yaml --resume f",
+    )
+
+    def interrupted_twice(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(following, "_run", interrupted_twice)
+    told = Told()
+    with pytest.raises(KeyboardInterrupt):
+        following.calibrate(real, told)
+    assert "interrupted once more" in told[0]
+    expected = "to go on: rotcal run c.yaml --resume f" if recorded else "nothing was recorded yet"
+    assert told[1].startswith(expected)

@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from rotcal_ros.machine_load import patient
 from rotcal_ros.node_names import VIEWERS
 from rotcal_ros.sessions import environment
 from rotcal_ros.sessions.commands import CLIENT
@@ -30,7 +31,7 @@ def started(tmp_path):
 
 
 def words(session):
-    deadline = time.monotonic() + DEADLINE_S
+    deadline = time.monotonic() + patient(DEADLINE_S)
     while not (found := session.page()):
         assert time.monotonic() < deadline, "the page is never told"
         time.sleep(0.02)

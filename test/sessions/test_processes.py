@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from rotcal_ros.machine_load import patient
 from rotcal_ros.sessions import processes
 from rotcal_ros.sessions.processes import Processes
 
@@ -17,7 +18,7 @@ DEADLINE_S = 30.0
 
 
 def wait_for(condition):
-    deadline = time.monotonic() + DEADLINE_S
+    deadline = time.monotonic() + patient(DEADLINE_S)
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)

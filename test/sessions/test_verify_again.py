@@ -9,10 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from rotcal_ros.catalogue import changed, prepare, read_configuration
+from rotcal_ros.errors import ConfigurationError
 from rotcal_ros.observations import Approach
-from rotcal_ros.recordings.sources import Source
+from rotcal_ros.recordings.sources import Source, read_source
+from rotcal_ros.report.verification import verification_section
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions import verification
 from rotcal_ros.sessions.session import Session
@@ -29,10 +32,10 @@ PLAY = ("plan.bidirectional=true", "simulation.table.backlash_arcsec=6.0")
 LENGTH_STD = 3e-8
 
 
-def lengths(calibration, seed):
+def lengths(calibration, seed, plant=None):
     """What the tracer reads on the simulated axis with the table that it has now."""
-    settings, plan = calibration.configuration.simulation, calibration.plan
-    angles, rng = np.array(plan.distinct_angles), np.random.default_rng(seed)
+    settings, plan = plant or calibration.configuration.simulation, calibration.plan
+    angles, rng = np.array(plan.distinct_angles), np.random.default_rng(100 + seed)
     off = dict(zip((Approach.POSITIVE, Approach.NEGATIVE), true_runs(settings, angles, 1),
                    strict=True))  # fmt: skip
     mount = np.array(settings.tracer.mount_m)
@@ -91,3 +94,137 @@ def test_the_second_round_is_not_worse_than_the_first(tmp_path, rounds, more):
     assert data["again"]["systematic_E_arcsec"] == pytest.approx(
         found.again.systematic / ARCSEC, rel=1e-12
     )
+
+
+# A cell that is real by its configuration, and whose axis a simulation turns.
+
+
+class RealCell:
+    """The axis of the demonstration, and a control that a person loads with LinuxCNC's rows."""
+
+    def __init__(self, root):
+        self.root, self.rounds, self.rows = root, {}, None
+        data = yaml.safe_load(DEMO.read_text())
+        groups = data["/**"]["ros__parameters"]
+        del groups["simulation"]
+        groups["cell"] = {**groups.get("cell", {}), "table_in_force": "none"}
+        groups["identity"] = {"serial": "4711"}
+        self.configuration = root / "real.yaml"
+        self.configuration.write_text(yaml.safe_dump(data))
+
+    def load(self, files, gain=1.0):
+        """What a person does: the trims of the .comp file, deg, go into the control."""
+        (comp,) = (path for path in files if path.suffix == ".comp")
+        self.rows = np.loadtxt(comp) * (1.0, gain, gain)
+
+    def plant(self):
+        """The simulated axis with the control's rows."""
+        rows = []
+        if self.rows is not None:
+            names = ("angles_deg", "forward_arcsec", "reverse_arcsec")
+            columns = self.rows.T * np.array([[1.0], [3600.0], [3600.0]])
+            rows = [
+                f"simulation.table.compensation.{name}={column.tolist()}"
+                for name, column in zip(names, columns, strict=True)
+            ]
+        return changed(read_configuration(DEMO), (QUIET[0], *rows)).simulation
+
+    def measure(self, configuration, folder, changes, _whole):
+        result_file = SessionFolder(folder).result
+        made = prepare(changed(read_configuration(configuration), changes))
+        if folder.name not in self.rounds:
+            folder.mkdir(parents=True, exist_ok=True)
+            result = made.solve(lengths(made, len(self.rounds), self.plant()))
+            assert result.verdict == "ok", result.warnings
+            result_file.write_text(result.to_json())
+            self.rounds[folder.name] = made.configuration
+        session = Session(made, SessionFolder(folder))
+        return verification.Measured(session, read_source(result_file))
+
+
+@pytest.fixture
+def real(tmp_path, monkeypatch):
+    cell = RealCell(tmp_path)
+    monkeypatch.setattr(verification, "_measure", cell.measure)
+    monkeypatch.setattr(verification, "require_ros", lambda: None)
+    return cell
+
+
+def begun(real, **request):
+    folder = real.root / "out"
+    asked = verification.Request(controllers=("linuxcnc",), **request)
+    verification.begin(real.configuration, folder, QUIET[1:], asked)
+    return folder
+
+
+def test_a_real_cell_is_measured_again_once_a_person_has_loaded_the_table(real):
+    folder = begun(real)
+    asked = []
+    assert verification.verify(folder, lambda _, files: asked.append(files)) is None
+    assert list(real.rounds) == ["out"]  # nothing is measured before the word
+    assert verification.verify(folder) is None
+    assert [path.name for path in asked[0]] == ["c_linuxcnc.comp", "c_linuxcnc.ini"]
+    assert all(path.is_file() for path in asked[0])
+    real.load(asked[0])
+    verification.confirm_loaded(folder)
+    found, written = verification.verify(folder)
+    assert written == ("linuxcnc",)
+    assert found.verdict == "ok"
+    assert not found.simulated
+    assert not found.iso  # nobody knows its true angle
+    assert found.after.systematic < found.before.systematic / 30
+    assert abs(found.effect.factor) < 0.02
+    side = json.loads((folder / "compensation" / "c_linuxcnc.provenance.json").read_text())
+    assert side["serial"] == "4711"
+    assert real.rounds["after"].cell.table_in_force == side["contents_sha256"]
+    with pytest.raises(ConfigurationError, match="no table that waits to be loaded"):
+        verification.confirm_loaded(folder)
+
+
+@pytest.mark.parametrize(
+    ("gain", "factor", "words"),
+    [(0.0, 1.0, "inactive, or on the wrong axis"), (-1.0, 2.0, "sign is turned round")],
+)
+def test_a_table_that_a_control_uses_wrongly_is_named_and_not_added_to(real, gain, factor, words):
+    folder = begun(real, again=True)
+
+    def loaded(_folder, files):
+        real.load(files, gain)
+        return True
+
+    found, _ = verification.verify(folder, loaded)
+    assert list(real.rounds) == ["out", "after"]
+    assert found.verdict == "failed"
+    assert abs(found.effect.factor - factor) < 4.0 * found.effect.std + 0.01
+    assert words in found.wrong
+    data = json.loads((folder / "verification.json").read_text())
+    assert words in data["effect"]["words"]
+    assert words in verification_section(found)[1]
+    assert not (folder / "compensation_added").exists()
+
+
+def test_the_word_counts_once_for_each_table(real):
+    folder = begun(real, again=True)
+    assert verification.verify(folder) is None
+    real.load(sorted((folder / "compensation").iterdir()))
+    verification.confirm_loaded(folder)
+    assert verification.verify(folder) is None  # the sum waits for a word of its own
+    assert list(real.rounds) == ["out", "after"]
+    real.load(sorted((folder / "compensation_added").iterdir()))
+    verification.confirm_loaded(folder)
+    found, _ = verification.verify(folder)
+    assert found.verdict == "ok"
+    assert found.again.systematic <= found.after.systematic + 4 * np.max(found.again.std)
+
+
+def test_a_real_cell_has_to_say_what_is_in_force_and_who_takes_the_table(real):
+    with pytest.raises(ConfigurationError, match="Name it: --to linuxcnc"):
+        verification.begin(real.configuration, real.root / "a", QUIET[1:], verification.Request())
+    unknown = (*QUIET[1:], "cell.table_in_force=unknown")
+    request = verification.Request(controllers=("linuxcnc",))
+    with pytest.raises(ConfigurationError, match="begins with no table in force"):
+        verification.begin(real.configuration, real.root / "a", unknown, request)
+    assert not (real.root / "a").exists()
+    folder = begun(real)
+    with pytest.raises(ConfigurationError, match="no table that waits"):
+        verification.confirm_loaded(folder)

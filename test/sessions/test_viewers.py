@@ -11,6 +11,7 @@ import pytest
 
 from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.files import FolderLock
+from rotcal_ros.machine_load import patient
 from rotcal_ros.session_folder import SessionFolder
 from rotcal_ros.sessions import viewers as module
 from rotcal_ros.sessions.attaching import Attachment, running_sessions, watch
@@ -42,14 +43,14 @@ def connect(session):
 
 def heard(attachment, last):
     """Return all events up to one of the kind ``last``."""
-    events = [attachment.events.get(timeout=DEADLINE_S)]
+    events = [attachment.events.get(timeout=patient(DEADLINE_S))]
     while events[-1]["event"] != last:
-        events.append(attachment.events.get(timeout=DEADLINE_S))
+        events.append(attachment.events.get(timeout=patient(DEADLINE_S)))
     return events
 
 
 def order_of(viewers):
-    deadline = time.monotonic() + DEADLINE_S
+    deadline = time.monotonic() + patient(DEADLINE_S)
     while not (orders := list(viewers.orders())):
         assert time.monotonic() < deadline
         time.sleep(0.01)

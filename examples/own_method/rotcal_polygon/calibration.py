@@ -11,10 +11,10 @@ from rotcal_polygon.adjustment import Adjustment, PolygonProblem, adjust
 from rotcal_polygon.plan import NAME
 from rotcal_polygon.protections import protections
 from rotcal_polygon.settings import PolygonPlanSettings
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.arrays import Floats
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.results import Rejection, Residuals, Result

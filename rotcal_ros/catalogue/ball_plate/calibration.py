@@ -17,8 +17,9 @@ from rotcal_ros.errors import ConfigurationError, DataError
 from rotcal_ros.methods import ball_plate
 from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.observations import Observation
+from rotcal_ros.observations import Observation, PointKind
 from rotcal_ros.planning.plan import Plan
+from rotcal_ros.protection import Protection
 from rotcal_ros.results import Result
 from rotcal_ros.units import NANOSECOND
 
@@ -31,9 +32,29 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     """
     solution = ball_plate.adjust(_chosen(configuration, plan, observations))
     result, arrivals = ball_plate.result_of(solution), _arrivals(configuration, plan)
+    number = {o.step: k for k, o in enumerate(observations)}  # the rows of the plate are steps
+    result = replace(
+        result,
+        raw_data=result.raw_data.renumbered(number),
+        protections=_told_by_touches(result.protections, observations),
+    )
     if configuration.plan.bidirectional:
         return mean_of_runs(result, arrivals.take(solution.table_positions), from_first=False)
     return replace(result, angles=arrivals.targets[solution.table_positions])
+
+
+def _told_by_touches(
+    protections: Sequence[Protection], observations: Sequence[Observation]
+) -> tuple[Protection, ...]:
+    """Return the protections; balls whose touches were captured tell which way z points."""
+    if any(o.kind != PointKind.SURFACE or not o.window_end_ns for o in observations):
+        return tuple(protections)
+    touched = Protection(
+        "sign of z",
+        "harmless",
+        "touch points that lie below the centre of a ball are refused by the capture",
+    )
+    return tuple(touched if p.effect == touched.effect else p for p in protections)
 
 
 def trials(
@@ -107,6 +128,7 @@ def problem(
         drift=DRIFTS.index(solver.drift),
         drift_allowance=solver.drift_allowance_m,
         bidirectional=settings.bidirectional,
+        group_allowance=solver.group_allowance_m,
     )
 
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.arrays import Floats, Ints
+from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.disturbance import (
     ALL_AXES,
@@ -68,6 +68,12 @@ LISTED: Final = (
         "2.4 um for each arcsec",
         "arcsec", ARCSEC, 10.0, 2000.0,
     ),
+    Disturbance(
+        "one place",
+        "at one table position a quarter of the balls, neighbours, are displaced by so much "
+        "together, along x, y and z alike",
+        "um", MICROMETRE, 0.05, 10.0,
+    ),
 )  # fmt: skip
 
 
@@ -86,6 +92,7 @@ def measure(
     centres = centres + np.array(configuration.plan.centre_m) + _machine_error(place, noise)
     centres[:, 0] *= 1.0 + sizes.get("scale", 0.0)
     centres += sizes.get("drift", 0.0) * np.outer(times(plan), ALL_AXES)
+    centres += sizes.get("one place", 0.0) * np.outer(_in_one_place(plan), ALL_AXES)
     std = np.broadcast_to(configuration.solver.sigma_centre_m or USUAL_STD, 3).copy()
     std[2] *= sizes.get("axis noise", 1.0)
     centres += std * noise.standard_normal(centres.shape)
@@ -94,6 +101,16 @@ def measure(
         for step, (x, y, z) in zip(plan.steps, centres.tolist(), strict=True)
     )
     return DisturbedMeasurement(observations, true)
+
+
+def _in_one_place(plan: Plan) -> Bools:
+    """Return which steps (n,) are a quarter of the balls, neighbours, at a middle position."""
+    position = np.array([step.table_position for step in plan.steps])
+    ball = np.array([step.target for step in plan.steps])
+    balls = np.unique(ball)
+    some = balls[: max(len(balls) // 4, 2)]
+    here = position == len(plan.table_angles) // 3
+    return np.asarray(here & np.isin(ball, some))
 
 
 def _true_centres(

@@ -12,7 +12,6 @@ from rotcal_ros.catalogue.ball_plate.figures import figures
 from rotcal_ros.catalogue.ball_plate.plan import (
     BallPlatePlanSettings,
     check_plan,
-    older_plan,
     plan,
 )
 from rotcal_ros.catalogue.ball_plate.simulation_settings import PlateSimulationSettings
@@ -41,7 +40,6 @@ METHOD: Final = Method(
     simulation_settings=PlateSimulationSettings,
     plan=plan,
     check_plan=check_plan,
-    older_plans=(older_plan,),
     capture=CaptureRules(
         {PointKind.SURFACE: points(touched_centre), PointKind.CENTRE: points(reported_centre)}
     ),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, cast, get_args
 
 import numpy as np
@@ -107,13 +107,6 @@ def check_plan(_configuration: Configuration, planned: Plan) -> None:
             f"table positions, such as {poor[0]}, which leaves their errors open: name more "
             "cmm_positions, or none for all"
         )
-
-
-def older_plan(configuration: Configuration) -> Plan:
-    """Return the plan of versions that never closed, with ``table_once`` where none was stated."""
-    settings: BallPlatePlanSettings = configuration.plan
-    order = settings.order if "plan.order" in configuration.given else "table_once"
-    return ball_plate_plan(replace(settings, order=order, closing=False))
 
 
 def ball_plate_plan(settings: BallPlatePlanSettings) -> Plan:

@@ -34,6 +34,13 @@ class BallPlateSolverSettings:
         minimum=0.0,
         maximum=1e-3,
     )
+    group_allowance_m: float = setting(
+        0.0,
+        doc="m on the circle of the balls, by which the zeros of groups of table positions "
+        "(separate_groups) differ at most; 0: none stated, the offset between them is open",
+        minimum=0.0,
+        maximum=1e-3,
+    )
     sigma_axes_m: tuple[float, ...] = setting(
         (),
         doc="m, known standard deviations of a ball centre in x, y, z; empty: the same in all",

@@ -19,11 +19,8 @@ from rotcal_ros.observations import PointKind
 from rotcal_ros.tables import Header, Row, Table, hashes
 
 STD: Final[Header] = ("sx_m", "sy_m", "sz_m")
-_CENTRES: Final[tuple[Header, ...]] = (
-    ("position", "ball_step", "x_m", "y_m", "z_m"),
-    ("table_index", "ball_step", "x_m", "y_m", "z_m"),
-)
-HEADERS: Final[tuple[Header, ...]] = (*_CENTRES, *(header + STD for header in _CENTRES))
+_CENTRES: Final[Header] = ("position", "ball_step", "x_m", "y_m", "z_m")
+HEADERS: Final[tuple[Header, ...]] = (_CENTRES, _CENTRES + STD)
 SIGMA: Final = "sigma_centre_m"
 AXES: Final = "sigma_axes_m"
 
@@ -38,11 +35,11 @@ def read(configuration: Configuration, table: Table, _targets: Path | None) -> P
     if stated:
         solver = replace(configuration.solver, own_std=True)
         configuration = replace(configuration, solver=solver)
-    calibration, position = prepare(configuration), table.header[0]
+    calibration = prepare(configuration)
     find = StepFinder(calibration.plan, target="ball step")
     observations = []
     for number, row in enumerate(table.rows()):
-        step = find(row, row.index(position), row.index("ball_step"))
+        step = find(row, row.index("position"), row.index("ball_step"))
         observation = step.observed(row.point(), PointKind.CENTRE)
         std = tuple(_std(row, name) for name in STD) if stated else observation.std
         observations.append(replace(observation, step=number, std=std))

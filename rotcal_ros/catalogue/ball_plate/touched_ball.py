@@ -17,6 +17,8 @@ from rotcal_ros.observations import ProbeSample
 from rotcal_ros.planning.plan import Step
 from rotcal_ros.units import MICROMETRE, MILLIMETRE
 
+LOWER = 0.1
+"""Part of the radius by which touch points on the upper half cannot lie below the centre."""
 _DOUBT = 5.0
 """Standard deviations by which a fitted radius may differ from the stated one."""
 
@@ -90,6 +92,12 @@ def _doubt(
             f"the touch points lie on a ball of diameter {2.0 * found / MILLIMETRE:.4f} mm with "
             f"the tip radius {tip_radius / MILLIMETRE:.4f} mm, the plate says "
             f"{2.0 * radius / MILLIMETRE:.4f} mm: check ball diameter and tip radius"
+        )
+    below = float(points[0, spheres.used[0], 2].mean() - spheres.centres[0, 2])
+    if below < -LOWER * (radius + tip_radius):
+        return (
+            "the touch points lie below the centre of the ball: a plate on a table is touched "
+            "from above, so z of the probe has the wrong sign, or points down"
         )
     count, n_used = points.shape[1], int(spheres.used.sum())
     if n_used < settings.min_used_share * count:

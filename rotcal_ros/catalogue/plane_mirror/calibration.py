@@ -97,6 +97,7 @@ def configured(problem: PlaneMirrorProblem, configuration: Configuration) -> Pla
         noise=noise_of(settings),
         way=settings.way,
         tilt_std=settings.tilt_std_arcsec * ARCSEC,
+        uneven_drift_std=settings.uneven_drift_std_arcsec * ARCSEC,
         incidence_limit=configuration.plan.incidence_limit_deg * DEGREE,
         significance=settings.significance,
     )

@@ -34,11 +34,15 @@ from rotcal_ros.methods.plane_mirror.problem import noise_of
 from rotcal_ros.observations import PointKind
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
-from rotcal_ros.units import ARCSEC
+from rotcal_ros.units import ARCSEC, MICROMETRE
 
 
 def _tilt(configuration: Configuration) -> float:
     return float(configuration.solver.tilt_std_arcsec * ARCSEC)
+
+
+def _swing(configuration: Configuration) -> float:
+    return float(configuration.solver.uneven_drift_std_arcsec * ARCSEC)
 
 
 LISTED: Final = (
@@ -46,6 +50,16 @@ LISTED: Final = (
         "drift",
         "the tracker's azimuth drifts by so much at every station, linearly while it stands",
         "arcsec", ARCSEC, 0.3, 100.0,
+    ),
+    Disturbance(
+        "uneven drift",
+        "the tracker's azimuth swings by so much at every station, one sine while it stands",
+        "arcsec", ARCSEC, 0.3, 100.0, stated=_swing,
+    ),
+    Disturbance(
+        "one place",
+        "half of the reflectors are seen so far aside in the mirror, at one table position",
+        "um", MICROMETRE, 3.0, 1000.0,
     ),
     Disturbance(
         "knock",
@@ -90,8 +104,11 @@ def measure(
     head = np.array([stations[s].place for s in station.tolist()])
     seen = _places(configuration, plan, stations, sizes, (noise, other)) - head
     seen = _bent(seen, sizes) * (1.0 + sizes.get("scale", 0.0))
-    azimuth = sizes.get("drift", 0.0) * _since_put_up(station)
+    since = _since_put_up(station)
+    azimuth = sizes.get("drift", 0.0) * since
+    azimuth = azimuth + sizes.get("uneven drift", 0.0) * np.sin(2.0 * np.pi * since)
     seen = np.einsum("nij,nj->ni", rotation_about_z(azimuth), seen)
+    seen = seen + sizes.get("one place", 0.0) * _aside(configuration.plan, plan, seen)
     seen = seen + _noise(configuration, seen, sizes, noise)
     observations = tuple(
         step.observed((x, y, z)) for step, (x, y, z) in zip(plan.steps, seen.tolist(), strict=True)
@@ -154,6 +171,23 @@ def _bent(seen: Floats, sizes: Sizes) -> Floats:
     gradient = np.array([sizes.get("refraction", 0.0), 0.0, 0.0])
     across = gradient - (beam @ gradient)[:, None] * beam
     return np.asarray(seen + 0.5 * distance**2 * across, dtype=np.float64)
+
+
+def _aside(settings: MirrorPlanSettings, plan: Plan, seen: Floats) -> Floats:
+    """Return the direction (n, 3) level across the beam of half the images at one position.
+
+    It is the position in the middle of the plan; other points have none.
+    """
+    middle = len(plan.table_angles) // 2
+    wrong = [
+        step.kind is PointKind.MIRRORED
+        and step.table_position == middle
+        and 2 * step.target <= max(settings.reflectors, 2)
+        for step in plan.steps
+    ]
+    level = np.cross([0.0, 0.0, 1.0], seen)
+    level = level / np.linalg.norm(level, axis=1)[:, None]
+    return np.where(np.array(wrong)[:, None], level, 0.0)
 
 
 def _since_put_up(station: Floats) -> Floats:

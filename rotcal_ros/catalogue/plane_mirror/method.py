@@ -18,7 +18,6 @@ from rotcal_ros.catalogue.plane_mirror.plan import (
     MirrorPlanSettings,
     check_plan,
     nominal_mirror,
-    older_plan,
     plan,
     position_angles,
     tracker_stands,
@@ -81,7 +80,6 @@ METHOD: Final = Method(
     solver_settings=MirrorSolverSettings,
     simulation_settings=MirrorSimulationSettings,
     plan=plan,
-    older_plans=(older_plan,),
     check_plan=check_plan,
     capture=CaptureRules(
         {kind: points(mean_point) for kind in table.KINDS.values()},

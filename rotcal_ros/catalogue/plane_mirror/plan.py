@@ -128,25 +128,6 @@ def plan(configuration: Configuration) -> Plan:
     Raises ConfigurationError when the way does not fit what the table carries, PlanError when
     the way lacks nests or shared positions.
     """
-    return _plan(configuration, nests_once=False)
-
-
-def check_plan(configuration: Configuration, planned: Plan) -> None:
-    """Raise PlanError for a plan whose points show no plane in which the table turns."""
-    angles = len(planned.distinct_angles)
-    if configuration.plan.carries == MIRROR and angles < LEAST_ANGLES:
-        raise PlanError(
-            f"{angles} table angles: the plane in which the mirror turns needs at least "
-            f"{LEAST_ANGLES}: raise table_positions"
-        )
-
-
-def older_plan(configuration: Configuration) -> Plan:
-    """Return the plan of versions that measured the nests of a station once."""
-    return _plan(configuration, nests_once=True)
-
-
-def _plan(configuration: Configuration, *, nests_once: bool) -> Plan:
     settings: MirrorPlanSettings = configuration.plan
     way = configuration.solver.way
     if (way == DIRECT) == (settings.carries == MIRROR):
@@ -155,7 +136,7 @@ def _plan(configuration: Configuration, *, nests_once: bool) -> Plan:
             f"{settings.carries}: the direct way needs reflectors on the table, all others a "
             "mirror"
         )
-    result = mirror_plan(settings, nests_once=nests_once)
+    result = mirror_plan(settings)
     n_stations = len(tracker_stands(settings, table_angles(settings)))
     if way == STITCHING and n_stations > 1 and not settings.shared_positions:
         raise PlanError(
@@ -170,6 +151,16 @@ def _plan(configuration: Configuration, *, nests_once: bool) -> Plan:
     return result
 
 
+def check_plan(configuration: Configuration, planned: Plan) -> None:
+    """Raise PlanError for a plan whose points show no plane in which the table turns."""
+    angles = len(planned.distinct_angles)
+    if configuration.plan.carries == MIRROR and angles < LEAST_ANGLES:
+        raise PlanError(
+            f"{angles} table angles: the plane in which the mirror turns needs at least "
+            f"{LEAST_ANGLES}: raise table_positions"
+        )
+
+
 @dataclass(frozen=True)
 class Stand:
     """One place of the tracker: ``place`` (m) and the table positions measured from it."""
@@ -180,18 +171,17 @@ class Stand:
     visit: range
 
 
-def mirror_plan(settings: MirrorPlanSettings, *, nests_once: bool = False) -> Plan:
+def mirror_plan(settings: MirrorPlanSettings) -> Plan:
     """Return the plan of one plane-mirror calibration.
 
     With ``bidirectional`` the table positions go up through the angles and down again: position
-    2 n - 1 - i stands at the angle of position i, reached from above. ``nests_once``: as earlier
-    versions did it, each station measures the nests once, a single one not at all. Raises
-    PlanError when a station sees the mirror beyond the incidence limit, or when nests, stations
-    and positions do not fit together.
+    2 n - 1 - i stands at the angle of position i, reached from above. Raises PlanError
+    when a station sees the mirror beyond the incidence limit, or when nests, stations and
+    positions do not fit together.
     """
     angles = table_angles(settings)
     stands = tracker_stands(settings, angles)
-    again = settings.closing_nests and not nests_once
+    again = settings.closing_nests
     nests = triples(settings.nests_m, "nests_m") if len(stands) > 1 or again else ()
     _check_nests(nests)
     every = position_angles(settings)

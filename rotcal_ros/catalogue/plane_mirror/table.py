@@ -7,7 +7,7 @@ order in which they were measured.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +22,7 @@ from rotcal_ros.errors import DataError
 from rotcal_ros.methods.plane_mirror import mirror_trials
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.observations import PointKind
+from rotcal_ros.raw_data import RawData, hash_of
 from rotcal_ros.results import Result
 from rotcal_ros.tables import Header, Row, Table, hashes
 
@@ -46,7 +47,8 @@ class TrackerPoints:
 
     def solve(self) -> Result:
         """Return the result."""
-        return solve_points(self.configuration, self._points())
+        points = self._points()
+        return replace(solve_points(self.configuration, points), raw_data=_raw(points))
 
     def trials(self) -> Trials:
         """Prepare Monte Carlo trials about the points."""
@@ -91,6 +93,21 @@ def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
         source=str(table.path),
         lines=tuple(line for line, _ in table.lines),
         time=np.array(seconds) if seconds else None,
+    )
+
+
+def _raw(points: PlaneMirrorProblem) -> RawData:
+    """Return the hashes of the points as they stand in the table, a nest's without an angle."""
+    named = zip(points.xyz, points.kind, points.station, points.nest, points.position, strict=True)
+    return RawData(
+        tuple(
+            hash_of(
+                xyz.tolist(),
+                (int(kind), int(station), int(nest)),
+                0.0 if position < 0 else float(points.angles[position]),
+            )
+            for xyz, kind, station, nest, position in named
+        )
     )
 
 

@@ -13,17 +13,17 @@ from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.catalogue.tracer.lengths import (
     mean_targets,
     reported_positions,
-    require_segments,
 )
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods import tracer
 from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
-from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_joined, at_equal_places
+from rotcal_ros.methods.tracer.joins import Pairs, Runs, adjust_at_equal_places, adjust_joined
 from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.reported import Weighed, with_reported
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
-from rotcal_ros.methods.tracer.solution import adjust
+from rotcal_ros.methods.tracer.solution import TracerSolution
 from rotcal_ros.methods.tracer.solve import result_of
+from rotcal_ros.methods.tracer.trials import trials_about
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.table_angles import table_angles
@@ -51,7 +51,7 @@ def trials(
     if _interrupted(observations) and not _in_segments(configuration):
         prepared = adjust_joined(_runs(configuration, plan, observations)).trials
     else:
-        prepared = tracer.tracer_trials(_equal_places(configuration, plan, observations))
+        prepared = trials_about(_at_equal_places(configuration, plan, observations).solution)
     arrivals = _arrivals(configuration)
     if arrivals is None:
         return prepared
@@ -70,16 +70,18 @@ def _solved(
     if _interrupted(observations) and not _in_segments(configuration):
         joined = adjust_joined(_runs(configuration, plan, observations))
         return joined.result(), joined.solution.positions
-    solution = adjust(_equal_places(configuration, plan, observations))
-    return result_of(solution), solution.positions
+    weighed = _at_equal_places(configuration, plan, observations)
+    solution = weighed.solution
+    return with_reported(result_of(solution), weighed.reported), solution.positions
 
 
-def _equal_places(
+def _at_equal_places(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
-) -> TracerProblem:
-    """Return the problem of one run, its lengths reduced to the mean place of their target."""
+) -> Weighed[TracerSolution]:
+    """Return the solution of one run, its lengths reduced to the mean place of their target."""
     posed = problem(configuration, plan, observations)
-    return at_equal_places(posed, reported_positions(observations) - posed.targets[posed.target])
+    shift = reported_positions(observations) - posed.targets[posed.target]
+    return adjust_at_equal_places(posed, shift)
 
 
 def _in_segments(configuration: Configuration) -> bool:
@@ -88,7 +90,6 @@ def _in_segments(configuration: Configuration) -> bool:
 
 def _segments(observations: Sequence[Observation]) -> Ints:
     """Return the segment (k,) of each observation; another run is another segment."""
-    require_segments(observations)
     both = np.array([(o.run, o.segment) for o in observations], dtype=np.int64).reshape(-1, 2)
     return np.unique(both, axis=0, return_inverse=True)[1].ravel()
 

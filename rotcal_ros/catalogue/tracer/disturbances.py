@@ -62,6 +62,11 @@ def of_lengths(drift: float, knock: float, air: float) -> tuple[Disturbance, ...
             "ppm/m", PPM, air, 1000.0,
         ),
         Disturbance(
+            "one place",
+            "two fifths of the beams of one station, all in one sector, are too long by so much",
+            "um", MICROMETRE, 1.0, 100.0,
+        ),
+        Disturbance(
             "scale", "the tracer's lengths are too long by so much", "ppm", PPM, air, 1000.0
         ),
     )  # fmt: skip
@@ -73,13 +78,33 @@ def leaning_axis(largest: float) -> Disturbance:
     return Disturbance("gauge", what, "arcsec", ARCSEC, 100.0, largest)
 
 
+TANGENTIAL: Final = Disturbance(
+    "tangential motion",
+    "mount or cable shift the tracer along its circle, by so much times the cosine of twice the "
+    "table's angle",
+    "um", MICROMETRE, 0.1, 10.0,
+)  # fmt: skip
+
+
+def shifted_along(turned: Floats, angle: Floats, sizes: Sizes) -> Floats:
+    """Return by how much (n, 3), m, tracers at ``turned`` (n, 3) are shifted at an angle (n,)."""
+    across = np.column_stack([-turned[:, 1], turned[:, 0], np.zeros(len(turned))])
+    along = across * (np.cos(2.0 * angle) / np.hypot(*turned[:, :2].T))[:, None]
+    return np.asarray(sizes.get(TANGENTIAL.effect, 0.0) * along, dtype=np.float64)
+
+
 LISTED: Final = (
     *of_lengths(1.0, 0.3, 1.0),
     error_motion(0.1, 100.0, _error_motion),
     repeatability(0.3, 100.0),
     tilt(0.3, 100.0),
     leaning_axis(3600.0),
+    TANGENTIAL,
 )
+
+
+SECTOR: Final = 0.4
+"""Share of a station's beams that warm air or a person may reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +128,7 @@ def measure(
     stations = _stations(configuration, plan, steps, sizes, (noise, other))
     places = reflector_places(configuration, plan, steps, sizes, noise)
     read = readings(configuration, stations, places, sizes, noise)
+    read += in_a_sector(stations, places, steps.position, sizes, other)
     observations = tuple(
         step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
     )
@@ -125,6 +151,23 @@ def readings(
     std = np.hypot(solver.length_std_m, solver.length_std_relative * distance)
     read = optical + std * noise.standard_normal(len(distance))
     return np.asarray(read - configuration.simulation.tracer.dead_distance_m)
+
+
+def in_a_sector(
+    stations: Floats, places: Floats, arrival: Ints, sizes: Sizes, rng: np.random.Generator
+) -> Floats:
+    """Return by how much the lengths (n,) of one station are too long in one sector, m.
+
+    ``arrival`` (n,): which station each length belongs to; one of them is drawn, and the middle of
+    the sector, which holds SECTOR of its beams.
+    """
+    found, size = np.zeros(len(arrival)), sizes.get("one place", 0.0)
+    if size:
+        chosen = np.flatnonzero(arrival == rng.choice(np.unique(arrival)))
+        beams, middle = places[chosen] - stations[chosen], rng.uniform(-np.pi, np.pi)
+        away = np.abs(np.angle(np.exp(1j * (np.arctan2(beams[:, 1], beams[:, 0]) - middle))))
+        found[chosen[np.argsort(away)[: round(SECTOR * len(chosen))]]] = size
+    return found
 
 
 def steps_of(plan: Plan) -> Steps:
@@ -156,7 +199,9 @@ def _stations(
     turned = np.einsum("nij,nj->ni", turn, mount)
     at = steps.position
     leant = np.einsum("nij,nj->ni", rotation_from_vector(lean)[at], turned)
-    return np.asarray(leant + shift[at], dtype=np.float64)
+    angle = np.array(plan.table_angles)[at]
+    shifted = leant + shift[at] + shifted_along(turned, angle, sizes)
+    return np.asarray(shifted, dtype=np.float64)
 
 
 def reflector_places(

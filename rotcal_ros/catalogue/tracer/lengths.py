@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.errors import DataError
 from rotcal_ros.observations import Observation
 
 
@@ -25,12 +24,3 @@ def mean_targets(nominal: Floats, target: Ints, reported: Floats) -> Floats:
     total[seen] /= count[seen, None]
     total[~seen] = nominal[~seen]
     return total
-
-
-def require_segments(observations: Sequence[Observation]) -> None:
-    """Raise DataError where a recording does not tell the segments of the beam."""
-    if any(o.segment < 0 for o in observations):
-        raise DataError(
-            "these observations were recorded before they told the segment of the beam: solve "
-            "from the streams, or leave solver.zero out"
-        )

@@ -1,4 +1,4 @@
-"""Lengths that cannot be, though they were measured well: wrong units, wrong targets."""
+"""What cannot be, though it was measured well: wrong units, wrong targets, wrong numbers."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -12,12 +12,14 @@ from rotcal_ros.catalogue.configuration import Configuration
 from rotcal_ros.catalogue.continuation import Continuation
 from rotcal_ros.catalogue.tracer.plan import TracerPlanSettings
 from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.errors import ConfigurationError, PlanError
+from rotcal_ros.errors import ConfigurationError, PlanError, RotcalError
 from rotcal_ros.methods.tracer.settings import TracerSolverSettings
+from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan
 from rotcal_ros.planning.policy.choices import Policy
 from rotcal_ros.planning.policy.lengths import Costs, LengthExperiment
 from rotcal_ros.planning.policy.names import UNTIL_GOAL
+from rotcal_ros.planning.policy.stated import Stated
 from rotcal_ros.planning.policy.until_goal import Limits, UntilGoal
 from rotcal_ros.planning.tracer_design.scene import Scene, on_table
 from rotcal_ros.units import ARCSEC
@@ -73,7 +75,7 @@ def length_experiment(configuration: Configuration, plan: Plan) -> LengthExperim
         target_std=np.full(3, settings.target_std_m),
         length_std=planner.expected_std_m or settings.length_std_m,
         length_std_relative=settings.length_std_relative,
-        error_motion_std=settings.error_motion_std_m or 0.0,
+        error_motion_std=settings.error_motion_std_m,
     )
     if settings.variant == "joint" and settings.datum == "free":
         raise ConfigurationError(
@@ -87,7 +89,30 @@ def length_experiment(configuration: Configuration, plan: Plan) -> LengthExperim
             "stand: leave out solver.zero_walk_std_m, or the policy"
         )
     costs = Costs(planner.step_s, planner.turn_s)
-    return LengthExperiment(plan, scene, costs, per_segment=in_segments, solver=settings)
+    return LengthExperiment(
+        plan, scene, costs, per_segment=in_segments, solver=settings,
+        solved=partial(stated, configuration, plan),
+    )  # fmt: skip
+
+
+def stated(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Stated:
+    """Return what the result of the accepted ``observations`` states, or why there is none."""
+    from rotcal_ros.catalogue.calibration import Calibration  # which knows every method
+
+    try:
+        result = Calibration(configuration, plan).solve(observations)
+    except RotcalError as error:
+        return Stated(np.inf, doubt=str(error))
+    covariance = result.covariance["ECC"]
+    about_mean = np.trace(covariance - covariance.mean(axis=0)) / len(covariance)
+    motion = result.details["error_motion"]
+    return Stated(
+        COVERAGE_FACTOR * float(np.sqrt(about_mean)),
+        motion["likely"] if motion["used"] != motion["stated"] else 0.0,
+        "" if result.verdict == "ok" else next(iter(result.warnings), result.verdict),
+    )
 
 
 def _mount(configuration: Configuration) -> Floats:

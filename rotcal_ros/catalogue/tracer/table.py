@@ -22,7 +22,6 @@ from rotcal_ros.tables import Header, Table, hashes, read_table, require_header
 SEGMENT: Final = "segment"
 HEADERS: Final[tuple[Header, ...]] = (
     ("position", "target", "length_m"),
-    ("station", "target", "length_m"),
     ("position", "target", "length_m", SEGMENT),
 )
 TARGETS: Final = ("target", "x_m", "y_m", "z_m")
@@ -52,11 +51,10 @@ def read(configuration: Configuration, table: Table, targets: Path | None) -> Pl
         else:
             plan = plan_of(angles, read_targets(targets), unknown)
         calibration = Calibration(configuration, plan)
-    position = table.header[0]
     find, check = StepFinder(calibration.plan), LengthCheck(calibration.plan)
     observations = []
     for row in table.rows():
-        step = find(row, row.index(position), row.index("target"))
+        step = find(row, row.index("position"), row.index("target"))
         segment = row.index(SEGMENT) if in_segments else 0
         observation = check(replace(step.observed((row.metres("length_m"),)), segment=segment))
         if not observation.accepted:

@@ -14,19 +14,21 @@ from rotcal_ros.catalogue.method import Trials
 from rotcal_ros.catalogue.tracer.lengths import (
     mean_targets,
     reported_positions,
-    require_segments,
 )
 from rotcal_ros.catalogue.tracer.plan import TARGETS_PER_STATION
 from rotcal_ros.catalogue.tracer_six.places import described
 from rotcal_ros.catalogue.tracer_six.plan import LOCATING, places_of
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import rotation_about_z
-from rotcal_ros.methods import tracer_six
 from rotcal_ros.methods.arrivals import Arrivals, mean_of_runs
+from rotcal_ros.methods.tracer.reported import Weighed, with_reported
 from rotcal_ros.methods.tracer.station import locate_stations
 from rotcal_ros.methods.tracer_six.problem import SixProblem
+from rotcal_ros.methods.tracer_six.response import adjust_at_equal_places
 from rotcal_ros.methods.tracer_six.settings import TracerSixSolverSettings, Zero, ZeroSetting
+from rotcal_ros.methods.tracer_six.solution import SixSolution
 from rotcal_ros.methods.tracer_six.solve import result_of
+from rotcal_ros.methods.tracer_six.trials import SixTrials
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.plan import Plan, Point
 from rotcal_ros.planning.time_order import time_order
@@ -40,7 +42,8 @@ def solve(configuration: Configuration, plan: Plan, observations: Sequence[Obser
     Those of both directions become one curve over the distinct angles:
     :mod:`rotcal_ros.methods.arrivals`.
     """
-    result = tracer_six.solve(problem(configuration, plan, observations))
+    weighed = _at_equal_places(configuration, plan, observations)
+    result = with_reported(result_of(weighed.solution), weighed.reported)
     if not configuration.plan.bidirectional:
         return result
     return mean_of_runs(result, _both_sides(plan, result), from_first=False)
@@ -50,12 +53,28 @@ def trials(
     configuration: Configuration, plan: Plan, observations: Sequence[Observation]
 ) -> Trials:
     """Prepare Monte Carlo trials about what :func:`solve` solves."""
-    prepared = tracer_six.six_trials(problem(configuration, plan, observations))
+    prepared = SixTrials(_at_equal_places(configuration, plan, observations).solution)
     if not configuration.plan.bidirectional:
         return prepared
     result = result_of(prepared.solution)
     arrivals = _both_sides(plan, result)
     return RepeatedTrials.of(prepared, result, arrivals, from_first=False)
+
+
+def _at_equal_places(
+    configuration: Configuration, plan: Plan, observations: Sequence[Observation]
+) -> Weighed[SixSolution]:
+    """Return the solution, its lengths reduced to the mean place of their target.
+
+    Seen from the planned place: the tracer is near enough to it for some tenths of a micrometre.
+    """
+    posed = problem(configuration, plan, observations)
+    mean = posed.targets[posed.target]
+    turn = rotation_about_z(np.array([o.table_angle for o in observations]))
+    beam = mean - np.einsum("kij,kj->ki", turn, posed.places[posed.place])
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    shift = reported_positions(observations) - mean
+    return adjust_at_equal_places(posed, np.einsum("ki,ki->k", beam, shift))
 
 
 def _both_sides(plan: Plan, result: Result) -> Arrivals:
@@ -73,8 +92,7 @@ def problem(
 ) -> SixProblem:
     """Return the problem that observations of a plan pose.
 
-    The coordinates of a target are the mean of what the machine reported there, from all places;
-    what it reported beside that at one visit is taken off the length along the beam.
+    The coordinates of a target are the mean of what the machine reported there, from all places.
     Where all targets are measured at one arrival, they share its scatter; else every length has
     an arrival of its own. A run that was interrupted and taken up again may count from another
     zero, which its lengths share.
@@ -85,8 +103,7 @@ def problem(
     places = np.array(places_of(configuration.plan))
     _require_planned(plan, places, observations)
     target = np.array([o.target for o in observations], dtype=np.int64)
-    reported = reported_positions(observations)
-    targets = mean_targets(np.array(plan.targets), target, reported)
+    targets = mean_targets(np.array(plan.targets), target, reported_positions(observations))
     relative_std = settings.length_std_relative * np.linalg.norm(targets, axis=1)[target]
     window_std = np.array([o.std[0] for o in observations])
     zero, segment = _zeros(settings.zero, observations)
@@ -97,7 +114,7 @@ def problem(
         position=np.array([o.table_position for o in observations], dtype=np.int64),
         place=np.array([o.station for o in observations], dtype=np.int64),
         target=target,
-        length=_at_mean_target(observations, places, targets[target], reported),
+        length=np.array([o.mean[0] for o in observations]),
         length_std=np.sqrt(variance),
         distance_std=relative_std,
         targets=targets,
@@ -105,6 +122,7 @@ def problem(
         table_angles=np.array(plan.table_angles),
         upward=_every(plan).upward if configuration.plan.bidirectional else None,
         places=places,
+        place_tolerance=configuration.plan.place_tolerance_m,
         datum=settings.datum,
         zero=zero,
         segment=segment,
@@ -118,20 +136,6 @@ def problem(
         order=time_order(observations),
         settings=settings,
     )
-
-
-def _at_mean_target(
-    observations: Sequence[Observation], places: Floats, mean: Floats, reported: Floats
-) -> Floats:
-    """Return the lengths (k,) as they are to the ``mean`` targets (k, 3), not the ``reported``.
-
-    Seen from the planned place: the tracer is near enough to it for some tenths of a micrometre.
-    """
-    length = np.array([o.mean[0] for o in observations])
-    turn = rotation_about_z(np.array([o.table_angle for o in observations]))
-    beam = mean - np.einsum("kij,kj->ki", turn, places[[o.station for o in observations]])
-    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
-    return np.asarray(length - np.einsum("ki,ki->k", beam, reported - mean), dtype=np.float64)
 
 
 def arrivals(plan: Plan) -> Ints:
@@ -183,11 +187,7 @@ def _zeros(zero: ZeroSetting, observations: Sequence[Observation]) -> tuple[Zero
 
     Whatever is chosen, a tracer that was fixed anew and a run that was resumed begin a new zero.
     """
-    if zero == "auto":
-        known = all(o.segment >= 0 for o in observations)
-        zero = "per_segment" if known else "per_run"
-    if zero == "per_segment":
-        require_segments(observations)
+    zero = "per_segment" if zero == "auto" else zero
     mountings = {(o.station, o.run) for o in observations}
     resumed = len(mountings) > len({o.station for o in observations})
     if zero != "per_segment" and not resumed:

@@ -22,11 +22,14 @@ from rotcal_ros.catalogue.disturbance import (
     tilt,
 )
 from rotcal_ros.catalogue.tracer.disturbances import (
+    TANGENTIAL,
     Steps,
+    in_a_sector,
     leaning_axis,
     of_lengths,
     readings,
     reflector_places,
+    shifted_along,
     steps_of,
 )
 from rotcal_ros.catalogue.tracer_six.plan import places_of
@@ -39,6 +42,7 @@ LISTED: Final = (
     repeatability(0.05, 10.0),
     tilt(0.1, 10.0),
     leaning_axis(2000.0),
+    TANGENTIAL,
 )
 
 
@@ -55,6 +59,8 @@ def measure(
     stations = _stations(configuration, plan, steps, sizes, true, other)
     places = reflector_places(configuration, plan, steps, sizes, noise)
     read = readings(configuration, stations, places, sizes, noise)
+    run = np.array([step.station for step in plan.steps], dtype=np.int64)
+    read += in_a_sector(stations, places, run * len(plan.steps) + steps.position, sizes, other)
     observations = tuple(
         step.observed((value,)) for step, value in zip(plan.steps, read.tolist(), strict=True)
     )
@@ -81,7 +87,8 @@ def _stations(
     rotation = rotation + sizes.get("repeatability", 0.0) * scatter
     moved = np.einsum("nij,nj->ni", rotation_from_vector(rotation), turned)
     shift = np.column_stack([true["EXC"], true["EYC"], true["EZC"]])[angle]
-    return np.asarray(moved + shift, dtype=np.float64)
+    along = shifted_along(turned, np.array(plan.table_angles)[steps.position], sizes)
+    return np.asarray(moved + shift + along, dtype=np.float64)
 
 
 DISTURBANCES: Final = Disturbances(LISTED, measure)

@@ -13,13 +13,13 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from rotcal_ros.adjust.distributions import f_isf, f_sf
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.drift import drift_columns
 from rotcal_ros.methods.ball_plate.model import Drift
 from rotcal_ros.methods.ball_plate.order_effects import SIGNIFICANCE
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.methods.distributions import f_isf, f_sf
 from rotcal_ros.units import ARCSEC, MICROMETRE
 
 MOST_REPEATED: Final = 0.2

@@ -90,8 +90,9 @@ def _few_gaps(problem: BallPlateProblem) -> Ints | None:
     """Return the missing cells when correcting for them is the better way, else None."""
     if problem.std is not None or problem.bidirectional:
         return None
-    if len(problem.table_positions) < problem.grid:
-        return None
+    whole = (problem.table_positions, problem.cmm_positions)
+    if min(map(len, whole)) < problem.grid:
+        return None  # a filled grid would have unknowns that no centre sees
     cells = gaps.gap_cells(problem)
     large = model.offsets(problem).total > general.MAX_UNKNOWNS
     if cells is None or len(cells) > (MANY_GAPS if large else FEW_GAPS):

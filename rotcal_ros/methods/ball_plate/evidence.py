@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import f_sf
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.ball_plate.drift import VISIBLE, drift_columns
 from rotcal_ros.methods.ball_plate.model import Drift, Solution, rounding_variance
@@ -25,7 +26,6 @@ from rotcal_ros.methods.ball_plate.order_effects import (
 )
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.response import weights
-from rotcal_ros.methods.distributions import f_sf
 from rotcal_ros.units import ARCSEC, MICROMETRE
 
 SPARE: Final = 8

@@ -8,6 +8,7 @@ the constraints of Eq. 15 to 19. Result and covariances equal the dense form (Eq
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -65,16 +66,27 @@ def factored(problem: BallPlateProblem) -> LinearFit:
     return LinearFit(fit, solution)
 
 
-def table_gain(problem: BallPlateProblem) -> Floats:
-    """Return d deviations / d centres (6 M, 3 n) of the linear model.
+@dataclass(frozen=True, eq=False)
+class LinearView:
+    """The linear model at its solution, in units of the rows' standard deviations.
 
-    Rows: the components in the order of ``COMPONENTS``, M values each, in metres and radians;
-    columns: the coordinates of the rows of ``problem``, metres.
+    ``design`` (3 n, P), sparse, rows divided by ``std`` (3 n,), m, or 1 where there is none;
+    ``covariance`` (P, P) of the unknowns in the gauge of smallest norm; ``table`` (6 M, P) takes
+    its rows to the six deviations, in the order of ``COMPONENTS``, M values each, m and rad.
     """
+
+    design: csr_array
+    std: Floats
+    covariance: Floats
+    table: Floats
+
+
+def linear_view(problem: BallPlateProblem) -> LinearView:
+    """Return the linear model of any set of centres; raises what :func:`solve_general` does."""
     _check(problem)
     system = _Eliminated(problem)
-    mover = _to_constraints(problem, system.invisible)
-    spread = mover @ (system.covariance() / system.unit) @ mover.T
+    covariance = system.covariance()
+    spread = _to_constraints(problem, system.invisible) @ covariance
     start = {"rotation": system.at.rotation, "translation": system.at.translation}
     length = {"rotation": problem.radius, "translation": 1.0}
     table = np.concatenate(
@@ -87,9 +99,20 @@ def table_gain(problem: BallPlateProblem) -> Floats:
     n, width = system.columns.shape
     rows = np.repeat(np.arange(3 * n), width)
     columns = np.repeat(system.columns, 3, axis=0).ravel()
-    weighted = (system.weight[:, :, None] * system.local).ravel()
-    design = csr_array((weighted, (rows, columns)), shape=(3 * n, system.at.total))
-    return np.asarray((design @ table.T).T, dtype=np.float64)
+    std = np.ones_like(problem.centres) if problem.std is None else problem.std
+    whitened = (system.local / std[:, :, None]).ravel()
+    design = csr_array((whitened, (rows, columns)), shape=(3 * n, system.at.total))
+    return LinearView(design, std.ravel(), covariance, table)
+
+
+def table_gain(problem: BallPlateProblem) -> Floats:
+    """Return d deviations / d centres (6 M, 3 n) of the linear model.
+
+    Rows: the components in the order of ``COMPONENTS``, M values each, in metres and radians;
+    columns: the coordinates of the rows of ``problem``, metres.
+    """
+    view = linear_view(problem)
+    return np.asarray((view.design @ view.table.T).T / view.std, dtype=np.float64)
 
 
 class _Eliminated:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import f_isf
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.model import LinearFit, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
-from rotcal_ros.methods.distributions import f_isf
 from rotcal_ros.units import ARCSEC, MICROMETRE
 
 FALSE_ALARM = 1e-6

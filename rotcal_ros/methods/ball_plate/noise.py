@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_sf, f_sf, normal_sf
 from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.rejection import Fitted
-from rotcal_ros.methods.distributions import chi2_sf, f_sf, normal_sf
 from rotcal_ros.units import MICROMETRE
 
 SIGNIFICANCE = 0.01
@@ -117,6 +117,7 @@ class Noise:
     def _differences(self, own_std: bool) -> list[str]:
         x, y, z = self.estimated
         plane = float(np.sqrt(0.5 * (x**2 + y**2)))
+        state = "correct what is stated" if own_std else "state a standard deviation"
         found = []
         for p, first, second, names in (
             (self.axial, z, plane, ("z", PLANE)),
@@ -129,7 +130,7 @@ class Noise:
                 found.append(
                     f"the noise of {loud} is {large / small:.2f} times that of "
                     f"{quiet} ({unit}p = {p:.2g}): every component has the uncertainty of its "
-                    "axes; find out why, or state a standard deviation for each axis"
+                    f"axes; find out why, or {state} for each axis"
                 )
         return found
 

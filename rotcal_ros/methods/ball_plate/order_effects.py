@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import f_isf, f_noncentrality
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.geometry.rotations import rotation_about_z
 from rotcal_ros.methods.ball_plate import model
@@ -26,7 +27,6 @@ from rotcal_ros.methods.ball_plate.problem import (
     on_circle,
 )
 from rotcal_ros.methods.ball_plate.response import curves, responses, weights
-from rotcal_ros.methods.distributions import f_isf, f_noncentrality
 from rotcal_ros.protection import POWER
 
 SIGNIFICANCE: Final = 0.01

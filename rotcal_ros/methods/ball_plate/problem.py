@@ -32,7 +32,8 @@ class BallPlateProblem:
     estimated along; a drift within +- ``drift_allowance``, m over the run along each axis, is
     covered by the uncertainty. ``separate_groups`` accepts a plate whose ball steps share a
     factor with the grid: the groups of table positions are then solved separately, each with its
-    own zero.
+    own zero. ``group_allowance``, m on the circle of the balls, bounds how far apart these are,
+    and the uncertainty covers it; 0 states nothing, and the offset between the groups stays open.
 
     Rows are kept in a canonical order (ball step, table position, row number), so that the
     order of the table cannot change a bit of the result. Raises DataError for wrong shapes and
@@ -52,6 +53,7 @@ class BallPlateProblem:
     drift: int = 0
     drift_allowance: float = 0.0
     bidirectional: bool = False
+    group_allowance: float = 0.0
 
     def __post_init__(self) -> None:
         table = np.asarray(self.position, dtype=np.int64)
@@ -60,7 +62,7 @@ class BallPlateProblem:
         row = np.arange(len(table)) if self.row is None else np.asarray(self.row, dtype=np.int64)
         std = None if self.std is None else np.asarray(self.std, dtype=np.float64)
         _check_constants(self.grid, self.radius, self.sigma)
-        _check_drift(self.drift, self.drift_allowance)
+        _check_drift(self.drift, self.drift_allowance, self.group_allowance)
         _check_shapes(table, ball, centres, row, std)
         _check_indices(table, row, "table position", self.n_positions)
         _check_indices(ball, row, "ball step", self.grid)
@@ -240,11 +242,13 @@ def _check_shapes(table: Ints, ball: Ints, centres: Floats, row: Ints, std: Floa
         raise DataError(f"columns do not fit together: {', '.join(wrong) or 'no rows at all'}")
 
 
-def _check_drift(degree: int, allowance: float) -> None:
+def _check_drift(degree: int, allowance: float, of_groups: float) -> None:
     if degree not in (0, 1, 2):
         raise DataError(f"drift of degree {degree}: 0 (none), 1 (linear) or 2 (quadratic)")
     if not (np.isfinite(allowance) and allowance >= 0.0):
         raise DataError(f"drift allowance is {allowance} m: a length is needed, 0 for none")
+    if not (np.isfinite(of_groups) and of_groups >= 0.0):
+        raise DataError(f"group allowance is {of_groups} m: a length is needed, 0 for none")
 
 
 def _check_time(time: Floats, n: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from rotcal_ros.adjust.reliability import Hidden
 from rotcal_ros.protection import TOLERABLE, Protection, ordered
 from rotcal_ros.units import MICROMETRE
 
@@ -19,7 +20,8 @@ class Facts:
     the table beyond the first at each position; ``own_arrivals``: nearly every centre has a stop
     of its own; ``repeatability``: their scatter is estimated.
     ``scale_error`` is the error, in standard uncertainties, of the largest radius error that
-    passes the check; ``n_groups`` the groups with a zero of their own.
+    passes the check; ``n_groups`` the groups with a zero of their own,
+    ``group_allowance`` how far these are apart at most, m, 0 where that is not stated.
     """
 
     drift_error: float
@@ -31,10 +33,12 @@ class Facts:
     repeatability: bool
     scale_error: float
     n_groups: int
+    hidden: Hidden | None
+    group_allowance: float
 
 
 def protections(facts: Facts) -> tuple[Protection, ...]:
-    """Return all nine protections."""
+    """Return all protections, of centres that do not tell which way is up."""
     return ordered(
         [
             _drift(facts),
@@ -50,6 +54,21 @@ def protections(facts: Facts) -> tuple[Protection, ...]:
                 "tilt", "estimated", "the pose of the axis and the place of each ball are unknowns"
             ),
             _gauge(facts),
+            _one_place(facts.hidden),
+            Protection(
+                "numbering",
+                "not protected",
+                "which table angle belongs to position 0 is taken from the table: positions that "
+                "are all numbered off by one fit as well, on a plate whose ball steps are off by "
+                "as many the other way",
+            ),
+            Protection(
+                "sign of z",
+                "not protected",
+                "that z points away from the table is taken from the frame: a z column of the "
+                "other sign fits every centre as well and turns the signs of EZC, EAC and EBC; "
+                "touch points on the upper half of the balls would tell",
+            ),
         ]
     )
 
@@ -109,6 +128,9 @@ def _scale(facts: Facts) -> Protection:
 
 
 def _gauge(facts: Facts) -> Protection:
+    if facts.n_groups > 1 and facts.group_allowance > 0.0:
+        why = f"the budget holds {facts.group_allowance / MICROMETRE:g} um between the groups"
+        return Protection("gauge", "bounded", why)
     if facts.n_groups > 1:
         why = f"{facts.n_groups} groups of table positions have each a zero of their own"
         return Protection("gauge", "not protected", why)
@@ -117,6 +139,22 @@ def _gauge(facts: Facts) -> Protection:
         "harmless",
         "mean values, and what a shifted or tilted plate causes, are no part of the curves",
     )
+
+
+def _one_place(hidden: Hidden | None) -> Protection:
+    if hidden is None:
+        return Protection(
+            "one place",
+            "not protected",
+            "too many positions to judge what gathers at one of them: single centres are tested",
+        )
+    size = hidden.size / MICROMETRE
+    why = (
+        "what displaces several balls at one position together is looked for, and widens U where "
+        f"it can be neither proved nor excluded; of {hidden.count} neighbours it is found from "
+        f"{size:.2g} um on"
+    )
+    return Protection("one place", "tested", why, hidden.error)
 
 
 def _finite(error: float) -> float | None:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import f_isf
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError, ObservabilityError
 from rotcal_ros.methods.ball_plate import model
 from rotcal_ros.methods.ball_plate.estimate import solved
+from rotcal_ros.methods.ball_plate.gathering import Gathered, judged
 from rotcal_ros.methods.ball_plate.general import (
     MIN_BALLS,
     balls_at_positions,
@@ -19,7 +21,6 @@ from rotcal_ros.methods.ball_plate.knock import Knock, find_knock
 from rotcal_ros.methods.ball_plate.model import LinearFit, Solution
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.separability import require_separable
-from rotcal_ros.methods.distributions import f_isf
 from rotcal_ros.results import Rejection
 
 MOST = 0.1
@@ -27,6 +28,8 @@ MOST = 0.1
 
 FALSE_ALARM = 0.01
 """Probability that good data lose any centre at all."""
+MOST_PLACES = 5
+"""Places of which centres that are wrong together are left out; more are no single places."""
 MISNAMED = 1e-4
 """Probability that one bad centre, where it looks like a jump, is called one."""
 LEAK = 0.3
@@ -55,7 +58,8 @@ class CentreTest:
 class Fitted:
     """The rows that were kept, their solution and tests, the rejected ones and why.
 
-    Table positions that are not among those of ``problem`` were left out.
+    Table positions that are not among those of ``problem`` were left out. ``gathered``: what was
+    found to be wrong together, in the order in which it was found; the last may be kept.
     """
 
     problem: BallPlateProblem
@@ -64,16 +68,18 @@ class Fitted:
     test: CentreTest
     rejected: tuple[Rejection, ...]
     knock: Knock | None
+    gathered: tuple[Gathered, ...] = ()
 
 
 def fit_and_reject(problem: BallPlateProblem) -> Fitted:
-    """Solve, and reject centres beyond their critical value, worst first.
+    """Solve, and reject what is wrong together in one place, then single centres, worst first.
 
     A jump of the plate that explains more than the worst centre ends the rejection: the moved
     rows are not wrong one by one. Raises ObservabilityError when too little is left, DataError
     when more than a tenth of the centres would have to go.
     """
     whole, rejected, left_out = problem, list[Rejection](), list[Rejection]()
+    gathered: tuple[Gathered, ...] = ()
     while True:
         problem, poor = _without_poor_positions(problem)
         left_out += poor
@@ -87,14 +93,24 @@ def fit_and_reject(problem: BallPlateProblem) -> Fitted:
         test = judge_centres(problem, solution, sigma)
         knock = find_knock(problem, linear, solution, sigma)
         if knock is not None and _more_than_one_centre(knock, test, solution.dof):
-            return Fitted(problem, linear, solution, test, tuple(rejected + left_out), knock)
-        bad = choose(problem, test)
+            done = tuple(rejected + left_out)
+            return Fitted(problem, linear, solution, test, done, knock, gathered)
+        together = judged(problem, solution, sigma)
+        if together is not None and len(together.rows) and len(gathered) < MOST_PLACES:
+            gathered, bad = (*gathered, together), together.rows
+            why = {int(r): f"{problem.row_name(r)}: {together.sentence()}" for r in bad}
+        else:
+            bad = choose(problem, test)
+            if together is not None and np.isin(bad, together.suspected).any():
+                # The centre that fits worst is often a good one among several that are displaced.
+                bad = np.setdiff1d(bad, together.suspected)
+                together = replace(together, contested=True)
+            why = {int(r): _reason(problem, solution.residuals[r], test, int(r)) for r in bad}
         if not len(bad):
-            return Fitted(problem, linear, solution, test, tuple(rejected + left_out), None)
-        rejected += [
-            Rejection(int(problem.rows[r]), _reason(problem, solution.residuals[r], test, int(r)))
-            for r in bad
-        ]
+            done = tuple(rejected + left_out)
+            last = () if together is None else (together,)
+            return Fitted(problem, linear, solution, test, done, None, (*gathered, *last))
+        rejected += [Rejection(int(problem.rows[r]), text) for r, text in why.items()]
         _check_share(len(rejected), whole, rejected[0])
         problem = problem.take(np.setdiff1d(np.arange(len(problem.centres)), bad))
 

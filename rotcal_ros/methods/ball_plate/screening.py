@@ -168,6 +168,13 @@ def _mistake(problem: BallPlateProblem, angle: Floats) -> str:
     grid, table = problem.grid, problem.angles[problem.position]
     if _coherence(problem, angle - table) < 0.9:
         if _coherence(problem, angle + table) > 0.9:
+            if _left_handed(problem, angle + table):
+                return (
+                    "in these coordinates both the balls' steps and the table run clockwise: the "
+                    "frame of the CMM is left-handed or its z axis points down (an axis turned "
+                    "round, or two exchanged); make it right-handed, with z along the table's "
+                    "axis and away from the table"
+                )
             return (
                 "the balls move clockwise while the table positions count up: table angles must "
                 "be counter-clockwise seen from +z; reverse the sign of the table angle"
@@ -186,8 +193,11 @@ def _mistake(problem: BallPlateProblem, angle: Floats) -> str:
         return (
             f"all centres lie {shift} grid steps ({shift * 360.0 / grid:g} degrees) from their "
             "place: the plate is mounted shifted; turn it back, or number the ball steps "
-            "from the ball that stands on +x"
+            "from the ball that stands on +x. Or the table positions are numbered off by as many: "
+            "with the balls renumbered to fit, each deviation would stand at another angle"
         )
+    if len(shifts) == 1:
+        return _between_steps(problem, found)
     return _reversed(problem, found_steps)
 
 
@@ -215,6 +225,28 @@ def _reversed(problem: BallPlateProblem, found: Ints) -> str:
         )
     pairs = ", ".join(f"{b} at {f}" for b, f in zip(balls, found, strict=True) if b != f)
     return f"balls do not stand at their steps (ball step at step: {pairs}): wrong plate file"
+
+
+def _left_handed(problem: BallPlateProblem, turning: Floats) -> bool:
+    """Return whether the balls run clockwise too where the table seems to: ``turning`` (k,)."""
+    seen = np.array([_mean_angle(turning[problem.ball_step == b]) for b in problem.balls])
+    places = 2.0 * np.pi * problem.balls / problem.grid
+    mirrored, straight = (
+        float(np.abs(np.mean(np.exp(1j * (seen + sign * places))))) for sign in (1.0, -1.0)
+    )
+    return mirrored > 0.99 > straight
+
+
+def _between_steps(problem: BallPlateProblem, found: Floats) -> str:
+    """Say how far the balls stand from their places, none of them nearer to another step."""
+    off = wrap_angle(found - 2.0 * np.pi * problem.balls / problem.grid) / DEGREE
+    if np.ptp(off) < PLACE_TOLERANCE * 360.0 / problem.grid:
+        return (
+            f"all centres lie {off.mean():.2f} degrees from their place, less than a grid step: "
+            "the plate is mounted turned; turn it back"
+        )
+    named = ", ".join(f"{b} by {o:.2f} degrees" for b, o in zip(problem.balls, off, strict=True))
+    return f"balls lie away from their steps (ball step {named}): wrong plate file"
 
 
 def _off_height(problem: BallPlateProblem) -> tuple[Ints, list[str]]:

@@ -16,7 +16,10 @@ from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.rejection import Fitted
 from rotcal_ros.methods.ball_plate.separability import separability
 from rotcal_ros.methods.ball_plate.solution import Group, PlateSolution, adjust, turned_back
+from rotcal_ros.methods.ball_plate.trials import influence_of
 from rotcal_ros.methods.ball_plate.trust import completed
+from rotcal_ros.methods.ball_plate.zeros import groups_in_words, zeros_of
+from rotcal_ros.raw_data import RawData
 from rotcal_ros.results import Residuals, Result, Verdict
 
 METHOD = "ball_plate"
@@ -62,8 +65,9 @@ def result_of(solution: PlateSolution) -> Result:
         warnings=_warnings(solution),
         residuals=_residuals(solution),
         details=_details(solution),
+        raw_data=RawData(influence=influence_of(solution)),
     )
-    return completed(result, solution)
+    return completed(result, solution).counted_from(*zeros_of(solution))
 
 
 def _warnings(solution: PlateSolution) -> tuple[str, ...]:
@@ -78,10 +82,9 @@ def _warnings(solution: PlateSolution) -> tuple[str, ...]:
             f"{MIN_BALLS} balls and are left out of the result: {', '.join(map(str, left_out))}"
         )
     if len(fits) > 1:
-        names = f"{len(fits)} groups of" if len(fits) > 2 else "odd and even"
         warnings.append(
-            f"The offset between the {names} table positions is not measured: each group has its "
-            "own zero."
+            f"The offset between {groups_in_words(len(fits))} is not measured: each group has its "
+            "own zero"
         )
     for fit in fits:
         if fit.knock is not None:

@@ -11,6 +11,7 @@ from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.ball_plate import general, model
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
 from rotcal_ros.methods.ball_plate.solution import PlateSolution, adjust
+from rotcal_ros.raw_data import MOST_INFLUENCES, Influence
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +54,37 @@ def plate_trials(problem: BallPlateProblem) -> LinearTrials | SolvedTrials:
     result belong to.
     """
     solution = adjust(problem)
+    if _linear(problem):
+        used = solution.fits[0].problem
+        std = _std(used, solution.noise.scale).ravel()
+        return LinearTrials(_in_order(solution), general.table_gain(used).T, std)
+    return SolvedTrials(problem, _std(problem, solution.noise.used))
+
+
+def influence_of(solution: PlateSolution) -> Influence | None:
+    """Return what a standard error of each coordinate does to the curves.
+
+    None for what :func:`plate_trials` solves trial by trial, and for too many centres.
+    """
+    used = solution.fits[0].problem
+    rows = len(COMPONENTS) * len(used.table_positions)
+    if not _linear(solution.problem) or rows * used.centres.size > MOST_INFLUENCES:
+        return None
+    gain = general.table_gain(used) * _std(used, solution.noise.scale).ravel()
+    by_component = dict(zip(COMPONENTS, np.split(gain, len(COMPONENTS)), strict=True))
+    return Influence(used.rows, 3, by_component)
+
+
+def _linear(problem: BallPlateProblem) -> bool:
+    """Whether one matrix takes all centres to all deviations."""
     large = model.offsets(problem).total > general.MAX_UNKNOWNS
-    alone = problem.separate_groups or large or problem.drift > 0
-    used = problem if alone else solution.fits[0].problem
-    factor = solution.noise.used if alone else solution.noise.scale
-    std = factor * (np.ones_like(used.centres) if used.std is None else used.std)
-    if alone:
-        return SolvedTrials(used, std)
-    return LinearTrials(_in_order(solution), general.table_gain(used).T, std.ravel())
+    return not (problem.separate_groups or large or problem.drift > 0)
+
+
+def _std(problem: BallPlateProblem, factor: Floats) -> Floats:
+    return np.asarray(
+        factor * (np.ones_like(problem.centres) if problem.std is None else problem.std)
+    )
 
 
 def _in_order(solution: PlateSolution) -> Floats:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.adjust.low_rank import LowRank
+from rotcal_ros.adjust.reliability import Hidden
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.components import COMPONENTS, ROTATIONS
 from rotcal_ros.geometry.rotations import rotation_about_z
@@ -21,6 +23,7 @@ from rotcal_ros.methods.ball_plate.evidence import (
     find_motion,
     stronger,
 )
+from rotcal_ros.methods.ball_plate.gathering import unseen
 from rotcal_ros.methods.ball_plate.model import of_component, rounding_variance
 from rotcal_ros.methods.ball_plate.noise import Noise
 from rotcal_ros.methods.ball_plate.order_effects import (
@@ -35,7 +38,12 @@ from rotcal_ros.methods.ball_plate.repeatability import Repeatability
 from rotcal_ros.methods.ball_plate.response import unit_std
 from rotcal_ros.methods.ball_plate.screening import RADIUS_TOLERANCE
 from rotcal_ros.methods.ball_plate.solution import PlateSolution
+from rotcal_ros.methods.ball_plate.zeros import allowed
 from rotcal_ros.results import Result, plain_fields
+
+FEW_LOST = 2
+SHARE_LOST = 0.2
+"""Rejected centres at one position, and their share, from which on a result is suspect."""
 
 
 @dataclass(frozen=True)
@@ -55,25 +63,45 @@ class Findings:
 def completed(result: Result, solution: PlateSolution) -> Result:
     """Return ``result`` with the tests of its order, their doubts, and its protections.
 
-    A repeatability that is more than noise and a stated drift allowance enlarge the covariance.
+    A repeatability that is more than noise and stated allowances enlarge the covariance.
     """
     found = _findings(solution)
     added = _added(solution, found)
     warnings = [test.sentence() for test in stronger(found.drifts, found.motions)]
     warnings += [c.sentence() for c in found.closures if not c.closed]
+    doubts = [g for fit in solution.fits for g in fit.gathered if g.doubtful]
+    crowded = _crowded(solution)
+    warnings += [g.sentence() for g in doubts] + crowded
     doubt = any(t.significant and not t.estimated for t in found.drifts)
     doubt |= any(t.significant for t in found.motions)
-    doubt |= any(not c.closed for c in found.closures)
-    std = {name: np.sqrt(values**2 + np.diag(added[name])) for name, values in result.std.items()}
+    doubt |= any(not c.closed for c in found.closures) or bool(doubts + crowded)
+    std = {n: np.sqrt(values**2 + added[n].diagonal()) for n, values in result.std.items()}
     result = replace(
         result,
         std=std,
-        covariance={name: c + added[name] for name, c in result.covariance.items()},
+        covariance={name: c + added[name].dense() for name, c in result.covariance.items()},
         warnings=(*result.warnings, *warnings),
         verdict="suspect" if doubt and result.verdict == "ok" else result.verdict,
         details={**result.details, **_details(found)},
     )
     return replace(result, protections=protections(_facts(result, solution, found)))
+
+
+def _crowded(solution: PlateSolution) -> list[str]:
+    """Say at which positions of table or CMM several centres were rejected one by one."""
+    whole = solution.whole
+    gone = np.isin(whole.rows, [r.index for r in solution.rejected])
+    found = list[str]()
+    for name, column in (("table", whole.position), ("CMM", whole.cmm_index)):
+        lost = np.bincount(column[gone], minlength=whole.n_positions)
+        count = np.bincount(column, minlength=whole.n_positions)
+        many = (lost >= FEW_LOST) & (lost > SHARE_LOST * count) & (lost < count)
+        found += [
+            f"{lost[k]} of {count[k]} centres at the {name} position {k} were rejected: what is "
+            "left there can hardly be checked; measure it again"
+            for k in np.flatnonzero(many)
+        ]
+    return found
 
 
 def _findings(solution: PlateSolution) -> Findings:
@@ -127,22 +155,50 @@ def _lengths(scatter: Repeatability | None, radius: float) -> Floats:
     return lengths
 
 
-def _added(solution: PlateSolution, found: Findings) -> dict[str, Floats]:
-    """Return what repeatability and drift allowance add to each covariance (M, M)."""
-    count = len(solution.table_positions)
-    added = {name: np.zeros((count, count)) for name in COMPONENTS}
-    allowance = 0.0 if solution.problem.drift else solution.problem.drift_allowance
-    places = _places(solution)
-    for group, place, effects, scatter in zip(
-        solution.groups, places, found.effects, found.scatters, strict=True
+def _added(solution: PlateSolution, found: Findings) -> dict[str, LowRank]:
+    """Return what repeatability, the allowances and one place add to each covariance (M, M)."""
+    added = {name: LowRank.outer(allowed(solution, name)) for name in COMPONENTS}
+    # a uniform distribution between the limits, alike along each axis
+    drift = (0.0 if solution.problem.drift else solution.problem.drift_allowance) / np.sqrt(3.0)
+    places, count = _places(solution), len(solution.table_positions)
+    for group, fit, place, effects, scatter in zip(
+        solution.groups, solution.fits, places, found.effects, found.scatters, strict=True
     ):
-        block = np.ix_(place, place)
+        local = _of_places(fit, group.turn)
         turned = _turned(effects.drift.response, group.turn)
         for row, name in enumerate(COMPONENTS):
-            # a uniform distribution between the limits, alike along each axis
-            added[name][block] += allowance**2 / 3.0 * turned[row] @ turned[row].T
+            if drift:
+                columns = np.zeros((count, turned.shape[2]))
+                columns[place] = drift * turned[row]
+                added[name] += LowRank.outer(columns)
             if scatter is not None:
-                added[name][block] += np.diag(np.full(len(place), scatter.added[row]))
+                own = np.zeros((count, 1, 1))
+                own[place] = scatter.added[row]
+                added[name] += LowRank.of_blocks(own)
+            if local is not None:
+                whole = np.zeros((count, count))
+                whole[np.ix_(place, place)] = local[row]
+                added[name] += LowRank.whole(whole)
+    return added
+
+
+def _of_places(fit: Fitted, turn: float) -> Floats | None:
+    """Return what disturbances that gather add to the covariances (6, M, M) of a fit.
+
+    None where none is probable; large problems are not judged.
+    """
+    if not fit.gathered:
+        return None
+    known = fit.problem.table_positions
+    added = np.zeros((6, len(known), len(known)))
+    for gathered in fit.gathered:
+        count = len(gathered.positions)
+        at = np.flatnonzero(np.isin(gathered.positions, known))
+        both = gathered.covariance.reshape(2, 3, count, 2, 3, count)[:, :, at][..., at]
+        back = rotation_about_z(turn)
+        each = np.einsum("ij,bjmbkn,ik->bimn", back, both, back).reshape(6, len(at), len(at))
+        place = np.searchsorted(known, gathered.positions[at])
+        added[np.ix_(np.arange(6), place, place)] += each
     return added
 
 
@@ -183,7 +239,21 @@ def _facts(result: Result, solution: PlateSolution, found: Findings) -> Facts:
         repeatability=all(scatter is not None for scatter in found.scatters),
         scale_error=_scale_error(result),
         n_groups=len(solution.groups),
+        hidden=_hidden(result, solution),
+        group_allowance=problem.group_allowance,
     )
+
+
+def _hidden(result: Result, solution: PlateSolution) -> Hidden | None:
+    """Return the worst disturbance of one place, of all groups, that stays unseen."""
+    worst: Hidden | None = None
+    for place, fit in zip(_places(solution), solution.fits, strict=True):
+        std = np.array([result.std[name][place] for name in COMPONENTS])
+        std = np.maximum(std, np.median(std, axis=1)[:, None])  # less is chance
+        found = unseen(fit.problem, (solution.noise.scale, std))
+        if found is not None and (worst is None or found.error > worst.error):
+            worst = found
+    return worst
 
 
 def _scale_error(result: Result) -> float:

@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.arrays import Floats
-from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.plane_mirror.drift import N_PARTS, StationDrift
 from rotcal_ros.methods.plane_mirror.outcomes import Outcome
 from rotcal_ros.methods.plane_mirror.prepare import Prepared, PreparedWay

@@ -19,9 +19,9 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_isf, chi2_sf
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.distributions import chi2_isf, chi2_sf
 from rotcal_ros.methods.plane_mirror.layout import nest_rounds
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.observations import PointKind
@@ -212,7 +212,7 @@ def _fit(
     places = to_mean @ problem.xyz[used]
     root = np.linalg.cholesky(problem.noise.weight(places)).swapaxes(1, 2)[nest]
     course = contrast @ _shares(problem.moment[used], knots)
-    design = (root @ _movement(places)[nest])[:, :, None, :] * course[:, None, :, None]
+    design = (root @ movement(places)[nest])[:, :, None, :] * course[:, None, :, None]
     design = design.reshape(3 * len(used), -1)
     inverse = _inverse(design)
     if inverse is None:
@@ -248,7 +248,7 @@ def _inverse(design: Floats) -> Floats | None:
     return inverse
 
 
-def _movement(places: Floats) -> Floats:
+def movement(places: Floats) -> Floats:
     """Return how the seven parts of a change move points (K, 3): (K, 3, 7)."""
     beam = places / np.linalg.norm(places, axis=1, keepdims=True)
     shift = np.broadcast_to(np.eye(3), (len(places), 3, 3))

@@ -109,7 +109,7 @@ def joint_equations(
 ) -> Equations:
     """Linearise at ``mirror``; positions are in ascending order, all of them observed."""
     pairs, nests, tilt_std = together.pairs, together.nests, together.tilt_std
-    local, shared, discrepancy, weight = _group_terms(normals, pairs, mirror)
+    local, shared, discrepancy, weight = group_terms(normals, pairs, mirror)
     order = np.argsort(pairs.position, kind="stable")
     start = np.searchsorted(pairs.position[order], np.arange(mirror.psi.shape[-1]))
 
@@ -171,7 +171,7 @@ def nest_chi_square(residual: Floats, nests: Nests, weight: Floats, poses: Poses
     return chi_square
 
 
-def _group_terms(
+def group_terms(
     normals: Normals, pairs: Pairs, mirror: Mirror
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Per group: derivatives by (psi, eps, d) and by the shared unknowns, discrepancy, weight.

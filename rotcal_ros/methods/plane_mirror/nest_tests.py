@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from scipy.linalg import block_diag
 
+from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.errors import DataError
-from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror.drift import displaced_nests, find_drift
 from rotcal_ros.methods.plane_mirror.layout import Nests, find_nests, nest_rounds
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem

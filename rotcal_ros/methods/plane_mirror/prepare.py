@@ -7,6 +7,7 @@ way; the estimates then take points with any leading axes.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -36,6 +37,7 @@ from rotcal_ros.methods.plane_mirror.stitching import (
     require_overlap,
     stitch,
 )
+from rotcal_ros.observations import PointKind
 from rotcal_ros.results import Rejection
 
 DRIFT_STEP: Final = 1e-6
@@ -163,30 +165,47 @@ def registered_readings(normals: Floats, pairs: Pairs, angles: Floats) -> Floats
 
 @dataclass(frozen=True)
 class Screened:
-    """A prepared problem with what the screening left out and what the user must know."""
+    """A prepared problem with what the screening left out and what the user must know.
+
+    ``lost``: rows of the mirrored points that contradict others.
+    """
 
     prepared: PreparedWay
     rejected: tuple[Rejection, ...]
     warnings: tuple[str, ...]
+    lost: tuple[int, ...] = ()
 
 
-def prepare(problem: PlaneMirrorProblem) -> Screened:
-    """Screen and lay out a problem; raises DataError or GeometryError when it has no solution."""
+def prepare(
+    problem: PlaneMirrorProblem, left_out: Mapping[int, str] | None = None, *, singly: bool = True
+) -> Screened:
+    """Screen and lay out a problem; raises DataError or GeometryError when it has no solution.
+
+    ``left_out``: rows of both points of pairs that are not used, and why. ``singly``: pairs that
+    contradict the others of their group are left out one by one.
+    """
     drift = find_drift(problem)
     if drift.size:
         problem = replace(problem, xyz=drift.corrected(problem.xyz))
     if problem.way == "direct":
         return _prepare_direct(problem, drift)
-    return _prepare_mirror(problem, drift)
+    return _prepare_mirror(problem, drift, left_out or {}, singly)
 
 
-def _prepare_mirror(problem: PlaneMirrorProblem, drift: Drift) -> Screened:
+def _prepare_mirror(
+    problem: PlaneMirrorProblem, drift: Drift, left_out: Mapping[int, str], singly: bool
+) -> Screened:
     pairs = find_pairs(problem)
     screening.check_pairs(problem, pairs)
+    if left_out:
+        pairs = pairs.keep(~np.isin(pairs.direct, list(left_out)))
     weight = pair_weights(problem.xyz, pairs, problem.noise)
     pairs, rejected = screening.drop_steep(problem, pairs, fit_normals(problem.xyz, pairs, weight))
     weight = pair_weights(problem.xyz, pairs, problem.noise)
-    pairs, weight, inconsistent = screening.drop_inconsistent(problem, pairs, weight)
+    inconsistent = [Rejection(row, why) for row, why in sorted(left_out.items())]
+    if singly:
+        pairs, weight, alone = screening.drop_inconsistent(problem, pairs, weight)
+        inconsistent += alone
     normals = fit_normals(problem.xyz, pairs, weight)
     screening.check_normals(problem, pairs, normals)
     used, position = np.unique(pairs.position, return_inverse=True)
@@ -218,7 +237,8 @@ def _prepare_mirror(problem: PlaneMirrorProblem, drift: Drift) -> Screened:
     )
     if problem.way == "joint":
         prepared = _with_mirror(prepared)
-    return Screened(prepared, (*rejected, *inconsistent), tuple(warnings))
+    lost = tuple(r.index for r in inconsistent if problem.kind[r.index] == PointKind.MIRRORED)
+    return Screened(prepared, (*rejected, *inconsistent), tuple(warnings), lost)
 
 
 def _prepare_direct(problem: PlaneMirrorProblem, drift: Drift) -> Screened:

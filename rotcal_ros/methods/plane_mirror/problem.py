@@ -91,8 +91,10 @@ class PlaneMirrorProblem:
     the tracker leaves a station show how it drifted there.
 
     ``tilt_std`` (rad) is how far the table may tilt (EAC, EBC), that is, how exactly the normals
-    stand on one cone. ``incidence_limit`` (rad) is the greatest angle between beam and mirror
-    normal that is used. ``significance`` is the probability of a false alarm of each test.
+    stand on one cone. ``uneven_drift_std`` (rad) is how far the tracker's azimuth may leave the
+    straight line between its first and its last look at the nests from one station, see
+    :mod:`.swing`. ``incidence_limit`` (rad) is the greatest angle between beam and mirror normal
+    that is used. ``significance`` is the probability of a false alarm of each test.
     ``upward`` (N,) tells the side from which the table came to each position, where it came from
     both: what differs between them is the table's reversal. ``station_names``, ``source`` and
     ``lines`` (of the file, per row) serve the messages.
@@ -107,6 +109,7 @@ class PlaneMirrorProblem:
     noise: TrackerNoise = field(default_factory=TrackerNoise)
     way: Way = _DEFAULTS.way
     tilt_std: float = _DEFAULTS.tilt_std_arcsec * ARCSEC
+    uneven_drift_std: float = _DEFAULTS.uneven_drift_std_arcsec * ARCSEC
     incidence_limit: float = INCIDENCE_LIMIT_DEG * DEGREE
     significance: float = _DEFAULTS.significance
     station_names: tuple[str, ...] = ()
@@ -197,6 +200,8 @@ def _require_shapes(problem: PlaneMirrorProblem) -> None:
 def _require_values(problem: PlaneMirrorProblem) -> None:
     if problem.way not in WAYS:
         raise DataError(f"unknown way {problem.way!r}; choose one of {', '.join(WAYS)}")
+    if not problem.uneven_drift_std >= 0.0:
+        raise DataError(f"uneven_drift_std must not be negative, found {problem.uneven_drift_std}")
     if not problem.tilt_std > 0.0 or not 0.0 < problem.incidence_limit < np.pi / 2:
         raise DataError("tilt_std must be above 0 and incidence_limit between 0 and pi/2 rad")
     if not np.all(np.isfinite(problem.angles)):

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.arrays import Floats
-from rotcal_ros.methods.distributions import chi2_isf, normal_isf
 from rotcal_ros.methods.plane_mirror.correction import Correction, unseen_knock
 from rotcal_ros.methods.plane_mirror.prepare import PreparedPoints, PreparedWay
 from rotcal_ros.protection import POWER, Protection, ordered
@@ -19,7 +19,8 @@ class Facts:
     """What the statements rest on: the prepared data, what the drift did, and the result.
 
     ``std`` (N,) in rad; ``dof`` degrees of freedom of the residuals; ``closure_std`` (rad) of the
-    first position measured again after a whole turn, None where it was not.
+    first position measured again after a whole turn, None where it was not. ``swings``: whether
+    the uncertainty holds the stated swings.
     """
 
     prepared: PreparedWay
@@ -27,6 +28,7 @@ class Facts:
     std: Floats
     dof: int
     closure_std: float | None
+    swings: bool
 
     @property
     def direct(self) -> bool:
@@ -47,6 +49,7 @@ def protections(facts: Facts) -> tuple[Protection, ...]:
             _scale(facts),
             _tilt(facts),
             _gauge(),
+            *_uneven_drift(facts),
         )
     )
 
@@ -67,6 +70,32 @@ def _drift(facts: Facts) -> Protection:
         "nests measured again show turns, shifts and range of the tracker at each station, linear "
         "in time between rounds of nests; a part that moves a deviation by more than one standard "
         "uncertainty makes the result suspect",
+    )
+
+
+def _uneven_drift(facts: Facts) -> tuple[Protection, ...]:
+    """Return the statement about a drift that is no straight line between rounds of nests.
+
+    None where no drift is known at all: then everything is said there.
+    """
+    if facts.prepared.drift.open_stations:
+        return ()
+    stated = facts.prepared.problem.uneven_drift_std
+    if facts.swings and stated > 0.0:
+        why = (
+            f"by the stated swing of the tracker's azimuth of {stated / ARCSEC:g} arcsec "
+            "(uneven_drift_std_arcsec) about the straight line between rounds of nests"
+        )
+        return (Protection("uneven drift", "bounded", why),)
+    error = float(ARCSEC / facts.std[1:].min())
+    return (
+        Protection(
+            "uneven drift",
+            "not protected",
+            "what the tracker turns by between two rounds of nests and back again leaves no "
+            f"trace; 1 arcsec of it moves a deviation by up to {error:.2g} standard "
+            "uncertainties: let it settle, and measure the nests more often (plan.nests_every)",
+        ),
     )
 
 

@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import wrap_angle
-from rotcal_ros.methods.distributions import chi2_isf
 from rotcal_ros.methods.plane_mirror.layout import Pairs
 from rotcal_ros.methods.plane_mirror.normals import Normals, fit_normals, incidence
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem

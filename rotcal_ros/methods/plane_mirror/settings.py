@@ -45,6 +45,13 @@ class MirrorSolverSettings:
     tilt_std_arcsec: float = setting(
         1.0, doc="arcsec, how far the table may tilt (EAC, EBC)", minimum=1e-6, maximum=3600.0
     )
+    uneven_drift_std_arcsec: float = setting(
+        0.5,
+        doc="arcsec, how far the tracker's azimuth may leave the straight line between two rounds "
+        "of nests that are a station apart (k = 1); the uncertainty holds it",
+        minimum=0.0,
+        maximum=3600.0,
+    )
     significance: float = setting(
         1e-3, doc="probability of a false alarm of each test", minimum=1e-9, maximum=0.5
     )

@@ -6,18 +6,26 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_isf
 from rotcal_ros.arrays import Floats
-from rotcal_ros.methods.distributions import chi2_isf
-from rotcal_ros.methods.plane_mirror import screening
+from rotcal_ros.methods.plane_mirror import gathering, screening
 from rotcal_ros.methods.plane_mirror.correction import correct, drift_details, large_drifts
 from rotcal_ros.methods.plane_mirror.normals import incidence
 from rotcal_ros.methods.plane_mirror.outcomes import Outcome, empty_residuals, outcome_of
-from rotcal_ros.methods.plane_mirror.prepare import PreparedNormals, PreparedWay, prepare
+from rotcal_ros.methods.plane_mirror.prepare import (
+    PreparedNormals,
+    PreparedPoints,
+    PreparedWay,
+)
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.protections import Facts, protections
-from rotcal_ros.results import Result
+from rotcal_ros.methods.plane_mirror.stitching import islands
+from rotcal_ros.methods.plane_mirror.swing import swing_covariance
+from rotcal_ros.protection import ordered
+from rotcal_ros.results import FreeDirection, Result
 
 METHOD: Final = "plane_mirror"
+UNTIED: Final = "table positions that share no reflector"
 
 
 def solve(problem: PlaneMirrorProblem) -> Result:
@@ -32,22 +40,29 @@ def solve(problem: PlaneMirrorProblem) -> Result:
 
     Raises DataError, GeometryError (see :mod:`~rotcal_ros.methods.plane_mirror.screening`).
     """
-    screened, residuals = prepare(problem), empty_residuals(problem)
+    (screened, gathered, points), residuals = gathering.settled(problem), empty_residuals(problem)
     prepared = screened.prepared
     outcome, correction = correct(prepared, outcome_of(prepared, residuals))
     screening.check_size(problem, prepared.angles, outcome.deviations)
     sigma0 = float(np.sqrt(outcome.chi_square / outcome.dof)) if outcome.dof else 1.0
     covariance, warnings = _judge(problem, outcome, sigma0)
+    if (added := gathered.covariance()) is not None:
+        covariance = covariance + added
+    if points is not None:
+        covariance = covariance + swing_covariance(prepared, points)
     curve = prepared.angles, outcome.deviations, covariance
     side = None if problem.upward is None else problem.upward[prepared.positions]
     repeats, differing = screening.repeats(*curve, problem.significance, side)
     std, closure = _std(covariance), _closure(prepared.angles, repeats)
     drifted = large_drifts(prepared, correction, std)
-    warnings = [*screened.warnings, *warnings, *drifted, *differing]
-    facts = Facts(prepared, correction, std, outcome.dof, closure.get("closure_std_rad"))
+    gathers = gathering.doubts(gathered, problem)
+    warnings = [*screened.warnings, *gathers, *warnings, *drifted, *differing]
+    closes = closure.get("closure_std_rad")
+    facts = Facts(prepared, correction, std, outcome.dof, closes, points is not None)
     details = {**_details(prepared, outcome), "repeats": repeats, **closure}
+    details |= gathering.details(gathered)
     steps = np.diff(np.eye(len(prepared.angles)), axis=0)
-    return Result(
+    result = Result(
         method=METHOD,
         angles=prepared.angles,
         deviations={"ECC": outcome.deviations},
@@ -63,8 +78,25 @@ def solve(problem: PlaneMirrorProblem) -> Result:
         adjacent_std=_std(steps @ covariance @ steps.T),
         residuals=residuals,
         details={**details, **drift_details(prepared, correction, std)},
-        protections=protections(facts),
+        protections=ordered((*protections(facts), *gathering.protection(gathered, prepared, std))),
     )
+    return result.counted_from(*_zeros(prepared))
+
+
+def _zeros(prepared: PreparedWay) -> tuple[str, tuple[FreeDirection, ...]]:
+    """Return what ECC counts from, and the offsets of positions that no reflector ties together.
+
+    With a mirror all positions are tied: see :func:`~.stitching.require_overlap`.
+    """
+    if not isinstance(prepared, PreparedPoints):
+        return "first angle", ()
+    seen = prepared.reflectors
+    label, _ = islands(seen.position, seen.reflector, len(prepared.angles))
+    free = tuple(
+        FreeDirection(UNTIED, {"ECC": (label == own).astype(np.float64)})
+        for own in range(1, int(label.max()) + 1)
+    )
+    return "first angle of each group" if free else "first angle", free
 
 
 def _std(covariance: Floats) -> Floats:

@@ -29,15 +29,20 @@ def joining_map(position: Ints, zero: Ints, variance: Floats, n: int) -> Floats:
     """Return the matrix (n, m) from readings (m,) to deviations from the first position.
 
     ``position``, ``zero`` (m,) say where each reading belongs, ``variance`` (m,) its weight.
-    All n positions and all sets must be tied together: see :func:`islands`.
+    Positions that nothing ties to the first count from the first of their own :func:`islands`.
     """
     m = len(position)
     design = np.zeros((m, n + zero.max() + 1))
     design[np.arange(m), position] = 1.0
     design[np.arange(m), n + zero] = 1.0
     root = 1.0 / np.sqrt(variance / variance.mean())
-    solution = np.linalg.pinv(design[:, 1:] * root[:, None]) * root
-    return np.vstack([np.zeros(m), solution[: n - 1]])
+    label, _ = islands(position, zero, n)
+    counted = np.setdiff1d(np.arange(n), np.unique(label, return_index=True)[1])
+    unknown = np.append(counted, np.arange(n, design.shape[1]))
+    solution = np.linalg.pinv(design[:, unknown] * root[:, None]) * root
+    joined = np.zeros((n, m))
+    joined[counted] = solution[: len(counted)]
+    return joined
 
 
 def islands(position: Ints, zero: Ints, n: int) -> tuple[Ints, Ints]:

@@ -9,15 +9,16 @@ import numpy as np
 
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.plane_mirror.cone import fit_cone
+from rotcal_ros.methods.plane_mirror.gathering import settled
 from rotcal_ros.methods.plane_mirror.normals import image_response, tangent_frame
 from rotcal_ros.methods.plane_mirror.prepare import (
     PreparedNormals,
     PreparedPoints,
     PreparedWay,
-    prepare,
 )
 from rotcal_ros.methods.plane_mirror.problem import PlaneMirrorProblem
 from rotcal_ros.methods.plane_mirror.stitching import station_cones
+from rotcal_ros.methods.plane_mirror.swing import swings
 
 _CHUNK: Final = 250  # trials at a time keep the arrays small enough for the cache
 
@@ -27,12 +28,14 @@ class MirrorTrials:
     """Draws measurements like the given one and solves them; made by :func:`mirror_trials`.
 
     ``factor`` (n, 3, 3) are Cholesky factors of the points' covariances, ``tilt`` (2 N, 3 n) the
-    movement of all coordinates per tilt (rad) of the table across and along the normal.
+    movement of all coordinates per tilt (rad) of the table across and along the normal, ``swing``
+    (K, 3 n) the same per standard deviation of the tracker's :mod:`.swing`.
     """
 
     prepared: PreparedWay
     factor: Floats
     tilt: Floats
+    swing: Floats
 
     def __call__(self, rng: np.random.Generator, count: int) -> Floats:
         """Return the deviations (count, N) in rad of ``count`` simulated measurements."""
@@ -49,15 +52,20 @@ class MirrorTrials:
         tilts = self.prepared.problem.tilt_std * rng.standard_normal((count, len(self.tilt)))
         points: Floats = xyz + (self.factor @ noise[..., None])[..., 0]
         points += (tilts @ self.tilt).reshape(points.shape)
+        if len(self.swing):
+            amplitudes = rng.standard_normal((count, len(self.swing)))
+            points += (amplitudes @ self.swing).reshape(points.shape)
         return points
 
 
 def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
     """Prepare Monte Carlo trials about a measured problem; refuses what ``solve`` refuses."""
-    prepared = prepare(problem).prepared
+    prepared = settled(problem).screened.prepared
+    swing = swings(prepared).reshape(problem.xyz.size, -1).T
     covariance = problem.noise.covariance(problem.xyz)
     if isinstance(prepared, PreparedPoints):
-        return MirrorTrials(prepared, _factor(covariance), np.zeros((0, problem.xyz.size)))
+        none = np.zeros((0, problem.xyz.size))
+        return MirrorTrials(prepared, _factor(covariance), none, none)
     pairs, normals = prepared.pairs, prepared.normals(problem.xyz)
     response = image_response(
         problem.xyz[pairs.direct],
@@ -73,7 +81,8 @@ def mirror_trials(problem: PlaneMirrorProblem) -> MirrorTrials:
     for which, change in enumerate((b, height * t)):
         moved = (response @ change[pairs.group][..., None])[..., 0]
         tilt[pairs.position[pairs.group], which, pairs.mirrored] = moved
-    return MirrorTrials(prepared, _factor(covariance), tilt.reshape(-1, problem.xyz.size))
+    tilt = tilt.reshape(-1, problem.xyz.size)
+    return MirrorTrials(prepared, _factor(covariance), tilt, swing)
 
 
 def _factor(covariance: Floats) -> Floats:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.methods.tracer.grid import Grid
 
@@ -83,7 +84,7 @@ class Adjuster(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class StationCovariance:
-    """Covariance (3 m, 3 m) of the stations in m^2, by source.
+    """Covariance (3 m, 3 m) of the stations in m^2, by source, in blocks of stations.
 
     ``lengths``: noise of the lengths, ``targets``: errors of the machine's coordinates, common to
     all stations; ``felt`` (3 m, n, 3): what a standard error of each coordinate does to the
@@ -92,14 +93,14 @@ class StationCovariance:
     chi-squared of that many degrees of freedom.
     """
 
-    lengths: Floats
-    targets: Floats
+    lengths: LowRank
+    targets: LowRank
     felt: Floats
     dof_effective: float
-    circle: Floats | None = None
+    circle: LowRank | None = None
 
     @property
-    def total(self) -> Floats:
+    def total(self) -> LowRank:
         """Return the covariance from all sources."""
         total = self.lengths + self.targets
         return total if self.circle is None else total + self.circle
@@ -107,17 +108,17 @@ class StationCovariance:
     def enlarged(self, scale: float) -> StationCovariance:
         """Return the covariance of standard deviations ``scale`` times as large."""
         square = scale**2
-        circle = None if self.circle is None else square * self.circle
+        circle = None if self.circle is None else self.circle.scaled(square)
         return replace(
-            self, lengths=square * self.lengths, targets=square * self.targets, circle=circle
+            self,
+            lengths=self.lengths.scaled(square),
+            targets=self.targets.scaled(square),
+            circle=circle,
         )
 
     def position_blocks(self) -> Floats:
         """Return the 3 by 3 covariance of every station, shape (m, 3, 3)."""
-        total = self.total
-        m = len(total) // 3
-        blocks = total.reshape(m, 3, m, 3)[np.arange(m), :, np.arange(m)]
-        return np.asarray(blocks, dtype=np.float64)
+        return self.total.diagonal_blocks()
 
 
 def ranges(stations: Floats, targets: Floats) -> tuple[Floats, Floats]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rotcal_ros.adjust.low_rank import Slopes
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import GeometryError
 from rotcal_ros.geometry.circle import circle_centre_jacobian, fit_circle
@@ -82,12 +83,12 @@ def table_motion(stations: Floats, table_angles: Floats) -> TableMotion:
     )
 
 
-def bearing_jacobian(stations: Floats, motion: TableMotion) -> Floats:
-    """Return d bearing / d stations, shape (m, 3 m), up to one common turn of all bearings.
+def bearing_slopes(stations: Floats, motion: TableMotion) -> Slopes:
+    """Return d bearing / d stations, (m, 3 m), up to one common turn of all bearings.
 
     Differences of rows are exact: those are all that deviations need. The chain runs through
     the plane's normal (first-order perturbation of the singular vector), the projection and the
-    circle's centre.
+    circle's centre. A bearing feels its own station, and all others by way of normal and centre.
     """
     m = len(stations)
     basis, normal = motion.plane.basis(), motion.plane.normal
@@ -96,16 +97,21 @@ def bearing_jacobian(stations: Floats, motion: TableMotion) -> Floats:
     # d normal, in the basis: (moments - lambda_3) dn = -sum(flat dz + height dflat)
     moments = flat.T @ flat - motion.plane.singular_values[2] ** 2 * np.eye(2)
     push = flat[:, :, None] * normal + height[:, None, None] * basis
-    d_normal = -np.linalg.solve(moments, push)  # (m, 2, 3); centring drops out: sums are zero
+    d_normal = -np.linalg.solve(moments, push).transpose(1, 0, 2)
+    d_normal = d_normal.reshape(2, 3 * m)  # centring drops out: sums are zero
     # d flat_i / d station_j = basis (delta_ij - 1/m) - height_i dn_j; the mean is taken care of
     # by the circle's Jacobian, because bearings feel flat_i - centre only.
-    d_flat = -height[:, None, None, None] * d_normal.transpose(1, 0, 2)
-    d_flat[np.arange(m), :, np.arange(m)] += basis
-    d_centre = np.tensordot(circle_centre_jacobian(flat), d_flat)  # over stations and x, y
+    centre = circle_centre_jacobian(flat)
+    d_centre = (centre @ basis).reshape(2, 3 * m) - (centre.swapaxes(1, 2) @ height) @ d_normal
     arm = motion.in_plane
     tangent = np.stack([-arm[:, 1], arm[:, 0]], axis=1) / (arm**2).sum(axis=1)[:, None]
-    d_bearing = np.matmul(tangent[:, None, :], (d_flat - d_centre).reshape(m, 2, 3 * m))
-    return np.asarray(d_bearing[:, 0], dtype=np.float64)
+    common = np.hstack([-height[:, None] * tangent, -tangent])
+    return Slopes(tangent @ basis, common, np.vstack([d_normal, d_centre]))
+
+
+def bearing_jacobian(stations: Floats, motion: TableMotion) -> Floats:
+    """Return :func:`bearing_slopes` as a whole matrix (m, 3 m)."""
+    return bearing_slopes(stations, motion).dense()
 
 
 def axis_tilt(normal: Floats) -> float:

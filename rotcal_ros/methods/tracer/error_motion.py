@@ -2,22 +2,32 @@
 
 A station leaves its circle by the radial part of the table's error motion (EXC, EYC, and tilts
 times the height of the tracer) and by the noise of its own place. The tangential part cannot be
-told from the angle; it is taken to be as large. m - 3 residuals do not say much about a standard
+told from the angle; it is taken to be as large, which is believed and never measured: a tracer
+that mount or cable shift along its circle spoils the angle and leaves no trace
+(:mod:`.protections` says so). m - 3 residuals do not say much about a standard
 deviation, so their whole posterior is used: the value that goes into the covariance is the one
 with which an interval of +-1.96 standard deviations holds 95 % of what is predicted. From exact
 stations that is Student's t with m - 3 degrees of freedom; where the noise of the stations
 explains the residuals, little is left of it.
+
+The prior is that of Jeffreys, d sigma / sigma, for error motions well above the stations' noise
+across the circle (x = sigma / noise), times y^6 / (1 + y^6) with y = x / 1.5, and beside it "none
+at all" with the weight of ABSENT natural logarithms of sigma. It was set by the coverage of 8 and
+9 residuals of equal noise, which is an integral over chi-squared: 94 to 97 % for every size. With
+d sigma / sigma alone a round table's intervals held 99 %. With fewer residuals a round table's
+hold more (98.8 % with 4), since so few cannot tell that it is round.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from scipy.special import erfc
 
+from rotcal_ros.adjust.low_rank import LowRank, Slopes
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import HALF_OF_95_PERCENT
 from rotcal_ros.methods.roots import root_between
@@ -30,6 +40,13 @@ TINY: Final = 1e-12
 """Error motion (m) that is none."""
 DECADES: Final = np.logspace(-3.0, 3.0, 121)
 """Error motions, in units of the radial residuals, over which the posterior is summed."""
+SPACING: Final = float(np.log(DECADES[1] / DECADES[0]))
+ABSENT: Final = 0.8
+"""Prior weight of no error motion, in natural logarithms of sigma far above the noise."""
+NOTICED: Final = 1.5
+"""Error motion, in units of the stations' noise, from which the prior is that of Jeffreys."""
+STEEPNESS: Final = 6
+"""Power of sigma by which the prior vanishes below, so that "none" and "some" stay apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,44 +72,102 @@ class ErrorMotion:
 
 @dataclass(frozen=True, eq=False)
 class CircleResiduals:
-    """What centre and radius leave of the stations' radial distances, ``seen`` (k,) in m.
+    """The stations' radial distances as far as no circle takes them up.
 
-    ``noise`` (k, k): their covariance from that of the stations, m^2. k = m - 3, or fewer where
-    the circle was stated and the lengths do not tell all of them.
+    ``seen`` (k,): distances, m; ``noise`` (k, k): their covariance from that of the stations, m^2.
+    What their combinations ``absorbed`` (k, 3), orthonormal, say went into centre and radius; of
+    whole matrices those were taken off before, and none is left, (k, 0).
     """
 
     seen: Floats
-    noise: Floats
+    noise: LowRank
+    absorbed: Floats
+
+    @classmethod
+    def free(cls, seen: Floats, noise: LowRank) -> CircleResiduals:
+        """Return residuals of which nothing is absorbed any more."""
+        return cls(seen, noise, np.zeros((len(seen), 0)))
+
+    @property
+    def dof(self) -> int:
+        """The number of free residuals: m - 3, or fewer where lengths do not tell all of them."""
+        return int(len(self.seen) - self.absorbed.shape[1])
+
+    @property
+    def variance(self) -> float:
+        """The mean variance of a free residual, m^2."""
+        taken = (self.absorbed * self.noise.times(self.absorbed)).sum()
+        return float(self.noise.diagonal().sum() - taken) / self.dof
+
+    def lifted(self, variance: float) -> CircleResiduals:
+        """Return residuals with a noise of this ``variance`` (m^2) more."""
+        return replace(self, noise=self.noise.lifted(variance))
+
+    def squares(self, values: Floats) -> Floats:
+        """Return chi-squared (t,) of ``values`` (t, k) in place of what was seen."""
+        return self._fit(self._open(values))[0]
+
+    def likelihood(self, variances: Floats) -> Floats:
+        """Return ln of the likelihood (t,) of what was seen, up to a constant.
+
+        With noises of these ``variances`` (t,), m^2, beside that of the stations.
+        """
+        if self.noise.columns is None:
+            noise, axes = np.linalg.eigh(self.noise.dense())
+            squares = (axes.T @ self.seen) ** 2
+            variance = np.maximum(noise, 0.0) + variances[:, None]
+            return np.asarray(-0.5 * (np.log(variance) + squares / variance).sum(axis=1))
+        seen = self._open(self.seen[None])
+        found = [self.lifted(variance)._fit(seen) for variance in variances.tolist()]
+        return np.array([-0.5 * (log + squares[0]) for squares, log in found])
+
+    @property
+    def mean_square(self) -> float:
+        """The mean square of the free residuals, m^2."""
+        return float((self._open(self.seen[None]) ** 2).sum()) / self.dof
+
+    def _open(self, values: Floats) -> Floats:
+        """Return ``values`` (t, k) without what is absorbed of them."""
+        return np.asarray(values - (values @ self.absorbed) @ self.absorbed.T)
+
+    def _fit(self, values: Floats) -> tuple[Floats, float]:
+        """Return chi-squared (t,) of open ``values`` (t, k), and ln det of the free covariance."""
+        t = len(values)
+        solved, log = self.noise.solved(np.column_stack([values.T, self.absorbed]))
+        mixed, inner = self.absorbed.T @ solved[:, :t], self.absorbed.T @ solved[:, t:]
+        squares = (values.T * solved[:, :t]).sum(axis=0)
+        squares -= (mixed * np.linalg.solve(inner, mixed)).sum(axis=0)
+        return np.asarray(squares), log + float(np.linalg.slogdet(inner)[1])
 
 
 def circle_residuals(
-    motion: TableMotion, total: Floats, circle_std: float | None = None
+    motion: TableMotion, total: LowRank, circle_std: float | None = None
 ) -> CircleResiduals:
     """Return the free residuals of the circle; ``total`` (3 m, 3 m) are the stations' errors.
 
     Where the stations were bound to a circle with ``circle_std`` (m), what the lengths alone say.
     """
-    direction, open_part = _radial(motion)
-    m = len(direction)
-    outward = direction @ motion.plane.basis()
-    radial = np.einsum("ja,jakb,kb->jk", outward, total.reshape(m, 3, m, 3), outward)
-    noise = open_part.T @ radial @ open_part
+    direction, absorbed = _radial(motion)
+    radial = Slopes.alone(direction @ motion.plane.basis()).spread(total).quick()
+    if radial.columns is not None and circle_std is None:
+        return CircleResiduals(motion.radial, radial, np.linalg.qr(absorbed)[0])
+    free = _free(absorbed)
+    seen, noise = free.T @ motion.radial, free.T @ radial.times(free)
     if circle_std is None:
-        return CircleResiduals(open_part.T @ motion.radial, noise)
-    alone = without_prior(open_part.T @ motion.radial, noise, circle_std)
-    return CircleResiduals(alone.seen, np.diag(alone.noise))
+        return CircleResiduals.free(seen, LowRank.whole(noise))
+    alone = without_prior(seen, noise, circle_std)
+    return CircleResiduals.free(alone.seen, LowRank.of_blocks(alone.noise[:, None, None]))
 
 
 @dataclass(frozen=True, eq=False)
 class CircleTest:
-    """What the circle is tested by: ``seen`` (k,), m, with the ``covariance`` (k, k), m^2.
+    """What the circle is tested by: ``residuals`` with all noise that is expected of them.
 
     ``moved`` takes moves (t, m, 3) of the stations, m, to what they do to them (t, k).
     ``redundancy``: share of a stated circle that the lengths check.
     """
 
-    seen: Floats
-    covariance: Floats
+    residuals: CircleResiduals
     moved: Callable[[Floats], Floats]
     redundancy: float = 1.0
 
@@ -100,7 +175,7 @@ class CircleTest:
 def circle_tested(
     stations: Floats,
     motion: TableMotion,
-    total: Floats,
+    total: LowRank,
     expected_std: float,
     circle_std: float | None,
 ) -> CircleTest:
@@ -112,40 +187,46 @@ def circle_tested(
     """
     if circle_std is not None:
         value, slope = circle_contrasts(stations)
-        alone = without_prior(value, slope @ total @ slope.T, circle_std)
-        variance = np.diag(alone.noise + expected_std**2)
+        alone = without_prior(value, slope @ total.times(slope.T), circle_std)
+        variance = LowRank.of_blocks((alone.noise + expected_std**2)[:, None, None])
         basis = slope.T @ alone.basis
         return CircleTest(
-            alone.seen, variance, lambda moves: moves.reshape(len(moves), -1) @ basis,
+            CircleResiduals.free(alone.seen, variance),
+            lambda moves: moves.reshape(len(moves), -1) @ basis,
             alone.redundancy,
-        )  # fmt: skip
-    total = total + error_motion_covariance(motion, expected_std)
-    circle = circle_residuals(motion, total)
-    outward, open_part = _radial(motion)
+        )
+    circle = circle_residuals(motion, total + error_motion_spread(motion, expected_std))
+    direction, absorbed = _radial(motion)
+    outward = direction @ motion.plane.basis()
 
     def moved(moves: Floats) -> Floats:
-        radial = np.einsum("kja,ja->kj", moves @ motion.plane.basis().T, outward)
-        return np.asarray(radial @ open_part)
+        radial = np.einsum("kja,ja->kj", moves, outward)
+        return radial if circle.absorbed.size else np.asarray(radial @ _free(absorbed))
 
-    return CircleTest(circle.seen, circle.noise, moved)
+    return CircleTest(circle, moved)
+
+
+def error_motion_spread(motion: TableMotion, std: float) -> LowRank:
+    """Return the covariance (3 m, 3 m) of independent error motions ``std`` (m) in the plane."""
+    normal = motion.plane.normal
+    in_plane = std**2 * (np.eye(3) - np.outer(normal, normal))
+    return LowRank.of_blocks(np.tile(in_plane, (len(motion.in_plane), 1, 1)))
 
 
 def error_motion_covariance(motion: TableMotion, std: float) -> Floats:
-    """Return the covariance (3 m, 3 m) of independent error motions ``std`` (m) in the plane."""
-    normal = motion.plane.normal
-    in_plane = np.eye(3) - np.outer(normal, normal)
-    blocks = np.kron(np.eye(len(motion.in_plane)), std**2 * in_plane)
-    return np.asarray(blocks, dtype=np.float64)
+    """Return :func:`error_motion_spread` as a whole matrix (3 m, 3 m)."""
+    return error_motion_spread(motion, std).dense()
 
 
 def _radial(motion: TableMotion) -> tuple[Floats, Floats]:
-    """Return the stations' directions (m, 2) from the centre, and what no circle absorbs of them.
-
-    The latter (m, m - 3) takes radial distances to their free residuals.
-    """
+    """Return the stations' directions (m, 2) from the centre, and what a circle absorbs (m, 3)."""
     direction = motion.in_plane / np.linalg.norm(motion.in_plane, axis=1)[:, None]
-    absorbed = np.column_stack([direction, np.ones(len(direction))])
-    return direction, np.linalg.qr(absorbed, mode="complete")[0][:, 3:]
+    return direction, np.column_stack([direction, np.ones(len(direction))])
+
+
+def _free(absorbed: Floats) -> Floats:
+    """Return the combinations (m, m - 3) of radial distances of which nothing is ``absorbed``."""
+    return np.asarray(np.linalg.qr(absorbed, mode="complete")[0][:, 3:], dtype=np.float64)
 
 
 def tangential_std(motion: TableMotion, covariance: StationCovariance) -> float:
@@ -160,26 +241,25 @@ def estimate_error_motion(circle: CircleResiduals, tangential: float) -> tuple[f
     """Return the likely and the allowed standard deviation of the error motion, m.
 
     ``tangential``: standard deviation of a station along the circle, m, which the error motion
-    joins in squares. The prior is that of a variance component beside a known one
-    (sigma / (sigma^2 + noise) d sigma), which for exact stations is Jeffreys'.
+    joins in squares. The prior is in this module's docstring.
     """
-    noise, axes = np.linalg.eigh(circle.noise)
-    noise, squares = np.maximum(noise, 0.0), (axes.T @ circle.seen) ** 2
-    level = float(noise.mean())
-    sigma = DECADES * np.sqrt(level + float(squares.mean()) + TINY**2)
-    variance = noise + sigma[:, None] ** 2
-    fit = -0.5 * (np.log(variance) + squares / variance).sum(axis=1)
-    posterior = np.exp(fit - fit.max()) * sigma**2 / (sigma**2 + level)
+    level = circle.variance
+    sigma = DECADES * np.sqrt(level + circle.mean_square + TINY**2)
+    sigma = np.concatenate([[0.0], sigma])
+    fit = circle.likelihood(sigma**2 + TINY**2)
+    seen = sigma[1:] ** STEEPNESS
+    prior = SPACING * seen / (seen + (NOTICED**2 * level) ** (STEEPNESS / 2))
+    posterior = np.exp(fit - fit.max()) * np.concatenate([[ABSENT], prior])
     posterior /= posterior.sum()
     together = np.hypot(sigma, tangential)
 
     def beyond(limit: float) -> float:
-        return float(posterior @ erfc(limit / (np.sqrt(2.0) * together))) - OUTSIDE
+        reach = limit / (np.sqrt(2.0) * np.maximum(together, TINY))
+        return float(posterior @ erfc(reach)) - OUTSIDE
 
     half = root_between(beyond, 0.0, float(20.0 * together[-1]), TINY)
     allowed = np.sqrt(max((half / HALF_OF_95_PERCENT) ** 2 - tangential**2, 0.0))
-    likely = sigma[int(np.argmax(fit))] if fit.max() > fit[0] else 0.0
-    return float(likely), float(allowed)
+    return float(sigma[int(np.argmax(fit))]), float(allowed)
 
 
 def likely_circle(circle: CircleTest, expected_std: float) -> float:
@@ -187,11 +267,10 @@ def likely_circle(circle: CircleTest, expected_std: float) -> float:
 
     ``expected_std`` (m) is the one in the ``circle``.
     """
-    if len(circle.seen) == 0:
+    if circle.residuals.dof == 0:
         return expected_std
-    noise = circle.covariance - expected_std**2 * np.eye(len(circle.seen))
-    level = float(np.sqrt(np.trace(noise) / len(noise)))
-    return estimate_error_motion(CircleResiduals(circle.seen, noise), level)[1]
+    alone = circle.residuals.lifted(-(expected_std**2))
+    return estimate_error_motion(alone, float(np.sqrt(alone.variance)))[1]
 
 
 def error_motion_of(
@@ -210,10 +289,10 @@ def error_motion_of(
     """
     stations = covariance.enlarged(scale)
     circle = circle_residuals(motion, stations.total, circle_std)
-    if len(circle.seen) == 0:
+    if circle.dof == 0:
         return ErrorMotion(stated, 0.0, 0.0, 0, stated or 0.0)
     likely, allowed = estimate_error_motion(circle, tangential_std(motion, stations))
     used = stated
     if used is None or contradicted:
         used = max(used or 0.0, allowed)
-    return ErrorMotion(stated, likely, allowed, len(circle.seen), used)
+    return ErrorMotion(stated, likely, allowed, circle.dof, used)

@@ -8,22 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError
 from rotcal_ros.geometry.rotations import wrap_angle
-from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.problem import TracerProblem
+from rotcal_ros.methods.tracer.reported import (
+    Reported,
+    Weighed,
+    noticed,
+    scatter_along,
+    weigh,
+    with_reported,
+)
+from rotcal_ros.methods.tracer.response import slope_along
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.solve import result_of
 from rotcal_ros.methods.tracer.trials import TracerTrials, trials_about
+from rotcal_ros.raw_data import RawData
 from rotcal_ros.results import Result, Verdict
-
-UNNOTICED: Final = 0.01
-"""Shift of a target, in standard deviations of a length, that does not matter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,6 +117,7 @@ class JoinedSolution:
     solution: TracerSolution
     joins: Sequence[Join]
     trials: TracerTrials
+    reported: Reported | None = None
 
     def result(self) -> Result:
         """Return the result; what it owes to the errors of the zeros joins the covariance.
@@ -119,19 +127,20 @@ class JoinedSolution:
         """
         significance = self.solution.problem.settings.test_significance
         moves = _moves(self.trials)
-        return _concluded(result_of(self.solution), self.joins, moves, significance)
+        result = with_reported(result_of(self.solution), self.reported)
+        return _concluded(result, self.joins, moves, significance)
 
 
-def at_equal_places(problem: TracerProblem, shift: Floats) -> TracerProblem:
-    """Return the problem with each length as it would be at the place of its target.
+def adjust_at_equal_places(problem: TracerProblem, shift: Floats) -> Weighed[TracerSolution]:
+    """Solve a problem with each length as it would be at the mean place of its target.
 
-    ``shift`` (k, 3): how much further along x, y, z the machine was when it measured each length,
-    m. Where the machine comes to a target anew for every length these are its following errors.
-    Shifts that no length would notice change nothing, to the last bit.
+    ``shift`` (k, 3): how much further along x, y, z the machine said it was when it measured each
+    length, m; believed as far as the lengths follow it (:mod:`.reported`). Where the machine comes
+    to a target anew for every length these are its following errors. Shifts that no length would
+    notice change nothing, to the last bit.
     """
-    if np.abs(shift).max(initial=0.0) < UNNOTICED * problem.length_std.min():
-        return problem
-    return _joined(Runs(problem, np.zeros(len(shift), dtype=np.int64), shift, []))[0]
+    weighed = _adjusted(Runs(problem, np.zeros(len(shift), dtype=np.int64), shift, []))
+    return Weighed(weighed.solution[0], weighed.reported)
 
 
 def adjust_joined(runs: Runs) -> JoinedSolution:
@@ -143,10 +152,13 @@ def adjust_joined(runs: Runs) -> JoinedSolution:
 
     Raises DataError when a later run has no pair.
     """
-    problem, joins = _joined(runs)
-    solution = adjust(problem)
+    weighed = _adjusted(runs)
+    solution, joins = weighed.solution
     trials = _with_zeros(trials_about(solution), runs.run, joins)
-    return JoinedSolution(solution, joins, trials)
+    return JoinedSolution(solution, joins, trials, weighed.reported)
+
+
+_Joined = tuple[TracerSolution, list[Join]]
 
 
 def _with_zeros(trials: TracerTrials, run: Ints, joins: Sequence[Join]) -> TracerTrials:
@@ -178,22 +190,53 @@ def _moves(trials: TracerTrials) -> Floats:
     return wrap_angle(found[1:] - found[0])
 
 
-def _joined(runs: Runs) -> tuple[TracerProblem, list[Join]]:
-    """Return the problem with all lengths on the zero of the first run, and the joins."""
-    problem, run, shift, pairs = runs.problem, runs.run, runs.shift, runs.pairs
-    for later in pairs:
+def _adjusted(runs: Runs) -> Weighed[_Joined]:
+    """Return the solution with all lengths on the zero of the first run, and the joins."""
+    for later in runs.pairs:
         if not len(later.row):
             raise DataError(
                 f"no step of the runs before was measured again in run {later.run}: nothing tells "
                 "its zero of the lengths; resume once more, or measure from the start"
             )
-    none = np.zeros((len(run), 3))  # where the stations are, and so the beams, is not known yet
-    joins = _joins(replace(runs, shift=none), none, 1.0)
-    first = adjust(_reduced(problem, run, joins, np.zeros(len(run))))
-    beams = _beams(problem, first)
-    along = np.einsum("ka,ka->k", beams, shift)
-    joins = _joins(runs, beams, first.noise.factors[0] * first.scale)
-    return _reduced(problem, run, joins, along), joins
+    none = np.zeros((len(runs.run), 3))  # where the stations and so the beams are is not known yet
+    first, _ = _solved(replace(runs, shift=none), none, 1.0)
+    beams, noise = _beams(runs.problem, first), first.noise.factors[0] * first.scale
+
+    def moved(weight: float, left: float) -> _Joined:
+        return _solved(_believed(runs, weight, left), beams, noise)
+
+    unmoved = moved(0.0, 0.0) if runs.pairs else (first, [])
+    shifts = [runs.shift, *(later.shift for later in runs.pairs)]
+    if not noticed(np.concatenate(shifts), runs.problem.length_std):
+        return Weighed(moved(1.0, 0.0) if runs.pairs else unmoved, None)
+    along = np.einsum("ka,ka->k", beams, runs.shift)
+    scatter = scatter_along(along, runs.problem.target)
+    return weigh(unmoved, moved, lambda solved: slope_along(solved[0], along), scatter)
+
+
+def _believed(runs: Runs, weight: float, left: float) -> Runs:
+    """Return ``runs`` with ``weight`` times the shifts; ``left`` (m) joins the lengths."""
+    problem = runs.problem
+    return replace(
+        runs,
+        problem=replace(problem, length_std=np.hypot(problem.length_std, left)),
+        shift=weight * runs.shift,
+        pairs=[
+            replace(
+                later,
+                shift=weight * later.shift,
+                length_std=np.hypot(later.length_std, left),
+            )
+            for later in runs.pairs
+        ],
+    )
+
+
+def _solved(runs: Runs, beams: Floats, noise: float) -> _Joined:
+    """Return the solution of ``runs`` reduced along ``beams`` (k, 3), and the joins."""
+    joins = _joins(runs, beams, noise)
+    along = np.einsum("ka,ka->k", beams, runs.shift)
+    return adjust(_reduced(runs.problem, runs.run, joins, along)), joins
 
 
 def _joins(runs: Runs, beams: Floats, noise: float) -> list[Join]:
@@ -256,6 +299,7 @@ def _concluded(
         verdict=verdict,
         warnings=(*result.warnings, *(_sentence(join, join in failed) for join in joins)),
         details={**result.details, "joins": [_plain(join) for join in joins]},
+        raw_data=RawData(),  # what a length does by way of its join is not told
     )
 
 

@@ -28,13 +28,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.arrays import Floats
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.geometry.rotations import fit_rotation
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.network import Network, linearise, relax, rigid
-from rotcal_ros.methods.tracer.observability import CURE, name_direction
+from rotcal_ros.methods.tracer.observability import CURE, name_direction, or_prior
 from rotcal_ros.methods.tracer.station import adjust_stations
 
 RANK_TOLERANCE: Final = 1e-13
@@ -101,13 +102,10 @@ def _others(grid: Grid) -> int:
 def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     """Return the covariance of the stations, split into lengths, targets' prior and circle."""
     network = fit.network or linearise(grid, fit.state, fit.targets)
-    reduced = network.reduced
-    kept = reduced.covariance()
-    if network.stations_kept:
-        stations, mixed = kept, -kept @ reduced.transfer
-    else:
-        mixed = -(kept @ reduced.transfer).T
-        stations = reduced.other_times(kept, np.eye(network.layout.size))
+    if not network.stations_kept:
+        return _apart_covariance(network, grid, float(fit.dof))
+    kept = network.reduced.covariance()
+    stations, mixed = kept, -kept @ network.reduced.transfer
     by_circle = None
     if network.circle is not None:
         pull = network.layout.with_zeros(network.circle.T)
@@ -127,8 +125,26 @@ def network_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     lengths, circle = stations - prior, None
     if by_circle is not None:
         shared = by_circle @ by_circle.T
-        lengths, circle = lengths - shared, shared[places]
-    return StationCovariance(lengths[places], prior[places], felt, float(fit.dof), circle)
+        lengths, circle = lengths - shared, LowRank.whole(shared[places], 3)
+    return StationCovariance(
+        LowRank.whole(lengths[places], 3), LowRank.whole(prior[places], 3), felt, float(fit.dof),
+        circle,
+    )  # fmt: skip
+
+
+def _apart_covariance(network: Network, grid: Grid, dof: float) -> StationCovariance:
+    """Return that of stations which nothing but the targets ties, whose own unknowns they are."""
+    reduced, std = network.reduced, grid.target_std.ravel()
+    kept = reduced.covariance()
+    common = np.ascontiguousarray(reduced.transfer[:, network.layout.places].T)
+    felt = -(common @ (kept / std))
+    own, shared = reduced.inverse[:, :3, :3], (kept / std) @ (kept / std).T
+    return StationCovariance(
+        lengths=LowRank(own, common, kept - shared).quick(),
+        targets=LowRank(np.zeros_like(own), common, shared).quick(),
+        felt=felt.reshape(-1, *grid.targets.shape),
+        dof_effective=dof,
+    )
 
 
 def _datum(network: Network) -> tuple[Floats, Floats]:
@@ -255,7 +271,7 @@ def _rank(network: Network, grid: Grid) -> int:
     if missing:
         index = int(np.argmax(np.abs(reduced.scale * vectors[:, 0])))
         name, where, direction = _weakest(network, grid, reduced.scale * vectors[:, 0], index)
-        cure = f"{CURE}, or use the datum 'prior'" if grid.free else CURE
+        cure = f"{CURE}{or_prior(free=grid.free)}"
         raise ObservabilityError(
             f"the lengths leave {missing} more directions open than expected; the weakest "
             f"is {name} {where} along {name_direction(direction)}: {cure}"

@@ -24,6 +24,7 @@ from rotcal_ros.methods.tracer.adjustment import ranges
 from rotcal_ros.methods.tracer.circle_prior import circle_contrasts
 from rotcal_ros.methods.tracer.grid import Grid
 from rotcal_ros.methods.tracer.layout import Layout
+from rotcal_ros.methods.tracer.observability import or_prior
 from rotcal_ros.methods.tracer.schur import Reduced, eliminate, eliminate_from
 
 CONVERGED: Final = 1e-17
@@ -183,7 +184,7 @@ def relax(grid: Grid, state: Floats, targets: Floats) -> Network:
         before = squared
     raise DataError(
         f"stations and targets do not settle together in {MAX_ITERATIONS} iterations: the lengths "
-        "do not fit the targets; check the order of the targets, or use the datum 'prior'"
+        f"do not fit the targets; check the order of the targets{or_prior(free=grid.free)}"
     )
 
 

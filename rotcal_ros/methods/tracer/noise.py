@@ -28,8 +28,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_sf, normal_isf
 from rotcal_ros.arrays import Bools, Floats
-from rotcal_ros.methods.distributions import chi2_sf, normal_isf
 from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY, Adjuster, Adjustment
 from rotcal_ros.methods.tracer.grid import Grid
 

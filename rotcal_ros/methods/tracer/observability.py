@@ -7,13 +7,14 @@ first-order statement about the angle worthless.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.errors import DataError, GeometryError, ObservabilityError, RotcalError
 from rotcal_ros.methods.tracer.grid import Grid
 
 RANK_TOLERANCE: Final = 1e-12
@@ -23,6 +24,17 @@ MOST_NAMED: Final = 3
 CURE: Final = (
     "spread the targets in height and sideways, nearer to the tracer's height and to its sides"
 )
+HARDLY_MOVED_M: Final = 1e-3
+"""Radius of the stations below which targets are no cure."""
+NEVER_TURNED: Final = (
+    "the stations hardly move: does the table turn, and does the tracer stand on it, away from "
+    "its axis?"
+)
+
+
+def or_prior(*, free: bool) -> str:
+    """Return the advice to take the datum 'prior', for a network that does without: ``free``."""
+    return ", or use the datum 'prior'" if free else ""
 
 
 def check_counts(grid: Grid, dropped: Iterable[str] = ()) -> None:
@@ -91,14 +103,24 @@ def check_station_spread(
     ``stations`` (m, 3), ``blocks`` (m, 3, 3) their covariances in m^2.
     """
     j, std, direction = weakest_direction(blocks)
-    centred = stations - stations.mean(axis=0)
-    radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
-    if std > largest * radius:
+    radius, unturned = _radius(stations), hardly_moved(stations)
+    if std > largest * radius or unturned:
         raise ObservabilityError(
             f"station {position_ids[j]} is known to {std:.3g} m only along "
             f"{name_direction(direction)}, more than {largest:g} of the {radius:.3g} m radius of "
-            f"the stations: this geometry cannot tell the angle; {CURE}"
+            "the stations: this geometry cannot tell the angle; "
+            + (NEVER_TURNED if unturned else CURE)
         )
+
+
+def hardly_moved(stations: Floats) -> bool:
+    """Whether ``stations`` (m, 3) all stand at one place: the table never turned."""
+    return _radius(stations) < HARDLY_MOVED_M
+
+
+def _radius(stations: Floats) -> float:
+    """Return how far stations are from their middle, root mean square, m."""
+    return float(np.sqrt(((stations - stations.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def weakest_direction(blocks: Floats) -> tuple[int, float, Floats]:
@@ -122,3 +144,29 @@ def name_direction(direction: Floats) -> str:
     x, y, z = direction / length * np.sign(direction[np.argmax(np.abs(direction))])
     axis = "xyz"[int(np.argmax(np.abs(direction)))]
     return f"({x:.2f}, {y:.2f}, {z:.2f}), mostly {axis}"
+
+
+Solution = TypeVar("Solution")
+
+
+def told_of_a_turned_sign(
+    problem: Any, adjust: Callable[[Any], Solution], fits: Callable[[Solution], bool]
+) -> Solution:
+    """Return what ``adjust`` makes of a ``problem`` of lengths.
+
+    Raises what it raises, unless the lengths fit with the opposite sign: then a DataError that
+    says so, since no other cure would help.
+    """
+    try:
+        return adjust(problem)
+    except (DataError, GeometryError, ObservabilityError):
+        try:
+            turned = fits(adjust(replace(problem, length=-problem.length)))
+        except RotcalError:
+            turned = False
+        if turned:
+            raise DataError(
+                "the lengths shrink while the distance grows, with the opposite sign they fit: "
+                "turn their sign round (a reading grows with the distance from the tracer)"
+            ) from None
+        raise

@@ -72,7 +72,7 @@ class TracerProblem:
 
     ``start_stations`` (m, 3), optional: start values in metres; without them the start is
     found by linear multilateration. They also settle which of two mirror images is meant when
-    all targets lie in one plane.
+    all targets lie in one plane, and tell how the positions are numbered (:mod:`.numbering`).
 
     Lengths may be missing (a blocked beam): leave the row out. A pair (position, target) has one
     length in each segment, or each time it is measured ``again``; an identical repetition is

@@ -6,19 +6,23 @@ the deviations, and at which size a test would turn the verdict (:mod:`.response
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_isf
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.arrays import Floats
-from rotcal_ros.methods.distributions import chi2_isf
-from rotcal_ros.methods.tracer import disturbances
-from rotcal_ros.methods.tracer.angles import bearing_jacobian
-from rotcal_ros.methods.tracer.error_motion import circle_tested, error_motion_covariance
+from rotcal_ros.components import HALF_OF_95_PERCENT
+from rotcal_ros.methods.tracer import disturbances, gathering
+from rotcal_ros.methods.tracer.angles import bearing_slopes
+from rotcal_ros.methods.tracer.error_motion import circle_tested, error_motion_spread
 from rotcal_ros.methods.tracer.response import Worst, respond
 from rotcal_ros.methods.tracer.solution import TracerSolution
-from rotcal_ros.methods.tracer.verdict import FAILED_FACTORS
+from rotcal_ros.methods.tracer.verdict import FAILED_FACTORS, closures
 from rotcal_ros.protection import POWER, Effect, Protection, ordered
+from rotcal_ros.units import ARCSEC, MICROMETRE
 
 LARGEST_MOVE: Final = 1e-4
 """Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
@@ -53,6 +57,8 @@ def protections(solution: TracerSolution) -> tuple[Protection, ...]:
                 "own plane, whatever its radius and lean",
             ),
             *_slip(solution),
+            _tangential(solution, int(when.arrivals.min())),
+            *gathering.protection(solution.evidence.gathering, solution.angles.std),
         )
     )
 
@@ -103,8 +109,8 @@ def _slip(solution: TracerSolution) -> tuple[Protection, ...]:
     slips = solution.slips
     if slips is None:
         return ()
-    bearing = bearing_jacobian(solution.fit.stations, solution.motion)
-    moved = slips.size * slips.shifts.moved @ (bearing - bearing[0]).T
+    cumulative = bearing_slopes(solution.fit.stations, solution.motion).from_first
+    moved = slips.size * cumulative.times(slips.shifts.moved.T).T
     std = solution.angles.std
     share = np.abs(moved[:, std > 0.0]) / std[std > 0.0]
     return (slips.protection(share.max(axis=1, initial=0.0)),)
@@ -164,9 +170,10 @@ def _hidden_noise(solution: TracerSolution) -> Floats:
     ratio = chi2_isf(significance, dof) / np.maximum(chi2_isf(POWER, dof), 1e-30)
     extra = redundancy / information * (ratio - 1.0)
     felt = angles.std > 0.0
-    bearing = bearing_jacobian(solution.fit.stations, solution.motion)
-    bearing = (bearing - bearing[0])[felt]
-    by_axis = (np.tensordot(bearing, solution.covariance.felt, 1) ** 2).sum(axis=1)
+    cumulative = bearing_slopes(solution.fit.stations, solution.motion).from_first
+    of_targets = solution.covariance.felt
+    moved = cumulative.times(of_targets.reshape(len(of_targets), -1))[felt]
+    by_axis = (moved.reshape(-1, *of_targets.shape[1:]) ** 2).sum(axis=1)
     lengths = angles.budget["lengths"][felt] ** 2
     variance = np.column_stack([lengths, lengths, by_axis])
     shares = (variance / angles.std[felt, None] ** 2).max(axis=0) * evidence.present
@@ -179,8 +186,8 @@ def _error_motion(solution: TracerSolution) -> Protection:
         return Protection(
             "error motion",
             "estimated",
-            f"{motion.used:.2g} m from {motion.dof} residuals of the circle, the tangential part "
-            "taken as large as the radial one",
+            f"{motion.used:.2g} m from {motion.dof} residuals of the circle, which show its "
+            "radial part; the tangential part is taken to be as large",
         )
     return Protection(
         "error motion",
@@ -189,6 +196,68 @@ def _error_motion(solution: TracerSolution) -> Protection:
         "more; left unset, it would be estimated",
         _hidden_motion(solution),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Returned:
+    """How nearly the tracer came back to a place of its circle after whole turns of the table.
+
+    Table positions ``first`` and ``last`` stand at the same angle; along the circle their stations
+    lie apart by less than ``within`` (m), with 95 %.
+    """
+
+    first: int
+    last: int
+    within: float
+
+
+def returned(solution: TracerSolution) -> tuple[Returned, ...]:
+    """Return what each closing measurement bounds; empty where no angle comes twice."""
+    motion, angles, ids = solution.motion, solution.table_angles, solution.positions
+    covariance = solution.covariance.enlarged(solution.scale).total
+    if solution.slips is not None:
+        covariance = covariance + LowRank.whole(solution.slips.covariance(), 3)
+    # without the error motion: that is looked for
+    measured = bearing_slopes(solution.fit.stations, motion).spread(covariance)
+    gathered = solution.evidence.gathering.covariance()
+    if gathered is not None:
+        measured = measured + LowRank.whole(gathered)
+    return tuple(
+        Returned(c.first, c.last, motion.radius * (abs(c.error) + HALF_OF_95_PERCENT * c.std))
+        for c in closures(angles, motion.cumulative, measured, ids)
+    )
+
+
+def _tangential(solution: TracerSolution, turns: int) -> Protection:
+    """Return the statement about a tracer that moves along its circle between the angles.
+
+    All its lengths are those of a table that turned further: none can show it, and a closing
+    measurement bounds only what does not come back with the angle. Where every position is come
+    to in each of several ``turns``, a frame of the machine that drifts in step with them displaces
+    each station by the same each time: that is the same thing.
+    """
+    radius = solution.motion.radius
+    origin = ", or a machine whose origin drifts in step with each turn of the table,"
+    why = (
+        "a tracer that mount or cable shift along its circle between the angles"
+        f"{origin if turns > 1 else ''} leaves no trace "
+        f"in any length: 1 um of it is {MICROMETRE / radius / ARCSEC:.2f} arcsec; the uncertainty "
+        f"holds {solution.error_motion.used / MICROMETRE:.2g} um (k = 1), which is believed and "
+        "not measured"
+    )
+    closing = max(returned(solution), key=lambda each: each.within, default=None)
+    if closing is None:
+        bound = (
+            "no angle was measured again, which would bound what of it does not come back with "
+            "the angle"
+        )
+    else:
+        bound = (
+            f"what of it does not come back with the angle is less than "
+            f"{closing.within / MICROMETRE:.2g} um, {closing.within / radius / ARCSEC:.2g} arcsec "
+            f"(95 %, positions {closing.first} and {closing.last}, at the same angle)"
+        )
+    return Protection("tangential motion", "not protected", f"{why}; {bound}")
 
 
 def _tilt(solution: TracerSolution) -> Protection:
@@ -208,17 +277,16 @@ def _hidden_motion(solution: TracerSolution) -> float:
         solution.fit.stations, motion, solution.covariance.total, solution.error_motion.used,
         solution.grid.circle_std,
     )  # fmt: skip
-    dof = len(circle.seen)
+    dof = circle.residuals.dof
     if dof == 0:
         return float("inf")
     significance = solution.problem.settings.test_significance
     ratio = float(chi2_isf(significance, dof) / chi2_isf(POWER, dof))
-    noise = float(np.linalg.eigvalsh(circle.covariance).mean())
-    bearing = bearing_jacobian(solution.fit.stations, motion)
-    unit = bearing - bearing[0]
-    in_plane = error_motion_covariance(motion, 1.0)
-    felt = np.sqrt(np.einsum("ia,ia->i", unit @ in_plane, unit))[1:] / angles.std[1:]
-    return float(np.sqrt((ratio - 1.0) * noise) * felt.max())
+    bearing = bearing_slopes(solution.fit.stations, motion)
+    others = np.arange(1, len(angles.std))
+    unit = bearing.spread(error_motion_spread(motion, 1.0)).between(np.zeros_like(others), others)
+    felt = np.sqrt(unit) / angles.std[1:]
+    return float(np.sqrt((ratio - 1.0) * circle.residuals.variance) * felt.max())
 
 
 def _repeatability(solution: TracerSolution, arrivals: int) -> Protection:

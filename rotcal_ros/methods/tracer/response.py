@@ -13,18 +13,23 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_isf, normal_isf
 from rotcal_ros.arrays import Floats
-from rotcal_ros.methods.distributions import chi2_isf, normal_isf
 from rotcal_ros.methods.tracer.adjustment import ranges
-from rotcal_ros.methods.tracer.angles import bearing_jacobian
+from rotcal_ros.methods.tracer.angles import bearing_slopes
 from rotcal_ros.methods.tracer.error_motion import circle_tested
 from rotcal_ros.methods.tracer.gain import NetworkGain
-from rotcal_ros.methods.tracer.network import linearise
+from rotcal_ros.methods.tracer.length_view import view_of
+from rotcal_ros.methods.tracer.network import Network, linearise
 from rotcal_ros.methods.tracer.noise import LEAST_REDUNDANCY
+from rotcal_ros.methods.tracer.reported import Slope, excess_of
 from rotcal_ros.methods.tracer.solution import KNOWN, TracerSolution
 from rotcal_ros.protection import POWER
+from rotcal_ros.raw_data import MOST_INFLUENCES, Influence
 
 NOTHING: Final = 1e-150
+MOST_PATTERNS: Final = 4_000_000
+"""Lengths of all patterns together, 32 MB, up to which each length's influence is told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +74,8 @@ def respond(solution: TracerSolution, errors: Floats) -> Response:
     if solution.problem.variant == "station":
         moved = _by_station(solution, errors)
     motion, fit = solution.motion, solution.fit
-    bearing = bearing_jacobian(fit.stations, motion)
-    deviations = moved.reshape(len(moved), -1) @ (bearing - bearing[0]).T
+    cumulative = bearing_slopes(fit.stations, motion).from_first
+    deviations = cumulative.times(moved.reshape(len(moved), -1).T).T
     significance = solution.problem.settings.test_significance
     redundancy = solution.noise_evidence.redundancy
     by_part = np.array([redundancy[:2].sum(), *redundancy[2:]])
@@ -89,6 +94,26 @@ def respond(solution: TracerSolution, errors: Floats) -> Response:
     return Response(deviations, moved, np.sqrt(np.min(found, axis=0)))
 
 
+def influence_of(solution: TracerSolution) -> Influence | None:
+    """Return what standard errors of lengths and targets do to ECC; None where they are many."""
+    grid, fit, scale = solution.grid, solution.fit, solution.scale
+    strip, target = np.nonzero(grid.used)
+    k, m = len(strip), len(solution.positions)
+    if m * (k + fit.targets.size) > MOST_INFLUENCES or k * grid.used.size > MOST_PATTERNS:
+        return None
+    cumulative = bearing_slopes(fit.stations, solution.motion).from_first
+    if solution.problem.variant == "station":
+        moved = _gain(solution)[strip, target] * grid.length_std[strip, target][:, None]
+        lengths = (cumulative.dense().reshape(m, m, 3)[:, strip] * moved).sum(axis=2)
+    else:
+        felt = view_of(_network(solution), cumulative).felt(strip, target)
+        lengths = felt.weighted(1.0 / grid.length_std[strip, target]).dense()
+    lengths = scale * lengths
+    targets = scale * cumulative.times(solution.covariance.felt.reshape(3 * m, -1))
+    causes = tuple(f"target {i} {axis}" for i in grid.target_ids.tolist() for axis in "xyz")
+    return Influence(grid.row[strip, target], 1, {"ECC": np.hstack([lengths, targets])}, causes)
+
+
 def _needed(dof: float, significance: float) -> float:
     """Return the noncentrality of chi-squared that is found with POWER.
 
@@ -104,14 +129,18 @@ def _needed(dof: float, significance: float) -> float:
 
 def _by_station(solution: TracerSolution, errors: Floats) -> Floats:
     """Return moves (k, m, 3) of stations that are solved one by one."""
+    return np.asarray(np.einsum("kji,jia->kja", errors, _gain(solution)), dtype=np.float64)
+
+
+def _gain(solution: TracerSolution) -> Floats:
+    """Return the move (m, n, 3) of each station that is solved by itself per error of a length."""
     grid, fit = solution.grid, solution.fit
     weights = grid.used / fit.std**2
     _, unit = ranges(fit.stations, fit.targets)
     rows = np.concatenate([unit, -np.ones((*weights.shape, 1))], axis=2)
-    normal = rows.swapaxes(1, 2) @ (rows * weights[:, :, None])
-    pull = np.einsum("kji,jia->kja", errors * weights, rows)
-    moved = np.einsum("jab,kjb->kja", np.linalg.inv(normal), pull)[:, :, :3]
-    return np.asarray(moved, dtype=np.float64)
+    weighted = rows * weights[:, :, None]
+    gain = weighted @ np.linalg.inv(rows.swapaxes(1, 2) @ weighted)
+    return np.asarray(gain[:, :, :3], dtype=np.float64)
 
 
 def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Floats]:
@@ -119,9 +148,18 @@ def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Float
 
     To those of the lengths and of the targets' x, y and z: both variants are tested as a network.
     """
-    std = np.maximum(solution.grid.target_std, KNOWN)
-    grid, fit = replace(solution.grid, target_std=std), solution.fit
-    network = fit.network or linearise(grid, fit.state, fit.targets)
+    network, x, y, left = _left(solution, errors)
+    unexplained = np.zeros((len(errors), 4))
+    unexplained[:, 0] = (network.weights * left**2).sum(axis=(1, 2))
+    if not solution.grid.free:
+        std = np.maximum(solution.grid.target_std, KNOWN)
+        unexplained[:, 1:] = ((y / std) ** 2).sum(axis=1)
+    return x[:, solution.grid.first_strip, :3], unexplained
+
+
+def _left(solution: TracerSolution, errors: Floats) -> tuple[Network, Floats, Floats, Floats]:
+    """Return the network, the moves (k, p, 4), (k, n, 3) by errors (k, p, n), and what is left."""
+    network = _network(solution)
     gain = NetworkGain.of(network)
     rows = network.rows
     seen = np.ascontiguousarray(rows[:, :, :3].swapaxes(0, 1))  # (n, m, 3)
@@ -130,11 +168,29 @@ def _as_network(solution: TracerSolution, errors: Floats) -> tuple[Floats, Float
     x, y = gain.step((pull.swapaxes(0, 1) @ rows).swapaxes(0, 1), -by_target)
     taken = (rows @ x.transpose(1, 2, 0)).transpose(2, 0, 1)
     taken -= (seen @ y.transpose(1, 2, 0)).transpose(2, 1, 0)
-    unexplained = np.zeros((len(errors), 4))
-    unexplained[:, 0] = (network.weights * (errors - taken) ** 2).sum(axis=(1, 2))
-    if not grid.free:
-        unexplained[:, 1:] = ((y / std) ** 2).sum(axis=1)
-    return x[:, grid.first_strip, :3], unexplained
+    return network, x, y, errors - taken
+
+
+def _network(solution: TracerSolution) -> Network:
+    """Return the network at a solution, of whichever variant; targets are never quite known."""
+    grid, fit = solution.grid, solution.fit
+    if fit.network is not None:
+        return fit.network
+    known = replace(grid, target_std=np.maximum(grid.target_std, KNOWN))
+    return linearise(known, fit.state, fit.targets)
+
+
+def slope_along(solution: TracerSolution, errors: Floats) -> Slope:
+    """Return what the residuals of a solution say of ``errors`` (k,), m, row by row."""
+    grid, fit = solution.grid, solution.fit
+    column = np.where(grid.row >= 0, errors[grid.row], 0.0)
+    _, unexplained = _as_network(solution, column[None])
+    network, _, _, left = _left(solution, column[None])
+    # at its minimum a network has taken up what it can of its residuals; lone stations have not
+    felt = column if solution.problem.variant == "joint" else left[0]
+    score = float((network.weights * felt * fit.residual).sum())
+    excess = excess_of(solution.noise, solution.problem.settings.test_significance)
+    return Slope(score, float(unexplained.sum()), fit.chi2, fit.dof, excess)
 
 
 def _off_circle(solution: TracerSolution, moved: Floats) -> tuple[int, Floats]:
@@ -143,6 +199,7 @@ def _off_circle(solution: TracerSolution, moved: Floats) -> tuple[int, Floats]:
         solution.fit.stations, solution.motion, solution.covariance.total,
         solution.error_motion.used, solution.grid.circle_std,
     )  # fmt: skip
-    seen = circle.moved(moved)
-    chi2 = (seen * np.linalg.solve(circle.covariance, seen.T).T).sum(axis=1) + NOTHING
-    return len(circle.seen), np.asarray(chi2)
+    dof = circle.residuals.dof
+    if dof == 0:
+        return 0, np.full(len(moved), NOTHING)
+    return dof, circle.residuals.squares(circle.moved(moved)) + NOTHING

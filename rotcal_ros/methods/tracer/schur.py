@@ -21,7 +21,7 @@ from rotcal_ros.errors import ObservabilityError
 
 _UNDETERMINED: Final = (
     "the lengths do not determine stations and targets together: the normal matrix is singular; "
-    "measure more targets from more stations, or use the datum 'prior'"
+    "measure more targets from more stations"
 )
 
 

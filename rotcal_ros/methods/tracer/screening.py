@@ -15,6 +15,10 @@ lengths keep their residual against the final solution, and are flagged.
 Where the machine's coordinates are observations too, they are tested by the same rule: a target
 whose correction stands out more than any of its lengths loses all of them.
 
+Before single lengths are judged, groups are (:mod:`.gathering`): where it is proved that some of a
+station's lengths are off together, that subset is left out which explains them best, and then the
+rest is judged. A length that is the largest of its station is often a good one there.
+
 A network is preceded by a coarse round of the same rule, station by station: a free
 network is too limber to be bent by gross errors and still converge.
 
@@ -26,14 +30,18 @@ takes its target's error out of what is common; see :func:`without_targets`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.gathering import Gathering, judged
+from rotcal_ros.adjust.groups import Group, Undivided
 from rotcal_ros.arrays import Bools, Floats
-from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.adjustment import Adjuster, Adjustment
+from rotcal_ros.methods.tracer.gathering import left_out
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM, Grid
 from rotcal_ros.methods.tracer.noise import (
     LEAST_FACTOR,
@@ -48,6 +56,8 @@ from rotcal_ros.methods.tracer.settings import TracerLimits
 
 GROSS: Final = 5.0
 """Margin of the coarse round over the fine one."""
+HARDLY_CHECKED: Final = 0.01
+"""Redundancy of a length below which its residual, next to none, tells nothing of its error."""
 NORMAL_QUARTILE: Final = 0.6745
 """Median of |x| for a standard normal x."""
 
@@ -70,13 +80,14 @@ def rejection_limit(grid: Grid, significance: float) -> float:
 class Screened:
     """A grid without outliers, as stated; its noise, and the adjustment with that noise.
 
-    ``why`` says by row of the problem why a length was rejected.
+    ``why`` says by row of the problem why a length was rejected, ``gathering`` what gathers.
     """
 
     grid: Grid
     noise: Noise
     fit: Adjustment
     why: dict[int, str]
+    gathering: Gathering = field(default_factory=Gathering)
 
     @property
     def evidence(self) -> NoiseEvidence:
@@ -84,24 +95,39 @@ class Screened:
         return noise_evidence(scaled(self.grid, self.noise.factors), self.fit)
 
 
+Grouping = Callable[[Grid, Adjustment], tuple[Group | Undivided, ...]]
+"""What makes the groups of a network at its solution."""
+
+
 def adjust_and_screen(
-    adjust: Adjuster, grid: Grid, start: Floats, limits: TracerLimits
+    adjust: Adjuster,
+    grid: Grid,
+    start: Floats,
+    limits: TracerLimits,
+    grouping: Grouping | None = None,
 ) -> Screened:
     """Adjust ``grid`` from ``start`` (m, 4) until noise and residuals fit, and none stands out."""
     limit = rejection_limit(grid, limits.rejection_significance)
     why: dict[int, str] = {}
     stated, noise, bent = adjust(grid, start), as_stated(grid), True
+    gathering = Gathering()
     while True:
         noise, fit = _settled(adjust, grid, stated, noise, limits.noise_significance, bent)
-        rejected = _outliers(grid, fit, limit)
+        rejected, reasons = _outliers(grid, fit, limit), None
+        if grouping is not None and (rejected.any() or not bent):
+            here = scaled(grid, noise.factors)
+            rest = (fit.chi2, float(fit.dof)) if noise.estimated else None
+            gathering = judged(gathering, grouping(here, fit), rest)
+            if (found := left_out(gathering, grid, limits)) is not None:
+                gathering, rejected, reasons = found
         if rejected.any():
-            why |= _reasons(grid, fit, rejected, limit)
+            why |= reasons or _reasons(grid, fit, rejected, limit)
             grid = replace(grid, used=grid.used & ~rejected)
             stated = adjust(grid, fit.state)
         elif bent:
             bent = False
         else:
-            return Screened(grid, noise, fit, why)
+            return Screened(grid, noise, fit, why, gathering)
 
 
 def _settled(
@@ -163,13 +189,18 @@ def reject_gross(
     """Return ``grid`` without gross errors, and why those were rejected, by row.
 
     ``adjust`` works station by station. What targets and lengths usually miss there is read off
-    the median residual; a length is gross when it misses by GROSS times as much as the rule
-    of :func:`adjust_and_screen` would allow. Repeated while it finds something.
+    the median residual of those that others check; a length is gross when it misses by GROSS
+    times as much as the rule of :func:`adjust_and_screen` would allow. Repeated while it finds
+    something.
     """
     why: dict[int, str] = {}
     while True:
-        residual = np.abs(adjust(grid, start).residual[grid.used])
-        usual = GROSS * max(float(np.median(residual)) / NORMAL_QUARTILE, 1e-9)
+        fit = adjust(grid, start)
+        checked = grid.used & (fit.redundancy > HARDLY_CHECKED)
+        if not checked.any():
+            return grid, why
+        miss = np.abs(fit.residual[checked]) / np.sqrt(fit.redundancy[checked])
+        usual = GROSS * max(float(np.median(miss)) / NORMAL_QUARTILE, 1e-9)
         coarse = replace(grid, target_std=np.full_like(grid.target_std, usual))
         coarse, found = reject(adjust, coarse, start, significance)
         if not found:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.arrays import Floats
-from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.network import linearise
 from rotcal_ros.methods.tracer.solution import TracerSolution
 

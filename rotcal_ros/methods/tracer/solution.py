@@ -7,6 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.groups import Group, Undivided
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.errors import DataError, RotcalError
 from rotcal_ros.methods.tracer import joint, station
@@ -24,14 +26,21 @@ from rotcal_ros.methods.tracer.error_motion import (
     error_motion_of,
     likely_circle,
 )
+from rotcal_ros.methods.tracer.gathering import groups_of
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid, arrange
 from rotcal_ros.methods.tracer.jumps import Jump, find_jump, split
 from rotcal_ros.methods.tracer.noise import Noise, NoiseEvidence, scaled
-from rotcal_ros.methods.tracer.observability import check_counts, check_station_spread
+from rotcal_ros.methods.tracer.observability import (
+    check_counts,
+    check_station_spread,
+    hardly_moved,
+    told_of_a_turned_sign,
+)
 from rotcal_ros.methods.tracer.problem import TracerProblem
 from rotcal_ros.methods.tracer.screening import (
     GROSS,
     NORMAL_QUARTILE,
+    Grouping,
     Screened,
     adjust_and_screen,
     reject_gross,
@@ -50,6 +59,7 @@ from rotcal_ros.methods.tracer.uncertainty import (
 )
 from rotcal_ros.methods.tracer.verdict import Evidence, closures, judge
 from rotcal_ros.methods.tracer.zero_walk import likely_walk, wandering
+from rotcal_ros.units import DEGREE
 
 LOST: Final = 0.1
 """Deviation (rad) beyond which the stations are not those of the commanded angles."""
@@ -121,6 +131,10 @@ def adjust(problem: TracerProblem) -> TracerSolution:
     A stated circle is believed while nothing is odd. Else the lengths are asked without it: where
     the stations that they find contradict it, what they leave of it takes its place.
     """
+    return told_of_a_turned_sign(problem, _with_circle, lambda found: not _doubtful(found))
+
+
+def _with_circle(problem: TracerProblem) -> TracerSolution:
     solution = _adjusted(problem)
     stated = problem.circle_std
     if stated is None or not _doubtful(solution):
@@ -147,7 +161,7 @@ def _statement(circle: CircleTest, stated: float, used: float) -> CircleStatemen
     """Return what the ``circle`` says of its statement."""
     test = circle_test(circle)
     return CircleStatement(
-        stated, used, circle.redundancy, len(circle.seen), test.sigma0, test.probability
+        stated, used, circle.redundancy, circle.residuals.dof, test.sigma0, test.probability
     )
 
 
@@ -180,7 +194,8 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
     if shifts is not None:
         slips = slips_among(shifts, problem.slip, problem.settings.rejection_significance, scale)
     unseen = None if slips is None else slips.covariance()
-    angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale, unseen)
+    gathered = screened.gathering.covariance()
+    angles = angle_uncertainty(motion, fit, covariance, error_motion.used, scale, unseen, gathered)
     evidence = Evidence(
         lengths=_stated_test(problem, screened, placed, unexplained),
         noise=screened.noise,
@@ -191,7 +206,9 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
         radial_rms=float(np.sqrt(np.mean(motion.radial**2))),
         closures=()
         if problem.repeated_runs
-        else closures(commanded, motion.cumulative, angles.covariance, grid.position_ids),
+        else closures(
+            commanded, motion.cumulative, LowRank.whole(angles.covariance), grid.position_ids
+        ),
         n_lengths=len(problem.length) - len(absent.repeated) - len(absent.spare),
         n_rejected=len(absent.unfit) + len(screened.why),
         missing=_missing_positions(problem, grid),
@@ -201,6 +218,7 @@ def _adjusted(problem: TracerProblem, wider: CircleStatement | None = None) -> T
         jumps=jumps,
         fringe=problem.slip,
         scatter=_scatter(screened, fit),
+        gathering=screened.gathering,
     )
     rejected = absent.repeated | absent.unfit | screened.why | placed.with_them
     return TracerSolution(
@@ -245,15 +263,27 @@ def _screened(problem: TracerProblem, grid: Grid, start: Floats) -> Screened:
     limits = problem.settings
     as_network = problem.variant == "joint" or bool(grid.target_std.any())
     if not as_network:
-        return adjust_and_screen(station.adjust_stations, grid, start, limits)
+        return adjust_and_screen(station.adjust_stations, grid, start, limits, _grouping(problem))
     coarse, gross = reject_gross(
         station.adjust_stations, grid, start, limits.rejection_significance
     )
     if problem.variant == "station":
         coarse = replace(coarse, target_std=np.maximum(coarse.target_std, KNOWN))
-    screened = adjust_and_screen(joint.adjust_network, coarse, start, limits)
+    screened = adjust_and_screen(joint.adjust_network, coarse, start, limits, _grouping(problem))
     kept = replace(screened.grid, target_std=grid.target_std)
     return replace(screened, grid=kept, why=screened.why | gross)
+
+
+def _grouping(problem: TracerProblem) -> Grouping:
+    """Return what makes the groups of this ``problem``."""
+
+    def grouping(grid: Grid, fit: Adjustment) -> tuple[Group | Undivided, ...]:
+        if hardly_moved(fit.stations):
+            return ()  # refused in words as soon as the lengths are settled
+        commanded = problem.table_angles[grid.position_ids]
+        return groups_of(grid, fit, commanded, problem.measuring_order)
+
+    return grouping
 
 
 def _screened_together(
@@ -291,7 +321,9 @@ def _screened_together(
         if std:
             coarse, source = wandering(coarse, order, std)
             begin = with_zeros(coarse, start[source, :3])
-        screened = adjust_and_screen(joint.adjust_network, coarse, begin, limits)
+        screened = adjust_and_screen(
+            joint.adjust_network, coarse, begin, limits, _grouping(problem)
+        )
         if not broken(scaled(screened.grid, screened.noise.factors), screened.fit, 1.0):
             return replace(screened, why=screened.why | gross), tuple(jumps), shifts
 
@@ -370,10 +402,13 @@ def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid:
     cure = "check the order of the stations and the unit of the table angles (radians)"
     if np.abs(backward.cumulative).max() < LOST:
         cure = (
-            "they follow the angles with the opposite sign: this table counts clockwise about +z, "
-            "so negate the table angles"
+            "they follow the angles with the opposite sign. Which way does the table turn, seen "
+            "from +z, while its angle counts up? Clockwise: negate the table angles. "
+            "Counter-clockwise: the frame of the targets is left-handed (an axis turned round, or "
+            "two exchanged), which lengths alone cannot tell"
         )
+    off, order = motion.cumulative[worst] / DEGREE, commanded[worst] / DEGREE
     raise DataError(
-        f"station {grid.position_ids[worst]} stands {motion.cumulative[worst]:.3f} rad from its "
-        f"commanded angle of {commanded[worst]:.3f} rad: {cure}"
+        f"station {grid.position_ids[worst]} stands at {(order + off) % 360.0:.4f} degrees where "
+        f"{order:.4f} were commanded, {off:+.4f} degrees off: {cure}"
     )

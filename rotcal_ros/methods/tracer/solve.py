@@ -9,14 +9,19 @@ import numpy as np
 
 from rotcal_ros.components import HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer.angles import algorithm_error, scatter
+from rotcal_ros.methods.tracer.gathering import details as gathering_details
+from rotcal_ros.methods.tracer.numbering import Numbering, turned_by
 from rotcal_ros.methods.tracer.observability import weakest_direction
 from rotcal_ros.methods.tracer.problem import TracerProblem
-from rotcal_ros.methods.tracer.protections import protections
+from rotcal_ros.methods.tracer.protections import protections, returned
+from rotcal_ros.methods.tracer.response import influence_of
 from rotcal_ros.methods.tracer.screening import rejection_limit
 from rotcal_ros.methods.tracer.segments import segment_report
 from rotcal_ros.methods.tracer.solution import TracerSolution, adjust
 from rotcal_ros.methods.tracer.verdict import judge
-from rotcal_ros.results import Rejection, Residuals, Result
+from rotcal_ros.protection import ordered
+from rotcal_ros.raw_data import RawData
+from rotcal_ros.results import Rejection, Residuals, Result, Zeros
 
 METHOD = "tracer_multistation"
 
@@ -42,7 +47,8 @@ def solve(problem: TracerProblem) -> Result:
 def result_of(solution: TracerSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
     problem, motion, angles = solution.problem, solution.motion, solution.angles
-    verdict, warnings = judge(solution.evidence, problem.settings)
+    numbering = _numbering(solution)
+    verdict, warnings = numbering.judged(*judge(solution.evidence, problem.settings))
     return Result(
         method=METHOD,
         angles=solution.table_angles,
@@ -59,8 +65,17 @@ def result_of(solution: TracerSolution) -> Result:
         adjacent_std=angles.adjacent_std,
         residuals=_residuals(solution),
         details=_details(solution),
-        protections=protections(solution),
+        protections=ordered((*protections(solution), numbering.protection())),
+        raw_data=RawData(influence=influence_of(solution)),
+        zeros=Zeros("first angle"),
     )
+
+
+def _numbering(solution: TracerSolution) -> Numbering:
+    """Return how the stations stand to the start values that a plan or a person has stated."""
+    stated, stations = solution.problem.start_stations, solution.fit.stations
+    bearing = None if stated is None else turned_by(stations, stated[solution.positions])
+    return Numbering.of("plan.tracer_m", solution.table_angles, solution.motion.radius, bearing)
 
 
 def _residuals(solution: TracerSolution) -> Residuals:
@@ -98,7 +113,8 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
     ``distances``: range at reading zero. ``radial``, ``axial``: distances of the stations from
     circle and plane. ``budget``: shares of the cumulative standard deviation by source, which add
     in squares. ``algorithm_error``: Eq. 36
-    at the commanded steps, ``scatter``: Eq. 34.
+    at the commanded steps, ``scatter``: Eq. 34. ``returned``: positions at the same angle, and by
+    less than what (m, 95 %) their stations lie apart along the circle.
     """
     problem, motion = solution.problem, solution.motion
     return {
@@ -119,6 +135,7 @@ def _details(solution: TracerSolution) -> dict[str, Any]:
         **_circle(solution),
         **_zeros(solution),
         "closure": [asdict(closure) for closure in solution.evidence.closures],
+        "returned": [asdict(closing) for closing in returned(solution)],
     }
 
 
@@ -158,6 +175,7 @@ def _tests(solution: TracerSolution) -> dict[str, Any]:
         "circle_test": asdict(evidence.circle),
         "redundancy_per_station": redundancy,
         "sigma0_per_station": np.sqrt(squared / np.maximum(redundancy, 1e-9)),
+        "gathering": gathering_details(evidence.gathering),
         "rejection_limit": rejection_limit(grid, solution.problem.settings.rejection_significance),
     }
 

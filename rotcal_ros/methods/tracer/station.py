@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.arrays import Bools, Floats
 from rotcal_ros.errors import DataError
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance, ranges
@@ -224,15 +225,12 @@ def stations_covariance(grid: Grid, fit: Adjustment) -> StationCovariance:
     weighted = design * weights[:, :, None]
     inverse = np.linalg.inv(design.swapaxes(1, 2) @ weighted)
     gain = (weighted @ inverse)[:, :, :3]  # (m, n, 3): d station / d length
-    own = np.zeros((m, 3, m, 3))
-    own[np.arange(m), :, np.arange(m)] = gain.swapaxes(1, 2) @ (
-        gain * (grid.length_std**2)[:, :, None]
-    )
+    own = gain.swapaxes(1, 2) @ (gain * (grid.length_std**2)[:, :, None])
     felt = unit * grid.target_std  # (m, n, 3): what a standard target error does to a length
     common = np.einsum("jia,jic->jaic", gain, felt).reshape(3 * m, -1)
     return StationCovariance(
-        lengths=own.reshape(3 * m, 3 * m),
-        targets=common @ common.T,
+        lengths=LowRank.of_blocks(own),
+        targets=LowRank(np.zeros_like(own), common, np.eye(common.shape[1])).quick(),
         felt=common.reshape(3 * m, -1, 3),
         dof_effective=_effective_dof(
             design * np.sqrt(weights)[:, :, None], felt * np.sqrt(weights)[:, :, None], fit.dof
@@ -260,7 +258,7 @@ def _effective_dof(whitened: Floats, felt: Floats, dof: int) -> float:
     total -= float((squares**2 * (1.0 - 2.0 * leverage)).sum())
     columns = basis.swapaxes(1, 2)[:, :, :, None] * felt[:, :, None, :]  # (m, n, 4, 3)
     columns = columns.transpose(0, 2, 1, 3).reshape(4 * m, -1)
-    overlap = (columns @ columns.T).reshape(m, 4, m, 4)
-    overlap[np.arange(m), :, np.arange(m)] = 0.0
-    total += float((overlap**2).sum())
+    by_station = columns.reshape(m, 4, -1)
+    total += float(((columns.T @ columns) ** 2).sum())  # of all pairs of stations
+    total -= float(((by_station @ by_station.swapaxes(1, 2)) ** 2).sum())
     return dof**2 / (dof + total)

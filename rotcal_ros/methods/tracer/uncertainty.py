@@ -15,11 +15,12 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.arrays import Floats
-from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer.adjustment import Adjustment, StationCovariance
-from rotcal_ros.methods.tracer.angles import TableMotion, bearing_jacobian
-from rotcal_ros.methods.tracer.error_motion import CircleTest, error_motion_covariance
+from rotcal_ros.methods.tracer.angles import TableMotion, bearing_slopes
+from rotcal_ros.methods.tracer.error_motion import CircleTest, error_motion_spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,30 +72,41 @@ def angle_uncertainty(
     error_motion_std: float,
     scale: float,
     slips: Floats | None = None,
+    gathered: Floats | None = None,
 ) -> AngleUncertainty:
     """Propagate the stations' covariance times ``scale``^2 and the error motion to the angles.
 
-    ``slips`` (3 m, 3 m): what unseen slips add to that of the stations, m^2.
+    ``slips`` (3 m, 3 m): what unseen slips add to that of the stations, m^2. ``gathered`` (m, m):
+    what disturbances that gather in one place add to that of the cumulative angles, rad^2.
     """
-    bearing = bearing_jacobian(fit.stations, motion)
-    cumulative, adjacent = bearing - bearing[0], np.diff(bearing, axis=0)
+    bearing, own = bearing_slopes(fit.stations, motion), covariance.enlarged(scale)
     sources = {
-        "lengths": scale**2 * covariance.lengths,
-        "targets": scale**2 * covariance.targets,
-        "error_motion": error_motion_covariance(motion, error_motion_std),
+        "lengths": own.lengths,
+        "targets": own.targets,
+        "error_motion": error_motion_spread(motion, error_motion_std),
     }
-    if covariance.circle is not None:
-        sources["circle"] = scale**2 * covariance.circle
+    if own.circle is not None:
+        sources["circle"] = own.circle
     if slips is not None:
-        sources["slips"] = slips
-    total = sum(sources.values(), np.zeros_like(covariance.lengths))
-    joint = cumulative @ total @ cumulative.T
-    joint = 0.5 * (joint + joint.T)
+        sources["slips"] = LowRank.whole(slips, 3)
+    spread = bearing.spread(sum(list(sources.values())[1:], own.lengths))
+    every = np.arange(len(fit.stations))
+    first = np.zeros_like(every)
+    budget = {
+        name: _root(bearing.spread(part).between(first, every)) for name, part in sources.items()
+    }
+    joint = spread.from_first()
+    of_steps = _root(spread.between(every[:-1], every[1:]))
+    if gathered is not None:
+        joint += 0.5 * (gathered + gathered.T)
+        steps = LowRank.whole(gathered).between(every[:-1], every[1:])
+        of_steps = np.hypot(of_steps, _root(steps))
+        budget["gathered"] = _root(gathered.diagonal())
     return AngleUncertainty(
         covariance=joint,
         std=np.sqrt(joint.diagonal()),
-        adjacent_std=_root_of_diagonal(adjacent, total),
-        budget={name: _root_of_diagonal(cumulative, part) for name, part in sources.items()},
+        adjacent_std=of_steps,
+        budget=budget,
     )
 
 
@@ -114,13 +126,12 @@ def circle_test(circle: CircleTest) -> GlobalTest:
     the angle cannot be told from. A stated circle has twice as many, the axial ones, or fewer
     where the lengths do not tell them.
     """
-    chi2 = float(circle.seen @ np.linalg.solve(circle.covariance, circle.seen))
-    dof = len(circle.seen)
+    dof = circle.residuals.dof
     if dof == 0:
         return UNTESTED
+    chi2 = float(circle.residuals.squares(circle.residuals.seen[None])[0])
     return GlobalTest(float(np.sqrt(chi2 / dof)), chi2_sf(chi2, dof))
 
 
-def _root_of_diagonal(jacobian: Floats, covariance: Floats) -> Floats:
-    variance = np.einsum("ia,ia->i", jacobian @ covariance, jacobian)
+def _root(variance: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)), dtype=np.float64)

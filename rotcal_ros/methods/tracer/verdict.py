@@ -3,10 +3,12 @@
 suspect
     a component of the noise is larger than stated (:mod:`.noise`; the estimate is used), or the
     chi-squared test of the lengths fails all the same (the covariance is then enlarged by
-    sigma0^2); more than ``max_rejected_share`` of the lengths were rejected; a closure is larger
-    than its uncertainty allows; the stations leave the circle by more than the stated error
-    motion (the estimate of :mod:`.error_motion` is used) or by more than the stated circle
-    allows (what they leave of it is used); a zero jumps within a segment of
+    sigma0^2); more than ``max_rejected_share`` of the lengths were rejected; some lengths of one
+    station or stretch of time are off together, or look like it; a station, target or stretch lost
+    more lengths than chance explains, or has too large a chi-squared (:mod:`.gathering`); a
+    closure is larger than its uncertainty allows; the stations leave the circle by more than the
+    stated error motion (the estimate of :mod:`.error_motion` is used) or by more than the stated
+    circle allows (what they leave of it is used); a zero jumps within a segment of
     unbroken beam (:mod:`.jumps`; it is split); or a position of the plan is missing.
 failed
     the lengths scatter more than 10 times or the targets more than 30 times as stated (the model
@@ -15,20 +17,24 @@ failed
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.gathering import Gathering
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.arrays import Bools, Floats, Ints
-from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.error_motion import ErrorMotion
+from rotcal_ros.methods.tracer.gathering import doubts as doubt_gathering
 from rotcal_ros.methods.tracer.grid import FREE_TARGET_MINIMUM
 from rotcal_ros.methods.tracer.jumps import Jump
 from rotcal_ros.methods.tracer.noise import Noise
 from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.methods.tracer.uncertainty import CircleStatement, GlobalTest
 from rotcal_ros.results import Verdict
+from rotcal_ros.units import ARCSEC
 
 FAILED_FACTORS: Final = np.array([10.0, 10.0, 30.0, 30.0, 30.0])
 """Times the stated noise of each component of :mod:`.noise`."""
@@ -66,12 +72,13 @@ class Closure:
 def closures(
     angles: Floats,
     cumulative: Floats,
-    covariance: Floats,
+    covariance: LowRank,
     position_ids: Ints,
     upward: Bools | None = None,
 ) -> tuple[Closure, ...]:
     """Return the closures of ``angles`` (m,): later positions against the first at their angle.
 
+    ``covariance`` (m, m): of the angles, rad^2.
     ``upward`` (m,): from which side the table came; what differs between the sides is a reversal.
     """
     found = []
@@ -83,8 +90,7 @@ def closures(
         same = np.flatnonzero(meets)
         if len(same):
             first = int(same[0])
-            pair = np.ix_([first, last], [first, last])
-            variance = float(np.array([-1.0, 1.0]) @ covariance[pair] @ np.array([-1.0, 1.0]))
+            variance = float(covariance.between(np.array([first]), np.array([last]))[0])
             found.append(
                 Closure(
                     first=int(position_ids[first]),
@@ -123,12 +129,14 @@ class Evidence:
     circle_statement: CircleStatement | None = None
     fringe: float = 0.0
     scatter: float = 1.0
+    gathering: Gathering = field(default_factory=Gathering)
 
 
 def judge(evidence: Evidence, settings: TracerLimits) -> tuple[Verdict, tuple[str, ...]]:
     """Return the verdict and its warnings by the rules in this module's docstring."""
     doubts = [
         *_doubt_lengths(evidence, settings),
+        *doubt_gathering(evidence.gathering, settings),
         *_doubt_stations(evidence, settings),
     ]
     share = evidence.n_rejected / evidence.n_lengths
@@ -203,8 +211,8 @@ def _doubt_stations(evidence: Evidence, settings: TracerLimits) -> list[str]:
     ]
     doubts += [
         f"stations {c.first} and {c.last} stand at the same table angle but differ by "
-        f"{c.error:.3g} rad, expected 0 with a standard deviation of {c.std:.3g} rad: something "
-        "moved or drifted during the run"
+        f"{c.error / ARCSEC:.3g} arcsec, expected 0 with a standard deviation of "
+        f"{c.std / ARCSEC:.3g} arcsec: something moved or drifted during the run"
         for c in evidence.closures
         if abs(c.error) > limit * c.std
     ]

@@ -23,8 +23,9 @@ from typing import Final, Literal
 import numpy as np
 from scipy.special import chdtrc
 
+from rotcal_ros.adjust.distributions import chi2_isf, noncentrality
 from rotcal_ros.arrays import Floats, Ints
-from rotcal_ros.methods.distributions import chi2_isf, noncentrality
+from rotcal_ros.components import HALF_OF_95_PERCENT
 from rotcal_ros.methods.tracer_six.layout import Layout
 from rotcal_ros.methods.tracer_six.patterns import felt
 from rotcal_ros.methods.tracer_six.posterior import full_covariance, pulled
@@ -87,6 +88,26 @@ class Moves:
     def test(self, kind: Kind) -> Move | None:
         """Return the test of a kind of move, None where the measurement has none."""
         return next((test for test in self.tests if test.kind == kind), None)
+
+    def returned(self) -> float | None:
+        """Return within how many m the tracer came back along its circle, 95 %; None: untested.
+
+        At angles measured again in the same run, whatever it is that all places have in common.
+        """
+        first, later = _pairs(self.rig.layout)
+        if not len(later):
+            return None
+        along = tangents(self.rig)
+        moved = np.zeros_like(along)
+        for stations, sign in ((later, 0.5), (first, -0.5)):
+            moved[stations] += sign * along[stations]
+        shown = moved.ravel() @ self.contrasts.root
+        size = float(shown @ shown)
+        spread = np.eye(len(shown)) + np.tensordot(
+            self.scatter.weights @ self.scatter.variances, self.contrasts.spread, 1
+        )
+        std = float(np.sqrt(shown @ spread @ shown)) / size
+        return abs(float(shown @ self.contrasts.value)) / size + HALF_OF_95_PERCENT * std
 
     def found_at(self, patterns: Floats, significance: float) -> Floats:
         """Return the sizes (k,) of ``patterns`` (k, V, n), m, that a test finds with POWER."""
@@ -151,6 +172,13 @@ def moves(
     return Moves(
         rig, found, scatter, tuple(_test(found, scatter, *candidate) for candidate in candidates)
     )
+
+
+def tangents(rig: Rig) -> Floats:
+    """Return the directions (V, 3) along which a turn of the table moves each station."""
+    arms = rig.state.arms(rig.layout)
+    across = np.column_stack([-arms[:, 1], arms[:, 0], np.zeros(len(arms))])
+    return np.asarray(across / np.linalg.norm(across, axis=1, keepdims=True), dtype=np.float64)
 
 
 def _best(found: Contrasts, shifts: Floats) -> int:

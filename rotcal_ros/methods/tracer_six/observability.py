@@ -7,7 +7,9 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.components import unit_of
 from rotcal_ros.errors import ObservabilityError
+from rotcal_ros.methods.tracer.observability import or_prior
 from rotcal_ros.methods.tracer_six.posterior import CurvePosterior
 from rotcal_ros.methods.tracer_six.rig import Rig
 
@@ -26,8 +28,8 @@ def check_determined(rig: Rig) -> None:
     if missing:
         raise ObservabilityError(
             f"the lengths leave {missing} more direction(s) open than expected; the weakest moves "
-            f"most {_unknown(rig, rig.reduced.scale * vectors[:, 0])}: {CURE}, or use the datum "
-            "'prior'"
+            f"most {_unknown(rig, rig.reduced.scale * vectors[:, 0])}: {CURE}"
+            f"{or_prior(free=rig.layout.grid.free)}"
         )
 
 
@@ -42,10 +44,10 @@ def check_curves(table: CurvePosterior, places: Floats, limit: float) -> None:
     share = std / np.array([radius, 1.0])[:, None, None]
     kind, position, axis = np.unravel_index(np.argmax(share), share.shape)
     if share[kind, position, axis] > limit:
-        unit = ("m", "rad")[kind]
+        factor, unit = unit_of(NAMES[3 * kind + axis])
         raise ObservabilityError(
             f"{NAMES[3 * kind + axis]} at position {position} is known to "
-            f"{std[kind, position, axis]:.2g} {unit} only (standard deviation): {CURE}"
+            f"{std[kind, position, axis] / factor:.2g} {unit} only (standard deviation): {CURE}"
         )
 
 

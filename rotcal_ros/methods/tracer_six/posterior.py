@@ -40,7 +40,7 @@ class Posterior:
 def posterior(rig: Rig) -> Posterior:
     """Return the covariances of a network at its minimum."""
     covariance = full_covariance(rig)
-    arrived, own, response = _scatter(rig)
+    arrived, own, response = scattered(rig)
     spread = response @ covariance  # (3 V, T)
     return Posterior(rig, covariance, arrived, _leverage(rig, covariance, own, response, spread))
 
@@ -76,7 +76,7 @@ def _at_poses(rig: Rig, whole: Floats, blocks: Floats) -> None:
     whole[each, :, columns] = blocks.swapaxes(1, 2)
 
 
-def _scatter(rig: Rig) -> tuple[Floats, Floats, Floats]:
+def scattered(rig: Rig) -> tuple[Floats, Floats, Floats]:
     """Return scatter (V, 3), its own covariance (V, 3, 3), and (3 V, T) how stations move.
 
     The scatter of a station follows its lengths, and so every unknown that these depend on.

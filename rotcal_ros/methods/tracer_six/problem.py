@@ -35,7 +35,8 @@ class SixProblem:
     ``table_angles``: commanded, rad, counter-clockwise about +z. ``upward`` (m,): from which side
     the table came to each position, where it came from both.
     ``places``: where the tracer stands on the table, m, in the frame that turns with it and
-    coincides with the machine's at angle zero: good to some millimetres, start values only.
+    coincides with the machine's at angle zero: good to ``place_tolerance``, m; start values, and
+    what tells how the positions are numbered (:mod:`rotcal_ros.methods.tracer.numbering`).
     Machine z along the table axis, origin near it (10 mrad and 10 mm are taken exactly); the
     deviations are those of the point of the axis at z = 0.
 
@@ -76,6 +77,7 @@ class SixProblem:
     distance_std: Floats = 0.0  # type: ignore[assignment]
     order: Ints | None = None
     slip: float = _DEFAULTS.slip_m
+    place_tolerance: float = 0.01
     upward: Bools | None = None
     settings: TracerLimits = _DEFAULTS
 
@@ -126,6 +128,10 @@ class SixProblem:
                 raise ConfigurationError(f"{name} is {value}, expected zero or more, or None")
         if not (np.isfinite(self.slip) and self.slip >= 0.0):
             raise ConfigurationError(f"slip is {self.slip}, expected zero or more metres")
+        if not (np.isfinite(self.place_tolerance) and self.place_tolerance > 0.0):
+            raise ConfigurationError(
+                f"place_tolerance is {self.place_tolerance}, expected a positive number of metres"
+            )
         if self.tilt_std == 0.0:
             raise ConfigurationError("tilt_std is 0, expected a positive number, or None")
 

@@ -6,12 +6,16 @@ from typing import Final
 
 import numpy as np
 
-from rotcal_ros.methods.distributions import chi2_isf
+from rotcal_ros.adjust.distributions import chi2_isf
+from rotcal_ros.arrays import Floats
+from rotcal_ros.components import HALF_OF_95_PERCENT
+from rotcal_ros.methods.tracer import gathering
 from rotcal_ros.methods.tracer_six import response
 from rotcal_ros.methods.tracer_six.response import Worst
 from rotcal_ros.methods.tracer_six.solution import SixSolution
 from rotcal_ros.methods.tracer_six.timing import timing
 from rotcal_ros.protection import POWER, Effect, Protection, ordered
+from rotcal_ros.units import ARCSEC, MICROMETRE
 
 LARGEST_MOVE: Final = 1e-4
 """Drift or knock (m, or rad times the largest reach) that nobody would overlook."""
@@ -55,8 +59,16 @@ def protections(solution: SixSolution) -> tuple[Protection, ...]:
                 "or of the table's own frame does is taken off",
             ),
             *_slip(solution),
+            _tangential(solution),
+            *gathering.protection(solution.gathering, _std(solution)),
         )
     )
+
+
+def _std(solution: SixSolution) -> Floats:
+    """Return the standard uncertainties (6 m,) of the curves: d of all positions, then c."""
+    std = np.sqrt(np.einsum("ajaj->aj", solution.covariance))
+    return np.concatenate([std[:3].T.ravel(), std[3:].T.ravel()])
 
 
 def _slip(solution: SixSolution) -> tuple[Protection, ...]:
@@ -70,6 +82,46 @@ def _slip(solution: SixSolution) -> tuple[Protection, ...]:
     share = (np.abs(moved) / np.maximum(std, response.NOTHING)).max(axis=(1, 2))
     cure = "; several arrivals at each angle (plan.arrivals) show more"
     return (slips.protection(share, cure),)
+
+
+def returned(solution: SixSolution) -> float | None:
+    """Return within how many m the tracer came back along its circle, 95 %; None: untested.
+
+    Seen by an angle that comes again, after a whole turn or in the same run, whichever says less.
+    """
+    closings = [
+        _radius(solution) * (abs(c.error) + HALF_OF_95_PERCENT * c.std)
+        for c in solution.closures["ECC"]
+    ]
+    return max([*closings, *filter(None, [solution.moves.returned()])], default=None)
+
+
+def _radius(solution: SixSolution) -> float:
+    """Return the mean distance of the places from the axis, m."""
+    return float(np.hypot(*solution.places[:, :2].T).mean())
+
+
+def _tangential(solution: SixSolution) -> Protection:
+    """Return the statement about a tracer that moves along its circle between the angles.
+
+    By the same at every place, that is a table that turned further.
+    """
+    radius = _radius(solution)
+    why = (
+        "a tracer that mount or cable shift along its circle between the angles, by the same at "
+        "every place, leaves no trace in any length: 1 um of it is "
+        f"{MICROMETRE / radius / ARCSEC:.2f} arcsec of ECC; what differs from place to place is "
+        "scatter"
+    )
+    within = returned(solution)
+    bound = "no angle was measured again, which would bound what of it does not come back with it"
+    if within is not None:
+        bound = (
+            "what of it does not come back with the angle is less than "
+            f"{within / MICROMETRE:.2g} um, {within / radius / ARCSEC:.2g} arcsec (95 %, angles "
+            "that were measured again)"
+        )
+    return Protection("tangential motion", "not protected", f"{why}; {bound}")
 
 
 def _moved(solution: SixSolution, effect: Effect, worst: Worst, what: str) -> Protection:
@@ -113,8 +165,8 @@ def _repeatability(solution: SixSolution) -> Protection:
         return Protection(
             "repeatability",
             "estimated",
-            f"{scatter.translation:.2g} m and {scatter.rotation:.2g} rad between runs, from "
-            f"{scatter.n_contrasts} contrasts between the places",
+            f"{scatter.in_words()} between runs, from {scatter.n_contrasts} contrasts between the "
+            "places",
         )
     contrasts = scatter.n_contrasts
     if not contrasts:
@@ -126,8 +178,8 @@ def _repeatability(solution: SixSolution) -> Protection:
     return Protection(
         "repeatability",
         "tested",
-        f"stated as {scatter.translation:.2g} m and {scatter.rotation:.2g} rad between runs; "
-        f"{contrasts} contrasts between the places show more of it; left unset, it is estimated",
+        f"stated as {scatter.in_words()} between runs; {contrasts} contrasts between the places "
+        "show more of it; left unset, it is estimated",
         float(np.sqrt(max(ratio - 1.0, 0.0))),
     )
 
@@ -139,5 +191,5 @@ def _tilt(solution: SixSolution) -> Protection:
     return Protection(
         "tilt",
         "bounded",
-        f"EAC and EBC are held to a stated {std:.2g} rad, which the budget holds",
+        f"EAC and EBC are held to a stated {std / ARCSEC:.2g} arcsec, which the budget holds",
     )

@@ -6,18 +6,29 @@ take up of it is left in chi-squared.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import noncentrality
 from rotcal_ros.arrays import Floats
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.distributions import noncentrality
+from rotcal_ros.methods.tracer.reported import (
+    Slope,
+    Weighed,
+    excess_of,
+    noticed,
+    scatter_along,
+    weigh,
+)
+from rotcal_ros.methods.tracer.response import MOST_PATTERNS
 from rotcal_ros.methods.tracer_six.patterns import felt
-from rotcal_ros.methods.tracer_six.solution import PLACE, SixSolution
+from rotcal_ros.methods.tracer_six.problem import SixProblem
+from rotcal_ros.methods.tracer_six.solution import PLACE, SixSolution, adjust
 from rotcal_ros.methods.tracer_six.timing import Timing
 from rotcal_ros.protection import POWER
+from rotcal_ros.raw_data import MOST_INFLUENCES, Influence
 
 KNOCKED_AT: Final = (0.25, 0.5, 0.75)
 """Shares of a run after which a knock is tried."""
@@ -61,6 +72,49 @@ def _respond(solution: SixSolution, patterns: Floats) -> tuple[Floats, Floats]:
     m = len(layout.angles)
     ordered = moved.reshape(k, 2, m, 3).transpose(0, 1, 3, 2).reshape(k, 6, m)
     return ordered, np.maximum(left, 0.0)
+
+
+def adjust_at_equal_places(problem: SixProblem, along: Floats) -> Weighed[SixSolution]:
+    """Solve a problem with each length as it would be at the mean place of its target.
+
+    ``along`` (k,): how much longer the machine said that each length was, m; believed as far as
+    the lengths follow it (:mod:`rotcal_ros.methods.tracer.reported`).
+    """
+
+    def moved(weight: float, left: float) -> SixSolution:
+        length_std = np.hypot(problem.length_std, left)
+        length = problem.length - weight * along
+        return adjust(replace(problem, length=length, length_std=length_std))
+
+    if not noticed(along, problem.length_std):
+        return Weighed(moved(1.0, 0.0), None)
+    scatter = scatter_along(along, problem.target)
+    return weigh(adjust(problem), moved, lambda solution: _slope_along(solution, along), scatter)
+
+
+def _slope_along(solution: SixSolution, errors: Floats) -> Slope:
+    """Return what the residuals of a solution say of ``errors`` (k,), m, row by row."""
+    row, fit = solution.grid.row, solution.fit
+    column = np.where(row >= 0, errors[row], 0.0)[None]
+    _, information = _respond(solution, column)
+    score = (felt(solution.rig, column).weighted[0] * fit.residual).sum()
+    excess = excess_of(solution.noise, solution.problem.settings.test_significance)
+    return Slope(float(score), float(information[0]), fit.chi2, fit.dof, excess)
+
+
+def influence_of(solution: SixSolution) -> Influence | None:
+    """Return what a standard error of each length does to the curves; None where they are many."""
+    grid = solution.grid
+    station, target = np.nonzero(grid.used)
+    k, m = len(station), len(solution.positions)
+    if 6 * m * k > MOST_INFLUENCES or k * grid.used.size > MOST_PATTERNS:
+        return None
+    patterns = np.zeros((k, *grid.used.shape))
+    patterns[np.arange(k), station, target] = solution.scale * grid.length_std[station, target]
+    moved, _ = _respond(solution, patterns)
+    return Influence(
+        grid.row[station, target], 1, {name: moved[:, at].T for name, at in PLACE.items()}
+    )
 
 
 def drifts(solution: SixSolution, when: Timing) -> Floats:

@@ -34,13 +34,14 @@ from typing import Final
 import numpy as np
 from scipy.special import erfc
 
+from rotcal_ros.adjust.distributions import chi2_sf
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import HALF_OF_95_PERCENT
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.geometry.rotations import cross_matrix
-from rotcal_ros.methods.distributions import chi2_sf
 from rotcal_ros.methods.tracer_six.posterior import full_covariance, pulled
 from rotcal_ros.methods.tracer_six.rig import Rig
+from rotcal_ros.units import ARCSEC, MICROMETRE
 
 OUTSIDE: Final = 0.05
 ABSENT: Final = 0.2
@@ -74,6 +75,11 @@ class Scatter:
     probability: float | None
     variances: Floats
     weights: Floats
+
+    def in_words(self) -> str:
+        """Return both for people."""
+        shift, turn = self.translation / MICROMETRE, self.rotation / ARCSEC
+        return f"{shift:.2g} um and {turn:.2g} arcsec"
 
     def weighing(self, arms: Floats) -> tuple[float, float]:
         """Return the squares (m^2, rad^2) of the scatter that weighs stations at ``arms``.

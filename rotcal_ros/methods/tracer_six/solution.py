@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.adjust.gathering import Gathering
+from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.arrays import Bools, Floats, Ints
 from rotcal_ros.components import COMPONENTS
-from rotcal_ros.methods.distributions import chi2_sf
+from rotcal_ros.methods.tracer.adjustment import Adjustment
 from rotcal_ros.methods.tracer.grid import STATION_MINIMUM, Grid
 from rotcal_ros.methods.tracer.jumps import Jump
 from rotcal_ros.methods.tracer.noise import Noise, scaled
-from rotcal_ros.methods.tracer.screening import Screened, adjust_and_screen, reject_gross
+from rotcal_ros.methods.tracer.observability import told_of_a_turned_sign
+from rotcal_ros.methods.tracer.screening import Grouping, Screened, adjust_and_screen, reject_gross
 from rotcal_ros.methods.tracer.shifts import Shifts
 from rotcal_ros.methods.tracer.slips import Slips, slips_among
 from rotcal_ros.methods.tracer.station import adjust_stations
@@ -22,6 +27,7 @@ from rotcal_ros.methods.tracer.uncertainty import GlobalTest
 from rotcal_ros.methods.tracer.verdict import Closure, closures
 from rotcal_ros.methods.tracer_six.adjustment import RigidAdjuster, RigidAdjustment
 from rotcal_ros.methods.tracer_six.fringes import MOST_JUMPS, find, find_shifts, split
+from rotcal_ros.methods.tracer_six.gathering import groups_of
 from rotcal_ros.methods.tracer_six.layout import Layout, lay_out, renamed
 from rotcal_ros.methods.tracer_six.moves import Moves, moves
 from rotcal_ros.methods.tracer_six.observability import check_curves
@@ -32,6 +38,8 @@ from rotcal_ros.methods.tracer_six.scatter import Scatter, enlargement, turned
 from rotcal_ros.methods.tracer_six.start import find_start
 from rotcal_ros.methods.tracer_six.timing import taken, timing
 
+FITTING: Final = 3.0
+"""Times the stated noise up to which lengths of the opposite sign are said to fit."""
 PLACE: Final = {name: index for index, name in enumerate(COMPONENTS)}
 
 
@@ -45,7 +53,8 @@ class SixSolution:
     ``slips`` of a fringe add. ``closures`` are tested without these: such a slip may open them.
     ``lengths``: test of chi-squared with the noise that was used. ``rejected`` says by row why a
     length was not used; ``n_lengths`` could have been used, ``n_rejected`` of them were not.
-    ``jumps`` of zeros, whose segment is a zero of the ``layout``.
+    ``gathering``: what was found of disturbances in one place; what they may do is in the
+    covariance too. ``jumps`` of zeros, whose segment is a zero of the ``layout``.
     """
 
     problem: SixProblem
@@ -63,6 +72,7 @@ class SixSolution:
     n_rejected: int
     jumps: tuple[Jump, ...] = ()
     slips: Slips | None = None
+    gathering: Gathering = field(default_factory=Gathering)
 
     @property
     def rig(self) -> Rig:
@@ -88,6 +98,13 @@ class SixSolution:
         return self.rig.state.zeros + self.layout.offset
 
     @property
+    def places(self) -> Floats:
+        """The places (p, 3), m, in the frame that turns with the table, z along the axis."""
+        curves = self.table.curves
+        places = (self.rig.state.places - curves.table_origin) @ curves.table_turn
+        return np.asarray(places, dtype=np.float64)
+
+    @property
     def positions(self) -> Ints:
         """The table positions (m,) that have a result."""
         return self.layout.position_ids
@@ -111,13 +128,21 @@ class SixSolution:
 
 def adjust(problem: SixProblem) -> SixSolution:
     """Return the solution of ``problem``; raises what :func:`~.solve.solve` raises."""
+    return told_of_a_turned_sign(
+        problem,
+        _adjusted,
+        lambda found: bool((found.scale * found.noise.factors < FITTING).all()),
+    )
+
+
+def _adjusted(problem: SixProblem) -> SixSolution:
     layout, absent = lay_out(problem)
     limits = problem.settings
     state = find_start(layout)
     coarse, start, why = _without_gross(layout, state, limits.rejection_significance)
     stated = (problem.scatter_translation_std, problem.scatter_rotation_std)
     adjuster = RigidAdjuster(layout, state, stated, limits.test_significance)
-    screened = adjust_and_screen(adjuster, coarse, start, limits)
+    screened = adjust_and_screen(adjuster, coarse, start, limits, _grouping(problem))
     screened, jumps, shifts = _unbroken(problem, adjuster, screened, coarse, start)
     fit = screened.fit
     assert isinstance(fit, RigidAdjustment)
@@ -131,6 +156,8 @@ def adjust(problem: SixProblem) -> SixSolution:
     if shifts is not None:
         slips = slips_among(shifts, problem.slip, limits.rejection_significance, scale)
     unseen = 0.0 if slips is None else _by_curve(slips.covariance())
+    gathered = screened.gathering.covariance()
+    unseen += 0.0 if gathered is None else _by_curve(gathered)
     check_curves(table, fit.posterior.rig.state.places, limits.max_station_std)
     idle = {row for row, text in absent.items() if text.startswith("repeats")}
     return SixSolution(
@@ -149,7 +176,19 @@ def adjust(problem: SixProblem) -> SixSolution:
         n_rejected=len(absent) - len(idle) + len(why),
         jumps=jumps,
         slips=slips,
+        gathering=screened.gathering,
     )
+
+
+def _grouping(problem: SixProblem) -> Grouping:
+    """Return what makes the groups of this ``problem``."""
+    order = taken(problem)
+
+    def grouping(grid: Grid, fit: Adjustment) -> tuple[Group, ...]:
+        assert isinstance(fit, RigidAdjustment)
+        return groups_of(grid, fit, order)
+
+    return grouping
 
 
 def _unbroken(
@@ -173,7 +212,7 @@ def _unbroken(
         jumps.append(jump)
         layout, state = split(adjuster.layout, adjuster.state, coarse, jump, order)
         adjuster = replace(adjuster, layout=layout, state=state)
-        screened = adjust_and_screen(adjuster, coarse, start, problem.settings)
+        screened = adjust_and_screen(adjuster, coarse, start, problem.settings, _grouping(problem))
 
 
 def _without_gross(
@@ -239,6 +278,8 @@ def _closures(
     side = None if upward is None else upward[ids]
     columns = np.concatenate([table.curves.translation, table.curves.rotation], axis=1)
     return {
-        name: closures(layout.angles, columns[:, at], covariance[at, :, at], ids, side)
+        name: closures(
+            layout.angles, columns[:, at], LowRank.whole(covariance[at, :, at]), ids, side
+        )
         for name, at in PLACE.items()
     }

@@ -8,13 +8,19 @@ from typing import Any
 import numpy as np
 
 from rotcal_ros.components import COMPONENTS, HALF_OF_95_PERCENT
+from rotcal_ros.methods.tracer.gathering import details as gathering_details
+from rotcal_ros.methods.tracer.numbering import Numbering
 from rotcal_ros.methods.tracer.screening import rejection_limit
 from rotcal_ros.methods.tracer_six.problem import SixProblem
 from rotcal_ros.methods.tracer_six.protections import protections
+from rotcal_ros.methods.tracer_six.response import influence_of
 from rotcal_ros.methods.tracer_six.segments import segment_report
 from rotcal_ros.methods.tracer_six.solution import SixSolution, adjust
+from rotcal_ros.methods.tracer_six.upward import Upward
 from rotcal_ros.methods.tracer_six.verdict import judge
-from rotcal_ros.results import Rejection, Residuals, Result
+from rotcal_ros.protection import ordered
+from rotcal_ros.raw_data import RawData
+from rotcal_ros.results import Rejection, Residuals, Result, Zeros
 
 METHOD = "tracer_six"
 
@@ -38,7 +44,9 @@ def solve(problem: SixProblem) -> Result:
 def result_of(solution: SixSolution) -> Result:
     """Return what is known of a solved problem in the form that all methods share."""
     covariance = {name: solution.covariance_of(name) for name in COMPONENTS}
-    verdict, warnings = judge(solution)
+    numbering = _numbering(solution)
+    upward = Upward.of(solution)
+    verdict, warnings = upward.judged(*numbering.judged(*judge(solution)))
     return Result(
         method=METHOD,
         angles=solution.layout.angles,
@@ -53,7 +61,22 @@ def result_of(solution: SixSolution) -> Result:
         warnings=warnings,
         residuals=_residuals(solution),
         details=_details(solution),
-        protections=protections(solution),
+        protections=ordered((*protections(solution), numbering.protection(), upward.protection())),
+        raw_data=RawData(influence=influence_of(solution)),
+        zeros=Zeros("mean"),
+    )
+
+
+def _numbering(solution: SixSolution) -> Numbering:
+    """Return how the places found stand round the axis to those that the plan states."""
+    found = solution.places[:, :2] @ (1.0, 1j)
+    stated = solution.problem.places[solution.layout.place_ids, :2] @ (1.0, 1j)
+    return Numbering.of(
+        "the plan (places, azimuth_deg)",
+        solution.layout.angles,
+        float(np.abs(found).mean()),
+        float(np.angle(np.vdot(stated, found))),
+        solution.problem.place_tolerance,
     )
 
 
@@ -91,13 +114,12 @@ def _details(solution: SixSolution) -> dict[str, Any]:
     """
     problem, rig, curves = solution.problem, solution.rig, solution.table.curves
     slips = solution.slips
-    places = (rig.state.places - curves.table_origin) @ curves.table_turn
     return {
         "datum": problem.datum,
         "zero": problem.zero,
         "position_ids": solution.positions,
         "place_ids": solution.layout.place_ids,
-        "places": places,
+        "places": solution.places,
         "zeros": solution.zeros,
         "segments": segment_report(solution),
         "target_ids": solution.grid.target_ids,
@@ -111,6 +133,7 @@ def _details(solution: SixSolution) -> dict[str, Any]:
         "noise": solution.noise.details(),
         "slips": None if slips is None else {"size": slips.size, "found": slips.found},
         "length_test": asdict(solution.lengths),
+        "gathering": gathering_details(solution.gathering),
         "rejection_limit": rejection_limit(solution.grid, problem.settings.rejection_significance),
         "closure": {
             name: [asdict(closure) for closure in found]

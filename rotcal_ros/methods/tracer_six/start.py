@@ -76,6 +76,6 @@ def _check_near(layout: Layout, near: Bools, away: Floats) -> None:
     raise DataError(
         f"{layout.station_name(worst)}: the lengths put the tracer {away[worst]:.3g} m from its "
         f"nominal place, and {np.count_nonzero(~near)} of {len(near)} stations are farther than "
-        f"{NEAR:g} m: check the places, the sense of the table angles, and whether the targets "
-        "are in the frame of the machine with z along the axis"
+        f"{NEAR:g} m: check the places, the numbering of the positions, the sense of the table "
+        "angles, and whether the targets are in the frame of the machine with z along the axis"
     )

@@ -5,7 +5,8 @@ suspect
     lengths is too large all the same (the covariance is then enlarged by it); the distances
     between the places contradict the stated scatter (the estimate is used); more than
     ``max_rejected_share`` of the lengths were rejected; a closure is larger than its uncertainty
-    allows; the zero of a place jumps where no beam broke; the machine or the tracer has moved
+    allows; something gathers (:mod:`rotcal_ros.methods.tracer.gathering`); the zero of a place
+    jumps where no beam broke; the machine or the tracer has moved
     between the runs or within one (:mod:`.moves`); a position of the plan is missing.
 failed
     the noise is beyond the limits of :mod:`rotcal_ros.methods.tracer.verdict`, or more than a
@@ -18,9 +19,10 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.components import ROTATIONS
-from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.methods.tracer.adjustment import MINIMAL_REDUNDANCY
+from rotcal_ros.methods.tracer.gathering import doubts as doubt_gathering
 from rotcal_ros.methods.tracer.jumps import Jump
 from rotcal_ros.methods.tracer.verdict import (
     FAILED_FACTORS,
@@ -30,6 +32,7 @@ from rotcal_ros.methods.tracer.verdict import (
     doubt_rejected,
     times_stated,
 )
+from rotcal_ros.methods.tracer_six.layout import renamed
 from rotcal_ros.methods.tracer_six.moves import Kind
 from rotcal_ros.methods.tracer_six.solution import SixSolution
 from rotcal_ros.results import Verdict
@@ -46,7 +49,7 @@ MOVED: Final[dict[Kind, str]] = {
 
 def judge(solution: SixSolution) -> tuple[Verdict, tuple[str, ...]]:
     """Return the verdict and its warnings by the rules in this module's docstring."""
-    doubts = [*_doubt_noise(solution), *_doubt_motion(solution)]
+    doubts = [*_doubt_noise(solution), *_doubt_gathering(solution), *_doubt_motion(solution)]
     verdict: Verdict = "suspect" if doubts else "ok"
     factors = solution.scale * solution.noise.factors
     share = solution.n_rejected / solution.n_lengths
@@ -67,15 +70,22 @@ def _doubt_noise(solution: SixSolution) -> list[str]:
     return doubts + doubt_rejected(solution.n_rejected, solution.n_lengths, settings)
 
 
+def _doubt_gathering(solution: SixSolution) -> list[str]:
+    layout = solution.layout
+    names = {int(s): layout.station_name(j) for j, s in enumerate(layout.grid.position_ids)}
+    found = doubt_gathering(solution.gathering, solution.problem.settings)
+    return [renamed(text, names) for text in found]
+
+
 def _doubt_motion(solution: SixSolution) -> list[str]:
     doubts = []
     scatter = solution.scatter
     if scatter.estimated and scatter.probability is not None:
         doubts.append(
             "the distances between the places change more than the stated scatter of the table "
-            f"allows (p = {scatter.probability:.2g}): {scatter.translation:.2g} m and "
-            f"{scatter.rotation:.2g} rad, as {scatter.n_contrasts} contrasts tell, are used; look "
-            "for a tracer that slips, or state a larger scatter"
+            f"allows (p = {scatter.probability:.2g}): {scatter.in_words()}, as "
+            f"{scatter.n_contrasts} contrasts tell, are used; look for a tracer that slips, or "
+            "state a larger scatter"
         )
     limit = normal_isf(0.5 * solution.problem.settings.test_significance)
     for name, found in solution.closures.items():

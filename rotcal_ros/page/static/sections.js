@@ -1,7 +1,7 @@
 // From a section of the state to its place on the page.
 import { draw } from "./charts.js";
 import { drawView } from "./plan_view.js";
-import { clock, duration, element, number, text, unit } from "./words.js";
+import { clock, duration, element, number, sentence, text, unit } from "./words.js";
 import { change } from "./actions.js";
 
 const by = (id) => document.getElementById(id);
@@ -48,31 +48,31 @@ const RENDER = {
     text("rejected", steps ? String(steps.rejected) : "–");
   },
   standing(standing) {
-    const { now_arcsec: now, goal_arcsec: goal, of_curve: ofCurve, course, withheld } = standing;
+    const { largest_arcsec: largest, rms_arcsec: rms, goal_arcsec: goal, course, withheld } = standing;
     if (withheld) {
-      text("uncertainty", "withheld");
+      text("uncertainty", "not stated");
       text("goal", withheld);
       by("standing_chart").hidden = true;
-      text("standing_words", `U withheld: ${withheld}.`);
+      text("standing_words", `U is not stated: ${withheld}.`);
       return;
     }
-    text("uncertainty", now === null ? "–" : `${number(now)}″`);
-    const aim = goal === null ? "no goal" : `goal ${number(goal)}″`;
-    const place = now === null ? "" : ofCurve ? ", this is the largest of the curve" : now <= goal ? ", reached" : "";
-    text("goal", `${aim}${place}`);
+    text("uncertainty", largest === null ? "–" : `${number(largest)}″`);
+    const reached = rms === null ? "not known yet" : `${number(rms)}″${rms <= goal ? ", reached" : ""}`;
+    const aim = goal === null ? "" : `goal: rms of U ${number(goal)}″, now ${reached}`;
+    text("goal", ["largest of the curve", aim].filter(Boolean).join("; "));
     const columns = [course.map((p) => p[0]), course.map((p) => p[1])];
-    const series = [{ label: "U", colour: "blue" }];
-    if (goal !== null) { columns.push(course.map(() => goal)); series.push({ label: "goal", colour: "green", dash: [0.5, 0.4] }); }
     by("standing_chart").hidden = !course.length;
-    const words = `Largest U of the curve over the accepted steps${goal === null ? "" : "; the goal (dashed) is for the rms about the mean"}.`;
-    text("standing_words", course.length ? words : "Not known yet.");
-    if (course.length) draw("standing_chart", { data: columns, series, unit: "″", zero: true, words });
+    const words = "U (k = 2), the largest of the curve, over the accepted steps.";
+    const about = goal === null ? "" : ` The goal is for the rms of U about the mean: ${number(goal)}″, now ${reached}.`;
+    text("standing_words", course.length ? words + about : `Not known yet.${about}`);
+    if (course.length) draw("standing_chart", { data: columns, series: [{ label: "U", colour: "blue" }], unit: "″", zero: true, words });
   },
   deviations(found) {
     const names = found ? found.curves.map((c) => c.name) : [];
     if (names.length && !names.includes(component)) component = names[0];
     choices(names, found);
     curve(found);
+    marks(found?.marks ?? []);
   },
   view: (_, state) => view(state),
   pointing: (_, state) => view(state),
@@ -104,10 +104,10 @@ const RENDER = {
     }
   },
   rejections(rows) {
-    text("rejected_last", rows.length ? `last: step ${rows[0].step}` : "");
+    text("rejected_last", rows.length ? `last: ${rows[0].place}` : "");
     fill("rejections", rows, "None.", (row) => [
       element("time", clock(row.time_s, true)),
-      element("span", `Step ${row.step}, attempt ${row.attempt + 1}: ${row.reason}`)]);
+      element("span", `${sentence(row.place)}: ${row.reason}`)]);
   },
   nodes(nodes, state) {
     if (!state.deviations) {
@@ -169,6 +169,11 @@ function draw_offer(offer) {
     words: `correction of the controller now (dashed) and with this table (line), by angle; ${change(offer)}${ways}` });
 }
 
+function marks(found) {
+  by("marks").hidden = !found.length;
+  by("marks").replaceChildren(...found.map((m) => element("span", sentence(m.line), `mark ${m.kind}`)));
+}
+
 function choices(names, found) {
   by("components").replaceChildren(...(names.length > 1 ? names : []).map((name) => {
     const button = element("button", name);
@@ -187,11 +192,11 @@ function curve(found) {
   const wide = shown.values.map((_, i) => shown.expanded[i] ?? null); // null: withheld or unknown
   const known = wide.filter((u) => u !== null);
   const range = values.length ? `${number(Math.min(...values))} to ${number(Math.max(...values))}${unit(shown.unit)}` : "no values";
-  const band = found.withheld ? `U withheld: ${found.withheld}`
+  const band = found.withheld ? `U is not stated: ${found.withheld}`
     : known.length ? `band: expanded uncertainty, k = 2, at most ${number(Math.max(...known))}${unit(shown.unit)}` : "U not known";
   const words = `${shown.name} at ${found.angles_deg.length} angles from ${found.observations} observations, ${range}; ${band}`;
   const edge = (sign) => shown.values.map((v, i) => (v === null || wide[i] === null ? null : v + sign * wide[i]));
-  text("curve_words", `${words}.${found.final ? ` Verdict: ${found.verdict}.` : ""}`);
+  text("curve_words", `${words}.`);
   draw("curve", {
     data: [found.angles_deg, shown.values, edge(1), edge(-1)],
     series: [{ label: shown.name, colour: "blue", points: true }, { hidden: true, colour: "blue" }, { hidden: true, colour: "blue" }],
@@ -205,7 +210,7 @@ function view(state) {
   if (!state.view) { text("view_words", "Known once the plan is announced."); by("view").replaceChildren(); return; }
   drawView(by("view"), state.view, state.pointing);
   const p = state.pointing;
-  text("view_words", p ? `Table at ${number(p.table_angle_deg, 1)}°, ${p.visited_deg.length} of ${state.view.angles_deg.length} angles visited. Step ${p.step} of the plan.` : "");
+  text("view_words", p ? `Table at ${number(p.table_angle_deg, 1)}°, ${p.visited_deg.length} of ${state.view.angles_deg.length} angles visited. ${sentence(p.place)}.` : "");
 }
 
 function fill(id, rows, nothing, parts) {

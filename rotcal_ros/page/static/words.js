@@ -26,5 +26,6 @@ export function duration(seconds) {
   return minutes < 90 ? `${minutes} min` : `${Math.floor(minutes / 60)} h ${minutes % 60} min`;
 }
 
+export const sentence = (words) => words.charAt(0).toUpperCase() + words.slice(1);
 export const number = (value, digits = 2) => value.toFixed(digits).replace("-", "−");
 export const unit = (name) => (name === "arcsec" ? "″" : ` ${name}`);

@@ -1,4 +1,4 @@
-"""The first sweep: the fewest steps that reach an uncertainty, in an order that hides little.
+"""The first sweep: few steps that reach an uncertainty, in an order that hides little.
 
 With known noise this is all that there is to plan. The fewest steps are found by exchange; they
 are then shared among sweeps there and back, so that neither a drift of the machine nor a knock of
@@ -8,7 +8,7 @@ the tracer is mistaken for a deviation (:mod:`rotcal_ros.planning.sequence_choic
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,11 @@ LEAST_REDUNDANCY: Final = 0.02
 """Of each length of the first sweep: an error of 33 standard deviations shows."""
 HIDDEN: Final = 0.9 * TOLERABLE
 """What a drift or knock may do unseen (std); below the limit, as the noise is not known yet."""
+NEARLY_HIDDEN: Final = 0.95 * TOLERABLE
+"""No larger set is measured for what is nearly as little."""
+SHARES: Final = (1.0, 0.93)
+"""Of the uncertainty that is wanted: some lengths more may need a sweep less to be protected, and
+the quickest of both is taken."""
 TRIES: Final = 3
 """Times that a smaller uncertainty is tried, to make room for what the solver allows for slips."""
 
@@ -39,29 +44,46 @@ def first_sweep(of: LengthExperiment, uncertainty: float) -> list[int]:
     Takes some seconds, once for each uncertainty.
     """
     if uncertainty not in of.sweeps:
-        aim = uncertainty
-        for _ in range(TRIES):
-            steps = _fewest(of, aim)
-            found = of.uncertainty(of.nothing, 1.0, COVERAGE_FACTOR, steps)
-            if not uncertainty < found < np.inf:
-                break
-            aim *= uncertainty / found
-        of.sweeps[uncertainty] = tuple(protecting(of, steps))
+        ways = [_reaching(of, share * uncertainty) for share in SHARES]
+        best = min(ways, key=lambda way: (max(way.unseen, NEARLY_HIDDEN), way.seconds))
+        of.sweeps[uncertainty] = best.steps
     return list(of.sweeps[uncertainty])
 
 
-def protecting(of: LengthExperiment, steps: list[int]) -> list[int]:
+class Sweep(NamedTuple):
+    """``steps`` in their order, their time (s), and what drift or knock may do unseen (std)."""
+
+    steps: tuple[int, ...]
+    seconds: float
+    unseen: float
+
+
+def _reaching(of: LengthExperiment, uncertainty: float) -> Sweep:
+    """Return the fewest steps that reach ``uncertainty`` (rad), in their order."""
+    aim = uncertainty
+    for _ in range(TRIES):
+        steps = _fewest(of, aim)
+        found = of.uncertainty(of.nothing, 1.0, COVERAGE_FACTOR, steps)
+        if not uncertainty < found < np.inf:
+            break
+        aim *= uncertainty / found
+    return protected(of, steps)
+
+
+def protected(of: LengthExperiment, steps: list[int]) -> Sweep:
     """Return ``steps`` in the quickest order that shows drift and knock in time, or most of it."""
     if not of.solvable(of.nothing, steps):
-        return as_sweep(of, steps, None)
+        return Sweep(tuple(as_sweep(of, steps, None)), np.inf, np.inf)
     rows = np.array(as_sweep(of, steps, None))
     position, target = of.position[rows], of.target[rows]
     time = stated_time(of.costs.turn_s, of.costs.step_s)
     costs = time.costs(of.scene.table_angles, of.scene.targets, position, target)
     forecast = OrderForecast(of.posed(of.nothing, 1.0, rows))
-    ways = measuring_orders(position, target, costs, forecast, limit=HIDDEN)
-    ordered: list[int] = rows[least_hidden(ways, HIDDEN).order].tolist()
-    return ordered
+    # whole sweeps only: what is added later has to find each position early and late alike
+    ways = measuring_orders(position, target, costs, forecast, limit=HIDDEN, sparse=())
+    best = least_hidden(ways, HIDDEN)
+    unseen = np.inf if best.forecast is None else best.forecast.worst
+    return Sweep(tuple(rows[best.order].tolist()), best.seconds, unseen)
 
 
 def _fewest(of: LengthExperiment, uncertainty: float) -> list[int]:

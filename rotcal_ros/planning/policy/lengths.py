@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from rotcal_ros.arrays import Bools, Floats, Ints
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.tracer.grid import station_minimum
 from rotcal_ros.methods.tracer.prediction import predicted
@@ -28,6 +29,7 @@ from rotcal_ros.planning.policy.noise import (
     suspect_length,
 )
 from rotcal_ros.planning.policy.residuals import contrasts
+from rotcal_ros.planning.policy.stated import Solver
 from rotcal_ros.planning.tracer_design.information import Information
 from rotcal_ros.planning.tracer_design.ordering import noisy_problem
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
@@ -50,7 +52,8 @@ class LengthExperiment:
     """The steps of ``plan`` as lengths in ``scene``.
 
     Each station has a zero of its own, or ``per_segment`` each unbroken beam: what is not measured
-    yet is taken to be read from the beam of now. ``solver`` says how the lengths will be judged.
+    yet is taken to be read from the beam of now. ``solver`` says how the lengths will be judged,
+    ``solved`` what the result of observations states; None: what is planned is believed.
     """
 
     def __init__(
@@ -61,7 +64,9 @@ class LengthExperiment:
         *,
         per_segment: bool = False,
         solver: TracerSolverSettings | None = None,
+        solved: Solver | None = None,
     ) -> None:
+        self.solved = solved
         self.solver = solver or TracerSolverSettings()
         self.plan, self.scene, self.costs, self.per_segment = plan, scene, costs, per_segment
         self.minimum = 1 + station_minimum(not per_segment, on_circle=False)  # one checks them
@@ -151,6 +156,11 @@ class LengthExperiment:
             slip=self.solver.slip_m, limits=self.solver,
         )  # fmt: skip
         return replace(problem, order=order)
+
+    def felt(self, error_motion: float) -> float:
+        """Return the expanded uncertainty (rad, rms) that an error motion (m, k = 1) makes."""
+        angles = replace(self.scene, error_motion_std=error_motion).error_motion_angles
+        return COVERAGE_FACTOR * float(np.sqrt(np.trace(angles) / len(angles)))
 
     def share_of_noise(self, measured: Measured, noise: float) -> float:
         """Return d ln(variance) / d ln(noise^2): how much of the mean variance the noise makes."""

@@ -7,6 +7,7 @@ import numpy as np
 from rotcal_ros.arrays import Bools
 from rotcal_ros.planning.policy.lengths import LengthExperiment
 from rotcal_ros.planning.policy.measured import Measured
+from rotcal_ros.planning.policy.stated import Allowance
 
 
 class Reach:
@@ -24,11 +25,16 @@ class Reach:
         """Have it worked out when it is asked for next: many further lengths are lacking."""
         self._doubted = True
 
-    def best(self, of: LengthExperiment, measured: Measured, allowed: Bools) -> float:
-        """Return what the ``measured`` and all ``allowed`` steps give; 0 while nobody doubts."""
+    def best(
+        self, of: LengthExperiment, measured: Measured, allowed: Bools, allowance: Allowance
+    ) -> float:
+        """Return what would be stated of the ``measured`` and all ``allowed`` steps.
+
+        0 while nobody doubts, but never less than what no length lowers.
+        """
         if not self._doubted:
-            return 0.0
+            return allowance.floor
         if self._best is None:
             left = np.setdiff1d(np.flatnonzero(allowed), list(measured.steps))
             self._best = of.planned(measured, *self._stated, left)
-        return self._best
+        return allowance.stated(self._best)

@@ -9,7 +9,9 @@ is the set that reaches the goal with the planned noise. What is not known is le
   nearby are held to be blocked too until better is known;
 * suspect lengths are measured again, then all lengths of their station; a length that stays
   suspect is replaced by another target;
-* a drift: the first step and the middle step are measured again, to close the sweep.
+* a drift: the first step and the middle step are measured again, to close the sweep;
+* what the result states: where that misses the goal, although what is planned reaches it, further
+  steps follow. The goal is reached when both do: the U of the result is the one that is told.
 
 Where all steps together would miss the goal with the noise as it is, it ends at once.
 """
@@ -22,7 +24,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from rotcal_ros.methods.distributions import normal_isf
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.observations import Observation
 from rotcal_ros.planning.policy.choices import Choice, Outcome, Standing
 from rotcal_ros.planning.policy.closing import Closing
@@ -32,6 +34,7 @@ from rotcal_ros.planning.policy.further import MOST_AT_ONCE, Wish, as_sweep, bes
 from rotcal_ros.planning.policy.lengths import LengthExperiment
 from rotcal_ros.planning.policy.noise import LengthNoise, student_factor
 from rotcal_ros.planning.policy.reach import Reach
+from rotcal_ros.planning.policy.stated import Allowance, Stated
 from rotcal_ros.planning.policy.suspects import Suspects
 from rotcal_ros.units import ARCSEC
 
@@ -43,6 +46,8 @@ RESERVE_PER_SEGMENT: Final = 0.8
 """The same with one zero per segment: fewer unknowns leave more of the noise to be seen."""
 NEARLY: Final = 1.02
 """The order of the steps changes what the solver allows for slips by no more."""
+DOUBTED: Final = 0.9
+"""Share of what is planned that is aimed at next, where a result is not believed yet."""
 NOWHERE: Final = Standing(0)
 POOR_CHANCE: Final = 0.5
 """A planned step with a smaller chance gives way to a better one at the same station."""
@@ -91,6 +96,13 @@ class UntilGoal:
         self._now: float | None = None
         """The uncertainty (rad) of what is measured, with the noise as stated, once worked out."""
         self._reach = Reach(*self._stated)
+        self._seen: dict[tuple[int, int], Observation] = {}
+        """The last observation of every run and step: all that the solver will get."""
+        self._result: Stated | None = None
+        """What the result of these states, once it was asked for."""
+        self._allowance = Allowance()
+        self._hopeless = False
+        """Whether a result has shown an error motion beyond the goal; a second one is believed."""
         self._suspects = Suspects()
         self._closing = Closing()
         self._queue = deque((step, "first sweep") for step in self._first_sweep())
@@ -147,10 +159,13 @@ class UntilGoal:
             self._beams.note_free(step)
             self._closing.note(outcome.observation, self._measured)
             self._measured.add(outcome.observation)
-            self._now = None
+            self._seen[outcome.observation.run, step] = outcome.observation
+            self._now = self._result = None
         elif step not in self._measured:
             self._beams.note_blocked(step)
             self._replace(step, f"step {step} was given up: another target in its place")
+        if not self._queue and self._uncertainty() <= self._limits.uncertainty:
+            self._solved()  # now, for choosing has to be quick
 
     @property
     def noise_factor(self) -> float:
@@ -168,8 +183,14 @@ class UntilGoal:
             self._now = self._experiment.uncertainty(self._measured, *self._stated)
         return self._now
 
+    def _solved(self) -> Stated | None:
+        """Return what the result states of all that was measured; None where nobody solves it."""
+        if self._result is None and self._experiment.solved is not None:
+            self._result = self._experiment.solved(tuple(self._seen.values()))
+        return self._result
+
     def _standing(self) -> Standing:
-        now = self._uncertainty()
+        now = self._uncertainty() if self._result is None else self._result.uncertainty
         known = now if now < UNKNOWN else math.nan
         return Standing(len(self._queue), known, self._limits.uncertainty)
 
@@ -193,39 +214,78 @@ class UntilGoal:
         goal = self._limits.uncertainty
         now = self._uncertainty()
         if now <= goal:
-            return f"goal reached: {_in_words(now)} <= {_in_words(goal)}, {self._learnt}"
-        more = self._further(factor, student, now)
+            result = self._solved()
+            if result is None or result.uncertainty <= goal:
+                return self._reached(now, result)
+            self._allow_for(result, factor, student)
+            now = result.uncertainty
+            if self._allowance.floor >= goal:
+                return self._beyond_reach()
+        more = self._further(factor, student)
         if not more:
             lacking = self._experiment.lacking_in_words(self._measured)
             worse = lacking or f"{_in_words(now)} > {_in_words(goal)}"
-            return f"no further step helps: {worse}, {self._learnt}"
+            return f"no further step helps: {worse}, {self._learnt}{self._doubt}"
         if len(more) >= MOST_AT_ONCE:
             self._reach.doubt()  # worked out for the next choice: this one was long enough
         why = f"{self._learnt}: {len(more)} more lengths to {_in_words(goal)}"
         self._queue += ((step, why) for step in as_sweep(self._experiment, more, self._at))
         return ""
 
-    def _further(self, factor: float, student: float, now: float) -> list[int]:
-        """Return the steps that are lacking for the goal; ``now``: the uncertainty that there is.
+    def _reached(self, now: float, result: Stated | None) -> str:
+        """Return that the goal is reached, by the U of the result, and with which verdict."""
+        reached = now if result is None else result.uncertainty
+        goal = _in_words(self._limits.uncertainty)
+        return f"goal reached: {_in_words(reached)} <= {goal}, {self._learnt}{self._doubt}"
 
-        They are planned to first order, and so for as much less as the solver allows for slips.
+    @property
+    def _doubt(self) -> str:
+        """Why the result is not ok, to end a sentence with; empty: nothing is said against it."""
+        if self._result is None or not self._result.doubt:
+            return ""
+        return f"; but the verdict would not be ok: {self._result.doubt}"
+
+    def _allow_for(self, result: Stated, factor: float, student: float) -> None:
+        """Plan from now on for what the solver states, which is more than what was planned."""
+        planned = self._experiment.planned(self._measured, factor, student)
+        floor, goal = self._experiment.felt(result.error_motion), self._limits.uncertainty
+        if math.isfinite(result.uncertainty) and floor < goal:
+            self._allowance = Allowance.of(result.uncertainty, planned, floor)
+        elif math.isfinite(result.uncertainty) and self._hopeless:
+            self._allowance = Allowance(floor)
+        else:  # noise that a first sweep has underestimated looks like error motion, too
+            self._hopeless = math.isfinite(result.uncertainty)
+            self._allowance = Allowance.of(goal / DOUBTED, planned, 0.0)
+
+    def _further(self, factor: float, student: float) -> list[int]:
+        """Return the steps that are lacking for the goal, as the solver will state it.
+
+        They are planned to first order: without what it allows for slips and estimates.
         """
-        margin = 1.0
+        now, allowance = self._uncertainty(), self._allowance
         if self._experiment.per_segment and math.isfinite(now):
-            margin = self._experiment.planned(self._measured, factor, student) / now
-        wish = Wish(margin * self._limits.uncertainty, factor, student)
+            planned = self._experiment.planned(self._measured, factor, student)
+            slips = Allowance.of(now, planned, allowance.floor)
+            allowance = max(allowance, slips, key=lambda slip: slip.growth)
+        wish = Wish(allowance.planned(self._limits.uncertainty), factor, student)
         beams = self._beams
         return pick(self._experiment, self._measured, beams.allowed, beams.chance, wish)
 
     def _beyond_reach(self) -> str:
         """Return that all steps together miss the goal, if that was doubted and is so."""
-        best = self._reach.best(self._experiment, self._measured, self._beams.allowed)
+        best = self._reach.best(
+            self._experiment, self._measured, self._beams.allowed, self._allowance
+        )
         goal = self._limits.uncertainty
-        if not goal < best < math.inf:
+        if not goal <= best < math.inf:
             return ""
         self._queue.clear()
         missed = f"all steps that are left would give {_in_words(best)} > {_in_words(goal)}"
-        return f"the goal is out of reach: {missed}, {self._learnt}"
+        if self._allowance.floor >= goal:
+            missed = (
+                f"the table's error motion alone, as its circle tells it, gives {_in_words(best)}"
+            )
+        return f"the goal is out of reach: {missed}, {self._learnt}{self._doubt}"
 
     def _state(self, noise: LengthNoise) -> None:
         """State the noise from now on as the first stage tells it, if it does."""

@@ -59,7 +59,7 @@ def scene_of(settings: TracerDesignSettings, targets: ArrayLike | None = None) -
         length_std=settings.length_std_m,
         length_std_relative=settings.length_std_relative,
         circle_std=settings.circle_std_m,
-        error_motion_std=settings.error_motion_std_m,
+        error_motion_std=settings.error_motion,
     )
 
 

@@ -13,13 +13,16 @@ from typing import Final
 
 import numpy as np
 
+from rotcal_ros.adjust.distributions import normal_isf
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COVERAGE_FACTOR
-from rotcal_ros.methods.distributions import normal_isf
 from rotcal_ros.planning.tracer_design.information import Information
 
 ROUNDING: Final = 1e-6
 """Redundancy that is none: an error of that length shows nowhere, however large."""
+UNCHECKED: Final = 1e-3
+"""Redundancy of which is said that nothing checks the length: it takes an error of 150 times its
+noise to show."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.errors import PlanError
 from rotcal_ros.methods.tracer.grid import station_minimum
 from rotcal_ros.planning.tracer_design.candidates import candidates, scene_of
-from rotcal_ros.planning.tracer_design.checks import Checks, checks_of
+from rotcal_ros.planning.tracer_design.checks import UNCHECKED, Checks, checks_of
 from rotcal_ros.planning.tracer_design.depth import LEAST_DEPTH, flat_stations
 from rotcal_ros.planning.tracer_design.exchange import fewest_lengths
 from rotcal_ros.planning.tracer_design.information import Information
@@ -63,9 +63,10 @@ class TracerDesign:
             "checked_bound": self.checked_bound,
             "checked": self.settings.checked,
             "smallest_redundancy": float(self.checks.redundancy.min()),
-            "largest_detectable_m": _finite(self.checks.detectable.max()),
-            "largest_undetected_in_u": _finite(self.checks.share.max()),
-            "largest_undetected_arcsec": _finite(np.abs(self.checks.effect).max() / ARCSEC),
+            "unchecked": int((self.checks.redundancy < UNCHECKED).sum()),
+            "largest_detectable_m": finite(self.checks.detectable.max()),
+            "largest_undetected_in_u": finite(self.checks.share.max()),
+            "largest_undetected_arcsec": finite(np.abs(self.checks.effect).max() / ARCSEC),
         }
 
 
@@ -128,16 +129,25 @@ class DesignSearch:
         )
         return [plan for plan in plans if plan is not None]
 
-    def stricter(self, mean: float, largest: float) -> TracerDesign:
-        """Search on from the last plan, with variances smaller than the goal's (rad^2) by these.
+    def continued(self, found: TracerDesign, mean: float, largest: float) -> TracerDesign:
+        """Search on for a plan whose variances are ``mean`` and ``largest`` times those ``found``.
 
-        Raises PlanError when no plan was found.
+        Never larger than the goal's. The error motion, which no length changes, is left as it is.
+        Where the targets that were offered do not suffice, those are that the ideal plan for it
+        likes. Raises PlanError when no plan was found.
         """
-        demands = self.demands
-        demands = replace(demands, mean=demands.mean - mean, largest=demands.largest - largest)
-        plan = None
-        if min(demands.mean, demands.largest) > 0.0:
-            plan = self._fewest(demands, self.settings.seed, 1 + self.settings.starts)
+        constant, known = np.diagonal(self.scene.error_motion_angles), found.known.variances()
+        lengths = known - constant
+        demands = replace(
+            self.demands,
+            mean=min(self.demands.mean, float((constant + mean * lengths).mean())),
+            largest=min(self.demands.largest, float((constant + largest * lengths).max())),
+        )
+        part = 1 + self.settings.starts
+        plan = self._fewest(demands, self.settings.seed, part)
+        if plan is None:
+            self._offer(self._ideal(demands.mean - float(constant.mean())))
+            plan = self._fewest(demands, self.settings.seed, part)
         return self._best([] if plan is None else [plan])
 
     def _fewest(self, demands: Demands, seed: int, part: int) -> Ints | None:
@@ -236,6 +246,6 @@ class _Parts:
         return shown
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
     """Return a number for JSON, which has no infinity: None."""
     return float(value) if np.isfinite(value) else None

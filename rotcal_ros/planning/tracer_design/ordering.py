@@ -16,16 +16,19 @@ from rotcal_ros.methods.tracer.settings import TracerLimits
 from rotcal_ros.planning.sequence_choice import MeasuringOrder, least_hidden, measuring_orders
 from rotcal_ros.planning.sequence_forecast import OrderForecast, ranks
 from rotcal_ros.planning.sequence_time import HARDLY, Drive, TimeModel, stated_time
-from rotcal_ros.planning.tracer_design.design import ARCSEC, DesignSearch, TracerDesign
+from rotcal_ros.planning.tracer_design.design import ARCSEC, DesignSearch, TracerDesign, finite
 from rotcal_ros.planning.tracer_design.optimum import Progress
-from rotcal_ros.planning.tracer_design.penalty import Demands
+from rotcal_ros.planning.tracer_design.promise import Promise, promised
 from rotcal_ros.planning.tracer_design.scene import Lengths, Scene
 from rotcal_ros.planning.tracer_design.settings import SHARED, TracerDesignSettings
 
-TRIES: Final = 4
+TRIES: Final = 6
 """Searches after the first, each with less allowed to the lengths."""
-MARGIN: Final = 0.1
-"""By how much more than slips have just added is left to them, growing with every search."""
+AIM: Final = 0.97
+"""Share of the wanted variance that a search aims at."""
+CLOSE: Final = 0.85
+"""Share of the wanted variance from which fewer lengths are no longer looked for."""
+LEAST_EXCESS: Final = 0.1
 
 
 def time_model(settings: TracerDesignSettings) -> TimeModel:
@@ -40,13 +43,17 @@ def time_model(settings: TracerDesignSettings) -> TimeModel:
 class OrderedDesign:
     """A plan and the order it is measured in, the quickest that shows drifts and knocks.
 
-    ``variances`` (m,), rad^2, of ECC less its mean, are those that the solver will state for it:
-    with one zero they allow for fringes slipped unseen, which depend on the order.
+    ``variances`` (m,), rad^2, of ECC less its mean, are those that the solver will state for it
+    when it estimates nothing: with one zero they allow for fringes slipped unseen, which depend on
+    the order. ``promise``: what simulated results state. ``quickest``: the quickest order of the
+    same lengths, whatever it hides.
     """
 
     design: TracerDesign
     order: MeasuringOrder
     variances: Floats
+    promise: Promise
+    quickest: MeasuringOrder
 
     @property
     def lengths(self) -> Lengths:
@@ -55,24 +62,75 @@ class OrderedDesign:
 
     @property
     def expanded(self) -> Floats:
-        """U (m,) of ECC less its mean, k = 2, rad."""
+        """U (m,) of ECC less its mean, k = 2, rad, nothing being estimated."""
         return np.asarray(COVERAGE_FACTOR * np.sqrt(self.variances), dtype=np.float64)
 
-    def reaches(self, demands: Demands) -> bool:
-        """Whether the variances are as small as demanded."""
-        small = self.variances.mean() <= demands.mean and self.variances.max() <= demands.largest
-        return bool(small)
+    def excess(self) -> tuple[float, float]:
+        """Return likely over wanted variance, mean and largest, less the error motion's part.
+
+        Of the plain minimum, whose lengths check nothing, what is stated when all is well: which
+        of them are doubted scatters U by more than any goal allows.
+        """
+        settings, scene = self.design.settings, self.design.scene
+        constant = COVERAGE_FACTOR**2 * np.diagonal(scene.error_motion_angles)
+        rms, largest = self.promise.likely(settings.confidence)
+        if not settings.checked:
+            rms, largest = float(np.sqrt((self.expanded**2).mean())), float(self.expanded.max())
+        most_rms, most = settings.goal
+        left = float(constant.mean()), float(constant.max())
+        return (
+            (rms**2 - left[0]) / max(most_rms**2 - left[0], 1e-3 * most_rms**2),
+            (largest**2 - left[1]) / max(most**2 - left[1], 1e-3 * most**2),
+        )
+
+    @property
+    def kept(self) -> bool:
+        """Whether results reach the goal with the wanted confidence; see :meth:`excess`."""
+        settings = self.design.settings
+        if not settings.checked:
+            return max(self.excess()) <= 1.0
+        return self.promise.kept(settings.confidence, *settings.goal)
+
+    @property
+    def wanted(self) -> tuple[float, float]:
+        """By what the variances that the lengths make, mean and largest, are to be multiplied."""
+        least = LEAST_EXCESS if self.kept else 1.0
+        mean, largest = (AIM / max(value, least) for value in self.excess())
+        return mean, largest
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain types for JSON, SI but for names that tell a unit."""
-        expanded, forecast = self.expanded / ARCSEC, self.order.forecast
+        settings, forecast = self.design.settings, self.order.forecast
+        hidden = self.quickest.forecast
+        stated = dict(zip(("rms", "largest"), self.promise.median, strict=True))
+        below = dict(zip(("rms", "largest"), self.promise.below(settings.confidence), strict=True))
         return {
             **self.design.to_dict(),
-            "expanded_rms_arcsec": float(np.sqrt((expanded**2).mean())),
-            "expanded_largest_arcsec": float(expanded.max()),
+            **{f"expanded_{name}_arcsec": finite(u / ARCSEC) for name, u in stated.items()},
+            **{f"promised_{name}_arcsec": finite(u / ARCSEC) for name, u in below.items()},
+            "confidence": settings.confidence,
+            "met": self.promise.met(*settings.goal),
+            "suspected": self.promise.suspected,
+            "runs": self.promise.runs,
+            "error_motion_std_m": settings.error_motion,
             "time_s": self.order.seconds,
+            **self.cost(),
             "order": self.order.name,
             "unseen_std": {} if forecast is None else forecast.to_dict(),
+            "quickest_unseen_std": {} if hidden is None else hidden.to_dict(),
+        }
+
+    def cost(self) -> dict[str, float]:
+        """Return what the time (s) is made of, and what the order's protection takes of it.
+
+        ``lengths_s``: if the table never had to turn, ``turns_s``: what its turns add;
+        ``quickest_s``: of the same lengths in the quickest order, which hides drifts and knocks.
+        """
+        alone = self.design.settings.length_s * (len(self.lengths) - 1)
+        return {
+            "lengths_s": min(alone, self.order.seconds),
+            "turns_s": max(self.order.seconds - alone, 0.0),
+            "quickest_s": self.quickest.seconds,
         }
 
 
@@ -85,21 +143,51 @@ def ordered_design(
     """Return a plan with few lengths whose result reaches the goal of ``settings``, in its order.
 
     ``targets`` (n, 3), m: the only places of the reflector, else all of the volume. The search
-    knows nothing of slips: where they take the plan beyond the goal it is continued with less.
+    knows nothing of slips and of what the solver estimates: where that takes the plan beyond the
+    goal, with the wanted confidence, it is continued with less.
     Raises PlanError when the goal is out of reach, or no plan was found that checks every length.
     """
     search = DesignSearch(settings, targets, progress)
-    found = _in_order(search.first())
-    for number in range(1, TRIES + 1):
-        if found.reaches(search.demands):
-            return found
-        added = (1.0 + MARGIN * number) * (found.variances - found.design.known.variances())
-        found = _in_order(search.stricter(float(added.mean()), float(added.max())))
-    if found.reaches(search.demands):
-        return found
-    raise PlanError(
-        f"with a fringe of {settings.slip_m:g} m that may slip unseen no plan was found that "
-        "reaches the goal: ask for less, or plan a zero per station"
+    found = best = _in_order(search.first())
+    for _ in range(0 if best.kept else TRIES):
+        if not np.isfinite(found.excess()).all() or found.promise.hopeless(settings.confidence):
+            break
+        try:
+            found = _in_order(search.continued(found.design, *found.wanted))
+        except PlanError:
+            break
+        if found.kept and (not best.kept or len(found.lengths) < len(best.lengths)):
+            best = found
+        if found.kept and max(found.excess()) >= CLOSE:
+            break
+    if not best.kept:
+        raise PlanError(_out_of_reach(settings, found))
+    return best
+
+
+def _out_of_reach(settings: TracerDesignSettings, found: OrderedDesign) -> str:
+    """Return why no plan keeps the promise, and what would help."""
+    promise = found.promise
+    suspected = f"{100 * promise.suspected:.2g} % of its sound runs are not called ok"
+    if promise.hopeless(settings.confidence):
+        return (
+            f"no plan was found that ends ok with a probability of {100 * settings.confidence:g} "
+            f"%: of the last one, of {len(found.lengths)} lengths, {suspected}, and no further "
+            "length changes that: ask for a lower confidence, and measure again where it happens"
+        )
+    rms, _ = promise.likely(settings.confidence)
+    cures = ["ask for less"]
+    if settings.error_motion is None:
+        cures.append("state error_motion_std_m, which the solver would else estimate")
+    if settings.zero == SHARED and settings.slip_m > 0.0:
+        cures.append(
+            f"plan a zero per station: a fringe of {settings.slip_m:g} m that may slip unseen is "
+            "in U"
+        )
+    return (
+        f"no plan was found whose result states U <= {settings.need_arcsec:g} arcsec with a "
+        f"probability of {100 * settings.confidence:g} %; the last one, of {len(found.lengths)} "
+        f"lengths, stays below {rms / ARCSEC:.3g} arcsec ({suspected}): {', or '.join(cures)}"
     )
 
 
@@ -111,20 +199,19 @@ def _in_order(design: TracerDesign) -> OrderedDesign:
         scene, lengths, one_zero=settings.zero == SHARED, seed=settings.seed,
         slip=settings.slip_m, limits=settings.limits,
     )  # fmt: skip
-    order = least_hidden(
-        measuring_orders(
-            position, target, costs, OrderForecast(problem), limit=settings.max_unseen,
-            seed=settings.seed,
-        ),
-        settings.max_unseen,
+    ways = measuring_orders(
+        position, target, costs, OrderForecast(problem), limit=settings.max_unseen,
+        seed=settings.seed,
     )  # fmt: skip
-    return OrderedDesign(design, order, _stated(problem, scene, order.order))
+    order = least_hidden(ways, settings.max_unseen)
+    posed = replace(problem, targets=scene.targets, order=ranks(order.order))
+    promise = promised(posed, scene, settings.goal, settings.confidence, seed=settings.seed)
+    return OrderedDesign(design, order, _stated(posed, scene), promise, ways[0])
 
 
-def _stated(problem: TracerProblem, scene: Scene, order: Ints) -> Floats:
-    """Return the variances (m,) that the solver states in an ``order`` (k,), less their mean."""
-    exact = replace(problem, targets=scene.targets, order=ranks(order))
-    covariance = predicted(exact, scene.stations).angles.covariance
+def _stated(problem: TracerProblem, scene: Scene) -> Floats:
+    """Return the variances (m,) of the deviations less their mean that the solver states."""
+    covariance = predicted(problem, scene.stations).angles.covariance
     turn = np.eye(len(covariance)) - 1.0 / len(covariance)
     return np.asarray(np.diagonal(turn @ covariance @ turn), dtype=np.float64)
 

@@ -35,7 +35,8 @@ class Scene:
     ``circle_std``: standard deviation (m) by which stations leave one circle, radially and along
     the axis; the circle itself is unknown. None: nothing is said about it.
     ``error_motion_std`` (m): the table's own radial error motion, which no length can tell from
-    the angle; it joins the predicted covariance.
+    the angle; it joins the predicted covariance. None: the solver estimates it, and nothing is
+    predicted of it.
 
     Raises PlanError where the shapes do not fit each other.
     """
@@ -47,7 +48,7 @@ class Scene:
     length_std: float
     length_std_relative: float = 0.0
     circle_std: float | None = None
-    error_motion_std: float = 0.0
+    error_motion_std: float | None = 0.0
 
     def __post_init__(self) -> None:
         """Bring everything to its shape."""
@@ -85,7 +86,7 @@ class Scene:
     @cached_property
     def error_motion_angles(self) -> Floats:
         """What the error motion adds to the covariance (m, m) of the zero-mean angles, rad^2."""
-        motion = error_motion_covariance(self.motion, self.error_motion_std)
+        motion = error_motion_covariance(self.motion, self.error_motion_std or 0.0)
         return np.asarray(self.turning @ motion @ self.turning.T, dtype=np.float64)
 
     def beams(self, position: Ints, target: Ints) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ from rotcal_ros.methods.tracer.settings import TracerLimits, TracerSolverSetting
 from rotcal_ros.planning.table_angles import TableAngleSettings
 from rotcal_ros.protection import TOLERABLE
 from rotcal_ros.settings import setting
+from rotcal_ros.units import ARCSEC
 
 Triple = tuple[float, float, float]
 SHARED = "one"
@@ -81,8 +82,13 @@ class TracerDesignSettings(TableAngleSettings):
     target_std_m: Triple = setting(
         (1e-6, 1e-6, 1e-6), doc="m, standard deviation of a target along x, y, z", minimum=0.0
     )
-    error_motion_std_m: float = setting(
-        0.0, doc="m, the table's radial error motion; part of U", minimum=0.0, maximum=1e-2
+    error_motion_std_m: float | None = setting(
+        None,
+        doc="m, the table's radial error motion: part of U, and written down for the solver; 0: "
+        "known to be none; absent: as circle_std_m, else the solver estimates it from the circle, "
+        "which takes more lengths",
+        minimum=0.0,
+        maximum=1e-2,
     )
     zero: str = setting(
         PER_STATION,
@@ -97,6 +103,12 @@ class TracerDesignSettings(TableAngleSettings):
         doc="m, as in solver, with one zero: a fringe that may slip unseen is in U; 0: none does",
         minimum=0.0,
         maximum=1e-5,
+    )
+    confidence: float = setting(
+        0.95,
+        doc="probability with which the result's own U meets the goal",
+        minimum=0.5,
+        maximum=0.99,
     )
     repeats: int = setting(1, doc="how often a pair may be measured", minimum=1, maximum=1000)
     min_redundancy: float = setting(
@@ -153,6 +165,16 @@ class TracerDesignSettings(TableAngleSettings):
         return TracerLimits(rejection_significance=self.rejection_significance)
 
     @property
+    def error_motion(self) -> float | None:
+        """The error motion (m) that the solver will hold to; None: it estimates it."""
+        return self.circle_std_m if self.error_motion_std_m is None else self.error_motion_std_m
+
+    @property
     def largest_arcsec(self) -> float:
         """Wanted U at the worst angle, arcsec."""
         return self.need_largest_arcsec or 1.1 * self.need_arcsec
+
+    @property
+    def goal(self) -> tuple[float, float]:
+        """Wanted U, rms over the angles and at the worst one, rad."""
+        return self.need_arcsec * ARCSEC, self.largest_arcsec * ARCSEC

@@ -32,7 +32,8 @@ class Column:
 
     ``digits`` is the format of the numbers for people, e.g. ``+.3f``. ``std``, where given, are
     the standard uncertainties of the cells: for people the expanded ones (k = 2) stand behind
-    them, with the digits that these ask for, unless not ``valid``; in CSV they are a column.
+    them, with the digits that these ask for; in CSV they are a column of their own. Nowhere are
+    they shown unless ``valid``.
     """
 
     heading: str
@@ -64,7 +65,9 @@ class Column:
         """Yield heading and cells of the columns in CSV."""
         yield self.heading, self.cells
         if self.std is not None:
-            yield f"u({self.heading.partition('/')[0]})/{self.heading.partition('/')[2]}", self.std
+            name, _, unit = self.heading.partition("/")
+            expanded = [COVERAGE_FACTOR * float(std) if self.valid else None for std in self.std]
+            yield f"U({name}) (k = {COVERAGE_FACTOR:g})/{unit}", expanded
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from rotcal_ros.bags.unread import note_told
 from rotcal_ros.escapes import printable
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 def say(text: str) -> None:
     """Print a line for people on standard error; above a progress bar where one is shown."""
+    note_told(text)
     # Not click.echo: it writes past what rich puts in the place of standard error meanwhile.
     sys.stderr.write(f"{printable(text)}\n")
 
@@ -25,6 +27,7 @@ def say(text: str) -> None:
 def tell(*lines: str, colour: str = "", err: bool = False) -> None:
     """Print lines on standard output (``err``: error), whatever names of others are in them."""
     for line in lines:
+        note_told(line)
         click.echo(click.style(printable(line), colour) if colour else printable(line), err=err)
 
 

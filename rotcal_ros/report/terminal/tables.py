@@ -10,6 +10,7 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.components import COVERAGE_FACTOR, unit_of
 from rotcal_ros.evaluation.iso230 import ONLY_SCATTER, Iso230
+from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.evaluation.withheld import withheld
 from rotcal_ros.report.terminal.columns import (
     Column,
@@ -30,11 +31,12 @@ if TYPE_CHECKING:  # a result is printed without what compares and combines
 
 
 def print_result(result: Result) -> None:
-    """Print deviations with their expanded uncertainties, warnings and the verdict.
+    """Print deviations with their expanded uncertainties, warnings and the marks.
 
     Where no uncertainty may be stated it is left out, and a line says why.
     """
     columns, reason = [_angles(result.angles)], withheld(result)
+    about, *against = marks(result, reason)
     for name in result.components:
         unit, label = unit_of(name)
         value, std = result.deviations[name] / unit, result.std[name] / unit
@@ -45,9 +47,10 @@ def print_result(result: Result) -> None:
     print_words(
         *(f"warning: {warning}" for warning in result.warnings),
         *([f"U: not stated, because the verdict is {result.verdict}"] if reason else []),
-        f"verdict {result.verdict_line}: {result.n_observations} observations, "
+        f"{about.line}: {result.n_observations} observations, "
         f"{len(result.rejected)} rejected, {result.dof} degrees of freedom, "
         f"sigma0 {result.sigma0:.3f}",
+        *(mark.line for mark in against),
     )
 
 
@@ -139,16 +142,19 @@ def _say_figures(figures: Iso230) -> None:
 
 
 def print_uncertainty(both: Propagated) -> None:
-    """Print, for each component, both U and the interval of the trials by angle."""
-    interval = f"{100 * both.spread.probability:g} % interval"
+    """Print, for each component, both U and the interval of the trials by angle.
+
+    Where no uncertainty of what was measured may be stated they are left out, and a line says why.
+    """
+    interval, reason = f"{100 * both.spread.probability:g} % interval", withheld(both.result)
+    k = f"(k = {COVERAGE_FACTOR:g})"
     tables = []
     for name, part in both.components.items():
         unit, label = unit_of(name)
-        columns = {
-            "value": part.value,
-            "U solver": COVERAGE_FACTOR * part.linear_std,
-            "U trials": COVERAGE_FACTOR * part.std,
-            "shift": part.mean - part.value,
+        columns: dict[str, Floats] = {"value": part.value, "shift": part.mean - part.value}
+        stated = {
+            f"U solver {k}": COVERAGE_FACTOR * part.linear_std,
+            f"U trials {k}": COVERAGE_FACTOR * part.std,
             "from": part.low,
             "to": part.high,
         }
@@ -157,14 +163,22 @@ def print_uncertainty(both: Propagated) -> None:
                 [
                     _angles(both.result.angles),
                     *(column_of(head, v, unit, ".4f") for head, v in columns.items()),
+                    *(
+                        column_of(head, [None] * len(v) if reason else v, unit, ".4f")
+                        for head, v in stated.items()
+                    ),
                     Column("unit", [label] * len(both.result.angles)),
                 ],
-                f"{name}: U (k = {COVERAGE_FACTOR:g}) of solver and trials, {interval}",
+                f"{name}: U {k} of solver and trials, {interval}",
                 name,
             )
         )
     print_tables(tables, "component")
-    print_words(*(f"warning: {warning}" for warning in both.warnings), both.in_words())
+    print_words(
+        *(f"warning: {warning}" for warning in both.warnings),
+        *([f"U: not stated, because {reason}"] if reason else []),
+        both.in_words(),
+    )
 
 
 def _angles(angles: Floats) -> Column:

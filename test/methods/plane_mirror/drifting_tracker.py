@@ -49,7 +49,7 @@ class Campaign:
         position, station, kind, nest = self.rows.T
         return PlaneMirrorProblem(
             self.angles, position, station, kind, nest, self.exact if xyz is None else xyz,
-            **{"noise": TrackerNoise(), **settings},
+            **{"noise": TrackerNoise(), "uneven_drift_std": 0.0, **settings},
         )  # fmt: skip
 
     def noisy(self, rng: np.random.Generator, trials: int, factor: float = 1.0) -> np.ndarray:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from chances import LONG, most, share
 from drifting_tracker import ARCSEC, Creep, campaign
 from scipy.stats import binom
 
@@ -15,7 +16,9 @@ from rotcal_ros.methods.plane_mirror.prepare import prepare
 from rotcal_ros.observations import PointKind
 
 WAYS = ("stitching", "registration", "joint")
-RUNS = 600
+RUNS = 600 if LONG else 200
+ABOUT = (0.93, 0.97) if LONG else share(0.95, RUNS)
+"""Of the shares of intervals that hold the truth: as if all angles of a run erred together."""
 CREEPS = {
     "azimuth": Creep(azimuth=3.0 * ARCSEC),
     "range": Creep(range=5e-6),
@@ -73,16 +76,16 @@ def test_the_drift_of_every_station_is_reported_with_its_parts():
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("creep", CREEPS)
 def test_95_percent_intervals_hold_the_truth_while_the_tracker_drifts(creep, way):
-    assert 0.93 <= coverage(*runs(CREEPS[creep], way)) <= 0.97
+    assert ABOUT[0] <= coverage(*runs(CREEPS[creep], way)) <= ABOUT[1]
 
 
 @pytest.mark.parametrize("every", [1, 2])
 def test_95_percent_intervals_hold_with_nests_in_between(every):
-    assert 0.93 <= coverage(*runs(CREEPS["azimuth"], every=every)) <= 0.97
+    assert ABOUT[0] <= coverage(*runs(CREEPS["azimuth"], every=every)) <= ABOUT[1]
 
 
 def test_95_percent_intervals_hold_with_three_nests():
-    assert 0.93 <= coverage(*runs(CREEPS["azimuth"], n_nests=3)) <= 0.97
+    assert ABOUT[0] <= coverage(*runs(CREEPS["azimuth"], n_nests=3)) <= ABOUT[1]
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -125,7 +128,7 @@ def test_a_large_drift_makes_the_result_suspect_unless_nests_show_its_course():
 
 def test_without_drift_false_alarms_are_as_rare_as_stated():
     found = campaign()
-    points = found.noisy(np.random.default_rng(11), 150)
+    points = found.noisy(np.random.default_rng(11), 150 if LONG else 60)
     drifts = [find_drift(found.problem(p)) for p in points]
     chances = np.array([[s.probability(1e-3) for s in d.stations] for d in drifts]).ravel()
     for level in (0.5, 0.05, 0.01):
@@ -135,8 +138,8 @@ def test_without_drift_false_alarms_are_as_rare_as_stated():
     squares = sum(s.chi_square for d in drifts for s in d.stations)
     dof = sum(s.dof for d in drifts for s in d.stations)
     assert abs(squares / dof - 1.0) < 5.0 * np.sqrt(2.0 / dof)
-    verdicts = [solve(found.problem(p)).verdict for p in points[:25]]
-    assert verdicts.count("ok") >= 24
+    verdicts = [solve(found.problem(p)).verdict for p in points[: 25 if LONG else 10]]
+    assert len(verdicts) - verdicts.count("ok") <= most(0.01, len(verdicts))
 
 
 def test_the_drift_costs_little_and_closing_nests_pay_for_it():
@@ -266,3 +269,20 @@ def test_what_the_drift_takes_is_what_the_estimate_feels():
     np.testing.assert_allclose(moved.change - station.change, expected, atol=2e-11)
     again = find_drift(replace(problem, xyz=drift.corrected(problem.xyz)))
     assert max(np.abs(s.change).max() for s in again.stations) < 1e-9
+
+
+def test_a_drift_that_swings_between_two_rounds_of_nests_is_named_with_its_size():
+    """A sine of 1 arcsec while the tracker stands: the nests are where they were."""
+    swing = Creep(azimuth=ARCSEC, course=lambda share: np.sin(2.0 * np.pi * share))
+    still, swung = (solve(nearly_exact(campaign(c))) for c in (Creep(), swing))
+    noisy = campaign(swing)
+    result = solve(noisy.problem(noisy.noisy(np.random.default_rng(4), 1)[0]))
+    told = effect_of(result)["uneven drift"]
+    assert told.treatment == "not protected"
+    assert "uneven drift" in result.unprotected
+    assert "plan.nests_every" in told.why
+    moved = np.abs(swung.deviations["ECC"] - still.deviations["ECC"])[1:]
+    worst = float((moved / result.std["ECC"][1:]).max())
+    assert worst > 1.5  # it matters,
+    figure = float(told.why.split("up to ")[1].split()[0])
+    assert worst < 2.5 * figure  # by what is said of an arcsecond here and at the first position

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mirror_scene import measured
 
 from rotcal_ros.catalogue.plane_mirror.mirror_physics import (
     measure,
@@ -318,3 +319,37 @@ def test_trials_come_in_any_number():
     for count in (1, 250, 251):
         assert trials(np.random.default_rng(1), count).shape == (count, 17)
     assert len(np.unique(trials(np.random.default_rng(1), 501)[:, 3])) == 501
+
+
+def alternating_without_ties(apart):
+    """Two reflectors, at even and at odd positions, but for one if not ``apart``."""
+    problem = measured("direct")
+    odd = problem.position % 2 == 1
+    at_even = problem.nest == problem.nest[problem.kind == PointKind.DIRECT][0]
+    keep = (problem.kind != PointKind.DIRECT) | (odd != at_even)
+    if not apart:
+        keep |= problem.position == 0
+    columns = ("position", "station", "kind", "nest", "xyz")
+    return replace(problem, **{name: getattr(problem, name)[keep] for name in columns})
+
+
+def test_positions_that_no_reflector_ties_have_zeros_of_their_own():
+    """The offset between them was whatever had the smallest norm, at the verdict ok."""
+    truth = np.random.default_rng(5).normal(0.0, 5 * ARCSEC, 17)
+    tied = solve(alternating_without_ties(apart=False))
+    assert tied.zeros.free == ()
+    assert tied.zeros.counts_from == "first angle"
+    np.testing.assert_allclose(tied.deviations["ECC"], truth - truth[0], atol=1e-9)
+
+    result = solve(alternating_without_ties(apart=True))
+    assert result.verdict == "suspect"
+    assert "between table positions that share no reflector is not measured (ECC)" in (
+        result.verdict_line
+    )
+    assert result.zeros.counts_from == "first angle of each group"
+    np.testing.assert_array_equal(result.zeros.of("ECC", 17)[:, 0], np.arange(17) % 2)
+    found = result.deviations["ECC"]
+    for first in (0, 1):
+        own = truth[first::2] - truth[first]
+        np.testing.assert_allclose(found[first::2], own, atol=1e-9)
+        assert result.std["ECC"][first] == 0.0

@@ -1,16 +1,18 @@
 """Where the limits of the tracer's checks lie: just inside is taken, just outside refused."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tracer_scene import arc, low_ring, simulate
 
-from rotcal_ros.errors import DataError, GeometryError
+from rotcal_ros.errors import DataError, GeometryError, RotcalError
 from rotcal_ros.geometry.rotations import rotation_from_vector
 from rotcal_ros.methods.tracer import solve
 from rotcal_ros.methods.tracer.angles import table_motion
 from rotcal_ros.methods.tracer.grid import arrange
+from rotcal_ros.methods.tracer.observability import or_prior
 from rotcal_ros.methods.tracer.screening import critical_value, reject, rejection_limit
 from rotcal_ros.methods.tracer.start import find_start
 from rotcal_ros.methods.tracer.station import adjust_stations, locate_stations
@@ -119,8 +121,9 @@ def test_a_station_stands_within_a_tenth_of_a_radian_of_its_command(off, sign):
     if off < 0.1:
         assert solve(problem).deviations["ECC"][5] == pytest.approx(-sign * off, abs=1e-9)
         return
-    text = (
-        f"station 5 stands {-sign * off:.3f} rad from its commanded angle of {angles[5]:.3f} rad"
+    told, far = np.degrees(angles[5]), np.degrees(-sign * off)
+    text = re.escape(
+        f"station 5 stands at {told + far:.4f} degrees where {told:.4f} were commanded, {far:+.4f}"
     )
     with pytest.raises(DataError, match=text):
         solve(problem)
@@ -194,3 +197,63 @@ def test_weights_make_the_weighted_minimum():
         slope = (square(found + step) - square(found - step)) / 4e-5
         curve = (square(found + step) + square(found - step) - 2 * square(found)) / 4e-10
         assert np.abs(slope / curve).max() < 1e-8
+
+
+def test_lengths_with_the_sign_turned_round_are_told_so_and_not_to_spread_the_targets():
+    good = scene()
+    problem = good.problem()
+    with pytest.raises(DataError, match="opposite sign they fit: turn their sign round"):
+        solve(replace(problem, length=-problem.length))
+
+
+def test_readings_below_zero_that_grow_with_the_distance_are_as_good_as_any():
+    good = scene()
+    problem = good.problem()
+    below = solve(replace(problem, length=problem.length - 5.0))
+    assert below.verdict == "ok"
+    assert below.deviations["ECC"] == pytest.approx(solve(problem).deviations["ECC"], abs=1e-9)
+
+
+@pytest.mark.parametrize("wrong", ["clockwise", "two axes exchanged", "an axis turned round"])
+def test_a_left_handed_frame_is_named_beside_a_clockwise_table(wrong):
+    problem = scene().problem()
+    targets = problem.targets
+    changed = {
+        "clockwise": {"table_angles": -problem.table_angles},
+        "two axes exchanged": {"targets": targets[:, [1, 0, 2]]},
+        "an axis turned round": {"targets": targets * np.array([1.0, -1.0, 1.0])},
+    }[wrong]
+    with pytest.raises(DataError) as refused:
+        solve(replace(problem, **changed))
+    text = str(refused.value)
+    assert "opposite sign" in text
+    assert "Clockwise: negate the table angles." in text
+    assert "left-handed" in text
+
+
+def test_a_table_that_never_turned_is_not_told_to_spread_the_targets():
+    """Every station stands where the first one does."""
+    good = scene(length_std=0.0)
+    first = good.problem()
+    still = first.length[first.position == 0]
+    length = np.concatenate([still] * (first.position.max() + 1))
+    order = np.argsort(first.position, kind="stable")
+    problem = replace(
+        first, position=first.position[order], target=first.target[order], length=length
+    )
+    with pytest.raises(RotcalError) as refused:
+        solve(problem)
+    assert "does the table turn" in str(refused.value)
+    assert "spread the targets" not in str(refused.value)
+
+
+def test_advice_that_is_followed_already_is_not_given():
+    assert or_prior(free=False) == ""
+    assert "datum 'prior'" in or_prior(free=True)
+    problem = scene(length_std=0.0).problem()
+    exchanged = problem.targets[::-1].copy()
+    for datum in ("prior", "free"):
+        with pytest.raises(RotcalError) as refused:
+            solve(replace(problem, targets=exchanged, variant="joint", datum=datum))
+        if datum == "prior":
+            assert "datum 'prior'" not in str(refused.value)

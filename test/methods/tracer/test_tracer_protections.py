@@ -62,6 +62,16 @@ def knocked(size):
     return effect
 
 
+def along(size, wave):
+    """Mount or cable shift the tracer along its circle: by ``size`` times ``wave`` (m,)."""
+
+    def effect(share, at, to):
+        tangent = np.stack([-at[..., 1], at[..., 0], 0.0 * at[..., 0]], axis=-1) / RADIUS
+        return at + size * wave[:, None, None] * tangent, to
+
+    return effect
+
+
 def treatments(result):
     return {p.effect: p for p in result.protections}
 
@@ -70,7 +80,12 @@ def treatments(result):
 @pytest.mark.parametrize("datum", ["prior", "free"])
 def test_every_effect_is_stated_once(variant, datum):
     result = solve(measured(1, variant=variant, datum=datum))
-    assert tuple(p.effect for p in result.protections) == EFFECTS
+    assert tuple(p.effect for p in result.protections) == (
+        *EFFECTS,
+        "tangential motion",
+        "one place",
+        "numbering",
+    )
     stated = treatments(result)
     assert stated["gauge"].treatment == "harmless"
     assert {"drift", "knock", "repeatability"} <= set(result.unprotected)
@@ -145,3 +160,79 @@ def test_a_leaning_axis_and_a_wrong_scale_hardly_touch_the_angle():
     error = np.abs(longer.deviations["ECC"] - plain.deviations["ECC"])[1:] / plain.std["ECC"][1:]
     assert error.max() < 2.0
     assert treatments(plain)["scale"].error is None or treatments(plain)["scale"].error < 1.0
+
+
+@pytest.mark.parametrize("stated", [None, 0.0, 1e-7])
+@pytest.mark.parametrize("interleaved", [False, True])
+def test_a_tracer_shifted_along_its_circle_is_named_as_no_length_sees_it(stated, interleaved):
+    """cos 2 theta of 0.6 um: the closed form of its error is -shift / radius."""
+    wave = np.cos(4 * np.pi * np.arange(STATIONS) / STATIONS)
+    options = {"interleaved": interleaved, "error_motion_std": stated}
+    quiet = solve(measured(5, **options))
+    result = solve(measured(5, effect=along(6e-7, wave), **options))
+    assert quiet.verdict == result.verdict == "ok"  # nothing can see it
+    moved = result.deviations["ECC"] - quiet.deviations["ECC"]
+    assert moved == pytest.approx(6e-7 * (wave - wave[0]) / RADIUS, rel=1e-3, abs=1e-9)
+    assert (np.abs(moved)[1:] / result.std["ECC"][1:]).max() > 3.0
+    for found in (quiet, result):
+        assert "tangential motion" in found.unprotected
+        assert "tangential motion" in found.verdict_line
+        why = treatments(found)["tangential motion"].why
+        assert f"1 um of it is {1e-6 / RADIUS * 206264.806:.2f} arcsec" in why
+        assert "no angle was measured again" in why
+        assert found.details["returned"] == []
+    if stated is None:
+        assert (
+            "radial part; the tangential part is taken" in treatments(result)["error motion"].why
+        )
+
+
+@pytest.mark.parametrize("crept", [0.0, 4e-7])
+def test_a_closing_measurement_bounds_what_of_it_does_not_come_back(crept):
+    """A cable that winds up: the tracer ends ``crept`` further along its circle."""
+    wave, within = np.arange(STATIONS + 1) / STATIONS, []
+    for seed in range(40):
+        result = solve(measured(seed, turned=STATIONS + 1, effect=along(crept, wave)))
+        (closing,) = result.details["returned"]
+        assert (closing["first"], closing["last"]) == (0, STATIONS)
+        within.append(closing["within"])
+        (closure,) = result.details["closure"]
+        assert closing["within"] == pytest.approx(
+            RADIUS * (abs(closure["error"]) + 1.96 * closure["std"]), rel=1e-3
+        )  # the table is stated to have no error motion
+    assert np.mean(np.array(within) >= crept) >= 0.9
+    assert np.median(within) < crept + 4e-7  # a bound that says something
+    stated = treatments(result)["tangential motion"]
+    assert stated.treatment == "not protected"  # what comes back with the angle stays unseen
+    assert f"less than {within[-1] / 1e-6:.2g} um" in stated.why
+    assert f"(95 %, positions 0 and {STATIONS}, at the same angle)" in stated.why
+
+
+def test_the_bound_holds_no_error_motion_which_would_widen_it():
+    bare, wide = (
+        solve(measured(6, turned=STATIONS + 1, error_motion_std=std)).details["returned"][0]
+        for std in (0.0, 5e-6)
+    )
+    assert wide["within"] == pytest.approx(bare["within"], rel=1e-6)
+
+
+def test_an_origin_that_drifts_in_step_with_each_turn_is_named_where_the_table_turns_often():
+    """Paper's order, full circle: 5 um per turn displace each station by the same every time.
+
+    No residual grows, and nothing but the closing position, if there is one, tells it.
+    """
+    share_of_turn = np.arange(STATIONS) / STATIONS
+
+    def effect(_share, at, to):
+        moved = np.sin(4 * np.pi * share_of_turn)[:, None, None] * np.array([0.0, 5e-6, 0.0])
+        return at, to + moved
+
+    options = {"interleaved": True, "error_motion_std": None}
+    sound, spoilt = solve(measured(2, **options)), solve(measured(2, effect=effect, **options))
+    assert spoilt.sigma0 == pytest.approx(sound.sigma0, abs=0.02)
+    named = treatments(spoilt)["tangential motion"]
+    assert named.treatment == "not protected"
+    assert "a machine whose origin drifts in step with each turn of the table" in named.why
+    assert "um of it is" in named.why
+    once = treatments(solve(measured(2)))["tangential motion"]
+    assert "in step with each turn" not in once.why

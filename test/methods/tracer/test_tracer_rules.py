@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2, norm
 from tracer_scene import arc, low_ring, simulate
 
+from rotcal_ros.adjust.low_rank import LowRank
 from rotcal_ros.errors import ObservabilityError
 from rotcal_ros.methods.tracer.error_motion import ErrorMotion
 from rotcal_ros.methods.tracer.grid import arrange
@@ -101,11 +102,12 @@ def test_a_closure_may_be_as_large_as_the_normal_quantile():
             found, warnings = judge(replace(GOOD, closures=(closure,)), LIMITS)
             assert found == verdict
             assert len(warnings) == (verdict != "ok")
+    arcsec = np.degrees(-size * 1e-6) * 3600.0
     assert (
-        f"stations 2 and 7 stand at the same table angle but differ by {-size * 1e-6:.3g} rad"
+        f"stations 2 and 7 stand at the same table angle but differ by {arcsec:.3g} arcsec"
         in (warnings[0])
     )
-    assert "expected 0 with a standard deviation of 1e-06 rad" in warnings[0]
+    assert "expected 0 with a standard deviation of 0.206 arcsec" in warnings[0]
 
 
 def test_positions_whole_turns_apart_close():
@@ -113,7 +115,9 @@ def test_positions_whole_turns_apart_close():
     cumulative = np.array([0.0, 1.0, 5.0, 2.0, 7.0, 4.0, 3.5])
     root = np.random.default_rng(1).normal(size=(7, 7))
     covariance = root @ root.T
-    found = closures(angles, cumulative, covariance, np.array([2, 3, 5, 7, 11, 13, 17]))
+    found = closures(
+        angles, cumulative, LowRank.whole(covariance), np.array([2, 3, 5, 7, 11, 13, 17])
+    )
     expected = [(0, 2), (0, 4), (0, 5), (1, 6)]
     ids = [2, 3, 5, 7, 11, 13, 17]
     assert [(c.first, c.last) for c in found] == [(ids[a], ids[b]) for a, b in expected]

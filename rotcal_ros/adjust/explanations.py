@@ -1,0 +1,261 @@
+"""What could explain the residuals of a group, and how much they speak for it.
+
+An explanation is a number of columns A of errors with sizes a ~ N(0, t^2 I) beside the noise:
+
+shift
+    a subset of the elements is off by the same, one size per axis (all too long by so much);
+free
+    a subset is off by something in common and each element by something of its own;
+scatter
+    all elements of the group are noisier.
+
+Against nothing its Bayes factor is, with S = A'RA = V diag(s) V', u = V'A'r,
+
+    ln B = 1/2 sum (u^2 t^2 / (1 + t^2 s) - ln(1 + t^2 s)),
+
+its sizes are N(t^2 u / (1 + t^2 s), t^2 / (1 + t^2 s)) along V, and the outputs are off by B A a
+(normal linear model with conjugate prior; Koch, Introduction to Bayesian Statistics, 2007, section
+4.2). What the residuals cannot show (s = 0) keeps its prior. Sizes are those of a list, alike
+probable: so a disturbance of any size from half a standard deviation up is met.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.special import gammaln
+
+from rotcal_ros.adjust.felt import Felt, Moment, total
+from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
+from rotcal_ros.arrays import Bools, Floats, Ints
+
+SIZES: Final[Floats] = np.array([0.5, 2.0, 8.0, 32.0, 128.0])
+"""Standard deviations t of a disturbance, in usual standard deviations of the noise."""
+OWN: Final = 0.3
+"""Of a free subset: what each is off by itself, as a share of what all have in common."""
+MOST_STEPS: Final = 60
+"""Exchanges after which a search ends anyway."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hypotheses:
+    """q explanations of the same form, each with d sizes along its own axes.
+
+    ``values`` (q, d): s, ``along`` (q, d): u. ``mixing``: what a unit of each is on the n rows of
+    its group, (n, q, d), worked out when it is asked for; ``felt`` (o, n): what these do to the
+    outputs. ``axes`` (q, d, d): V, where d sizes are not their own axes already.
+    """
+
+    values: Floats
+    along: Floats
+    mixing: Callable[[], Floats]
+    felt: Felt
+    axes: Floats | None = None
+
+    @property
+    def moved(self) -> Floats:
+        """What a unit of each does to the outputs, (o, q, d)."""
+        mix = self.mixing()
+        return self.felt.of(mix.reshape(len(mix), -1)).reshape(-1, *mix.shape[1:])
+
+    def take(self, which: slice) -> Hypotheses:
+        """Return some of them."""
+        axes = None if self.axes is None else self.axes[which]
+        return Hypotheses(
+            self.values[which], self.along[which], lambda: self.mixing()[:, which], self.felt, axes
+        )
+
+    def log_bayes(self, sizes: Floats = SIZES) -> Floats:
+        """Return ln B (q, t) for prior standard deviations ``sizes`` (t,)."""
+        return log_bayes(self.values, self.along, sizes)
+
+    def moment(self, weights: Floats, sizes: Floats = SIZES) -> Moment:
+        """Return what the rows are off by, and its square, in sums over all of them.
+
+        ``weights`` (q, t): posterior probabilities.
+        """
+        variance = sizes**2
+        left = variance / (1.0 + variance * self.values[:, :, None])
+        at = left * self.along[:, :, None]  # (q, d, t)
+        first = (at @ weights[:, :, None])[:, :, 0]
+        second = (at * weights[:, None]) @ at.swapaxes(1, 2)
+        each = np.arange(self.values.shape[1])
+        second[:, each, each] += (left @ weights[:, :, None])[:, :, 0]
+        mix = self.mixing()
+        flat = mix.reshape(len(mix), -1)
+        spread = (mix.swapaxes(0, 1) @ second).swapaxes(0, 1).reshape(flat.shape)
+        return Moment(self.felt, flat @ first.ravel(), spread @ flat.T)
+
+    def moments(self, weights: Floats, sizes: Floats = SIZES) -> tuple[Floats, Floats]:
+        """Return sums (o,) of what the outputs are off by, and (o, o) of its square.
+
+        ``weights`` (q, t): posterior probabilities.
+        """
+        return total([self.moment(weights, sizes)], self.felt.outputs)
+
+    def sizes_of(self, k: int, sizes: Floats = SIZES) -> Floats:
+        """Return the expected sizes (d,) of explanation ``k`` along its axes."""
+        weights = np.zeros((len(self.values), len(sizes)))
+        each = self.log_bayes(sizes)[k]
+        weights[k] = np.exp(each - log_sum(each))
+        variance = sizes**2
+        at = variance * self.along[k, :, None] / (1.0 + variance * self.values[k, :, None])
+        return np.asarray(at @ weights[k])
+
+
+def log_bayes(values: Floats, along: Floats, sizes: Floats = SIZES) -> Floats:
+    """Return ln B (q, t) of ``values`` and ``along`` (q, d), for prior deviations ``sizes``."""
+    variance = sizes**2
+    grown = 1.0 + variance * values[:, :, None]
+    gain = variance * along[:, :, None] ** 2 / grown
+    return np.asarray(0.5 * (gain - np.log(grown)).sum(axis=1))
+
+
+def shifts(group: Group, subsets: Bools) -> Hypotheses:
+    """Return that each of the ``subsets`` (q, e) is off by the same along each axis."""
+    part = subsets.astype(np.float64)
+    e, c = group.residual.shape
+    along = part @ group.score
+    if c == 1:
+        square = ((part @ group.weight[:, 0, :, 0]) * part).sum(axis=1)
+        return Hypotheses(
+            np.maximum(square, 0.0)[:, None],
+            along,
+            lambda: (subsets.T * group.relative)[:, :, None],
+            group.felt,
+        )
+    both = (part @ group.weight.reshape(e, -1)).reshape(-1, c, e, c)
+    square = (both.swapaxes(2, 3) @ part[:, None, :, None])[..., 0]
+    values, vectors = np.linalg.eigh(square)
+    return Hypotheses(
+        np.maximum(values, 0.0),
+        np.einsum("qab,qa->qb", vectors, along),
+        lambda: np.einsum("qe,ea,qab->eaqb", part, group.relative, vectors).reshape(
+            e * c, len(part), c
+        ),
+        group.felt,
+        vectors,
+    )
+
+
+def scatter(group: Group) -> Hypotheses:
+    """Return that all rows of the ``group`` are noisier, each by itself."""
+    values, vectors = group.axes
+    along = group.residual.ravel() @ vectors
+    return Hypotheses(values[None], along[None], lambda: vectors[:, None], group.felt)
+
+
+def free(group: Group, subset: Bools) -> Hypotheses:
+    """Return that the elements of one ``subset`` (e,) are off together, and each by itself."""
+    c = group.residual.shape[1]
+    k = int(subset.sum())
+    weight = group.weight[subset][:, :, subset].reshape(k * c, k * c)
+    together = np.linalg.cholesky(np.ones((k, k)) + OWN**2 * np.eye(k))
+    mixing = np.kron(together, np.eye(c))
+    values, vectors = np.linalg.eigh(mixing.T @ weight @ mixing)
+    axes = mixing @ vectors
+    along = group.score[subset].ravel() @ axes
+
+    def on_rows() -> Floats:
+        mix = np.zeros((*group.residual.shape, k * c))
+        mix[subset] = group.relative[subset][:, :, None] * axes.reshape(k, c, -1)
+        return mix.reshape(-1, 1, k * c)
+
+    return Hypotheses(np.maximum(values, 0.0)[None], along[None], on_rows, group.felt)
+
+
+def without(group: Group, subset: Bools) -> Floats:
+    """Return what the outputs (o,) change by when a ``subset`` (e,) is left out."""
+    rows = np.broadcast_to(subset[:, None], group.residual.shape).ravel()
+    n = group.residual.size
+    part = group.cofactor.reshape(n, n)[np.ix_(rows, rows)]
+    errors = np.linalg.lstsq(part, group.residual.ravel()[rows], rcond=1e-9)[0]
+    spoiled = np.zeros((n, 1))
+    spoiled[rows, 0] = errors
+    return -group.felt.of(spoiled)[:, 0]
+
+
+def log_sum(logs: Floats) -> Floats:
+    """Return ln of the sum of exp(``logs``) along the last axis."""
+    largest = logs.max(axis=-1)
+    return np.asarray(largest + np.log(np.exp(logs - largest[..., None]).sum(axis=-1)))
+
+
+def any_subset(size: int, count: Floats) -> Floats:
+    """Return ln of the prior of one subset with ``count`` of ``size`` elements, any as probable.
+
+    First the count is drawn from LEAST to half of them, then which they are.
+    """
+    chosen = gammaln(size + 1.0) - gammaln(count + 1.0) - gammaln(size - count + 1.0)
+    return np.asarray(-chosen - np.log(max(most_of(size) - LEAST + 1, 1)))
+
+
+def search(group: Group, most: int = 12) -> Bools:
+    """Return the subsets (q, e) whose shift explains the residuals best, the best first.
+
+    Forward search with exchange: from the best gathered subset, the largest elements of either
+    sign, and halves ordered by residual, elements are taken in and put back, each time the one
+    that gains most, as long as the Bayes factor times the prior of :func:`any_subset` grows.
+    """
+    part = _starts(group)
+    if not len(part):
+        return part
+    each = np.arange(len(part))
+    for _ in range(MOST_STEPS):
+        value = _merit(shifts(group, part), part)
+        flipped = _flipped(group, part)
+        best = np.argmax(flipped, axis=1)
+        better = flipped[each, best] > value + 1e-9
+        if not better.any():
+            break
+        part[each[better], best[better]] ^= True
+    part = distinct(part)
+    rank = np.argsort(-_merit(shifts(group, part), part), kind="stable")
+    return np.asarray(part[rank[:most]])
+
+
+def _merit(found: Hypotheses, part: Bools) -> Floats:
+    count = part.sum(axis=1).astype(np.float64)
+    return np.asarray(log_sum(found.log_bayes()) + any_subset(part.shape[1], count))
+
+
+def _flipped(group: Group, part: Bools) -> Floats:
+    """Return the merit (q, e) of every subset with one element taken in or put back."""
+    q, e = part.shape
+    count = part.sum(axis=1)[:, None] + np.where(part, -1, 1)
+    other = (part[:, None] ^ np.eye(e, dtype=np.bool_)).reshape(-1, e)
+    value = _merit(shifts(group, other), other).reshape(q, e)
+    return np.where((count >= LEAST) & (count <= most_of(e)), value, -np.inf)
+
+
+def _starts(group: Group) -> Bools:
+    """Return subsets (q, e) to search from."""
+    e, most = group.size, most_of(group.size)
+    if most < LEAST:
+        return np.zeros((0, e), dtype=np.bool_)
+    found = []
+    if len(group.gathered):
+        merit = log_sum(shifts(group, group.gathered).log_bayes())
+        found.append(group.gathered[np.argsort(-merit, kind="stable")[:3]])
+    counts = {LEAST, max(most // 2, LEAST), most}
+    for axis in group.score.T:
+        order = np.argsort(axis, kind="stable")
+        for count in sorted(counts):
+            found += [_members(order[:count], e), _members(order[-count:], e)]
+    return distinct(*found)
+
+
+def _members(which: Ints, size: int) -> Bools:
+    part = np.zeros((1, size), dtype=np.bool_)
+    part[0, which] = True
+    return part
+
+
+def studentised(group: Group, variance: float) -> Group:
+    """Return ``group`` as seen with noise of ``variance`` per whitened unit."""
+    root = float(np.sqrt(variance))
+    return replace(group, residual=group.residual / root, felt=group.felt.weighted(root))

@@ -1,0 +1,209 @@
+"""What was found to gather, kept from step to step, and said in words: the same for all methods.
+
+A method hands over its groups and its :class:`Words`; here they are judged, what is found is kept
+in a :class:`Gathering`, and people are told. What is proved the method leaves out; what is only
+probable joins the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from rotcal_ros.adjust.distributions import binomial_quantile
+from rotcal_ros.adjust.groups import Group, GroupTest, Undivided, group_test
+from rotcal_ros.adjust.judgement import BELIEF, Belief, Blame, Judgement, judge
+from rotcal_ros.arrays import Floats
+from rotcal_ros.units import MICROMETRE
+
+RARE: Final = 0.05
+"""Probability that single outliers by chance are as many as are called off together."""
+SUSPECTED: Final = 0.015
+"""Probability of suspecting sound data of what cannot be proved."""
+
+
+class Words(NamedTuple):
+    """How people call the elements of groups (``lengths``), and what spoils them together.
+
+    ``cause``: what to look for, ``where``: what it is about, as "in the beams", ``its``: of one
+    group, as "in its beams".
+    """
+
+    elements: str
+    cause: str
+    where: str
+    its: str
+
+
+class Limits(NamedTuple):
+    """How many of a group may be rejected by chance, and how rarely tests alarm on sound data."""
+
+    rejected_share: float
+    significance: float
+
+
+class Count(NamedTuple):
+    """How one group fared: its test, and how many elements there were and were rejected."""
+
+    kind: str
+    name: str
+    test: GroupTest
+    whole: int
+    lost: int
+
+
+@dataclass(frozen=True, eq=False)
+class Gathering:
+    """What was found to gather.
+
+    ``judgement``: of what is left, None where nothing was judged. ``blamed``: what was left out,
+    in the order in which it was found. ``counts``: all groups with the elements that are left.
+    """
+
+    judgement: Judgement | None = None
+    blamed: tuple[Blame, ...] = ()
+    counts: tuple[Count, ...] = ()
+
+    @property
+    def chance(self) -> float:
+        """How probably sound data look as much as if something gathered."""
+        return 1.0 if self.judgement is None else self.judgement.chance
+
+    @property
+    def suspected(self) -> bool:
+        """Whether something may gather that is not proved."""
+        return self.chance < SUSPECTED
+
+    def covariance(self) -> Floats | None:
+        """Return what they may add to the covariance (o, o) of the outputs; None: nothing."""
+        added = [case.covariance for case in self.blamed]
+        if self.judgement is not None and self.judgement.possible:
+            added.append(self.judgement.covariance())
+        return np.asarray(sum(added[1:], added[0])) if added else None
+
+
+def judged(
+    before: Gathering,
+    groups: Sequence[Group | Undivided],
+    rest: tuple[float, float] | None,
+    weighed: Sequence[Group] | None = None,
+    belief: Belief = BELIEF,
+) -> Gathering:
+    """Return ``before`` with what ``groups`` say.
+
+    ``rest`` as in :func:`~.groups.group_test`. ``weighed``: of which it is asked what gathers in
+    them; None: those that name subsets. All are tested.
+    """
+    counts = tuple(
+        Count(g.kind, g.name, group_test(g, rest), g.size + g.lost, g.lost) for g in groups
+    )
+    if weighed is None:
+        weighed = [g for g in groups if isinstance(g, Group) and len(g.gathered)]
+    return replace(before, judgement=judge(weighed, belief, rest), counts=counts)
+
+
+def doubts(gathering: Gathering, limits: Limits, words: Words) -> list[str]:
+    """Return a sentence about everything that gathers, and about groups that do not fit."""
+    found = [_blamed(case, words) for case in gathering.blamed if _many(case, limits)]
+    named = {case.group.name for case in gathering.blamed}
+    judgement = gathering.judgement
+    if judgement is not None and gathering.suspected:
+        name = judgement.groups[judgement.worst].name
+        found.append(
+            f"the {words.elements} of {name} look as if some of them were off together (p = "
+            f"{gathering.chance:.2g} on sound {words.elements}), which ones is not certain: the "
+            f"uncertainty holds what that may do; look for {words.cause} {words.its}, and measure "
+            "it again"
+        )
+    return found + _counted(gathering.counts, named, limits, words)
+
+
+def micrometres(size: Floats) -> str:
+    """Return a ``size`` (c,) in m for people."""
+    return " ".join(f"{x / MICROMETRE:+.2g}" for x in size.tolist()) + " um"
+
+
+def _many(case: Blame, limits: Limits) -> bool:
+    """Whether so many are off together that it is no matter of single outliers."""
+    whole = case.group.size + case.group.lost
+    usual = binomial_quantile(1.0 - RARE, whole, limits.rejected_share)
+    return int(case.subset.sum()) > usual
+
+
+def _blamed(case: Blame, words: Words) -> str:
+    count = int(case.subset.sum())
+    text = (
+        f"{count} of the {case.group.size + case.group.lost} {words.elements} of "
+        f"{case.group.name} are off together, by about {micrometres(case.size)}, and were left "
+        f"out: look for {words.cause} {words.where}"
+    )
+    if case.ambiguous:
+        other = int(case.rivals[0].sum())
+        text += (
+            f"; that {other} others are off in their place explains the residuals nearly as well "
+            f"(likelihood 1 : {case.ratios[0]:.2g}), and the uncertainty covers both"
+        )
+    return text
+
+
+def _counted(counts: Sequence[Count], named: set[str], limits: Limits, words: Words) -> list[str]:
+    """Return sentences about groups whose rejected share or chi-squared is no chance."""
+    found = []
+    significance = 1.0 - (1.0 - limits.significance) ** (1.0 / max(len(counts), 1))
+    for row in counts:
+        usual = binomial_quantile(1.0 - significance, row.whole, limits.rejected_share)
+        if row.name in named:
+            continue
+        if row.lost > usual:
+            found.append(
+                f"{row.lost} of the {row.whole} {words.elements} of {row.name} were rejected, "
+                "which is no chance: something is wrong with all of it; measure it again"
+            )
+        elif row.test.probability < significance:
+            root = float(np.sqrt(row.test.squares / max(row.test.rank, 1)))
+            found.append(
+                f"the {words.elements} of {row.name} disagree {root:.2g} times as much as those "
+                f"of others (chi-squared, p = {row.test.probability:.2g}): something was wrong "
+                "there"
+            )
+    return found
+
+
+def details(gathering: Gathering, elements: str) -> dict[str, Any]:
+    """Return what was found for the details of a result; sizes in m.
+
+    ``chance``: how probably sound data look as much as if something gathered. ``groups``: the test
+    of every group, ``blamed``: what was left out together; ``elements`` is the key of numbers.
+    """
+    return {
+        "chance": gathering.chance,
+        "groups": [
+            {
+                "name": row.name,
+                "squares": row.test.squares,
+                "rank": row.test.rank,
+                "probability": row.test.probability,
+                "redundancy": row.test.redundancy,
+                elements: row.whole,
+                "rejected": row.lost,
+            }
+            for row in gathering.counts
+        ],
+        "blamed": [
+            {
+                "name": case.group.name,
+                elements: int(case.subset.sum()),
+                "size": float(np.linalg.norm(case.size)) * _sign(case.size),
+                "likelihood_ratio": float(case.ratios[0]) if len(case.ratios) else None,
+            }
+            for case in gathering.blamed
+        ],
+    }
+
+
+def _sign(size: Floats) -> float:
+    """Return the sign of a size (1,) along one axis; +1 for the length of several."""
+    return -1.0 if size.size == 1 and size[0] < 0.0 else 1.0

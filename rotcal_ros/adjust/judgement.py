@@ -1,0 +1,421 @@
+"""Which disturbance is probable, what it may have done to the outputs, and what to leave out.
+
+Every group of a kind is held to be disturbed with a small probability stated beforehand
+(:class:`Belief`); every explanation of :mod:`.explanations` then has a posterior probability p.
+
+* The Bayes factor of all of them together against nothing is the test of largest power on average
+  over what was believed beforehand. On sound data it exceeds 1/x with a probability below x
+  (Markov's inequality), which *proves* a disturbance; how probably it is exceeded exactly, which
+  makes one *suspected*, is drawn where that is in doubt (:meth:`Judgement.chance`).
+* A probable but unproved effect adds its expected square: the sum of p (d d' + D), d what an
+  explanation does to the outputs and D its covariance. Methods add it where something is
+  :attr:`Judgement.possible`; sound data keep their covariance to the last bit.
+* Where a subset is blamed, rivals that explain the residuals nearly as well stay in the
+  covariance by the difference that it makes which of them is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from rotcal_ros.adjust.distributions import chi2_sf
+from rotcal_ros.adjust.explanations import (
+    SIZES,
+    Hypotheses,
+    any_subset,
+    free,
+    log_bayes,
+    log_sum,
+    scatter,
+    search,
+    shifts,
+    studentised,
+    without,
+)
+from rotcal_ros.adjust.felt import total
+from rotcal_ros.adjust.groups import Group
+from rotcal_ros.adjust.subsets import LEAST, distinct, most_of
+from rotcal_ros.arrays import Bools, Floats
+
+ALIKE: Final = 20.0
+"""Likelihood ratio below which two explanations are called nearly as good."""
+CANDIDATES: Final = 12
+"""Best shifts of either kind that are tried as what to leave out."""
+DRAWS: Final = 500
+"""Sets of sound residuals that tell how probable a Bayes factor is on sound data."""
+POSSIBLE: Final = 0.9
+"""Bayes factor below which nothing is suspected."""
+POLISHED: Final = 20
+"""Exchanges of single elements after which a blamed subset stays as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What is held to be probable before the residuals are seen.
+
+    ``disturbed``: that something gathers in one of the groups; ``outlier``: that one element is
+    wrong, which is left to screening but competes. Of what gathers, the shares ``gathered`` (a
+    shift of elements that lie together), ``scattered`` (a shift of any subset), and the rest: the
+    group is noisier.
+    """
+
+    disturbed: float = 0.5
+    outlier: float = 0.2
+    gathered: float = 0.6
+    scattered: float = 0.2
+
+
+BELIEF: Final = Belief()
+
+
+class Weighed(NamedTuple):
+    """Hypotheses of one ``group``, with ln of prior times Bayes factor (q, t).
+
+    ``single`` (q,): which are single outliers, and nothing that gathers.
+    """
+
+    group: int
+    found: Hypotheses
+    log_weight: Floats
+    single: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What is believed after the residuals were seen.
+
+    ``log_bayes``: ln of the Bayes factor of a disturbance that gathers against none (which may
+    hold single outliers); -inf without groups. ``weighed``: what it is made of.
+    """
+
+    groups: tuple[Group, ...]
+    belief: Belief
+    log_bayes: float
+    weighed: tuple[Weighed, ...]
+
+    @cached_property
+    def by_group(self) -> Floats:
+        """Posterior probability (G,) that it is in each group."""
+        found = np.zeros(len(self.groups))
+        for hypotheses, weights in self._weights():
+            found[hypotheses.group] += weights.sum()
+        return found
+
+    @cached_property
+    def moments(self) -> tuple[Floats, Floats]:
+        """Expected error (o,) of the outputs, and its square (o, o)."""
+        outputs = self.groups[0].felt.outputs if self.groups else 0
+        return total((each.found.moment(weights) for each, weights in self._weights()), outputs)
+
+    def _weights(self) -> Iterator[tuple[Weighed, Floats]]:
+        """Yield what gathers with its posterior probabilities (q, t)."""
+        odds = np.log(self.belief.disturbed) + self.log_bayes
+        evidence = np.logaddexp(np.log(1.0 - self.belief.disturbed), odds)
+        gathers = [
+            hypotheses.log_weight[~hypotheses.single].ravel() for hypotheses in self.weighed
+        ]
+        whole = float(log_sum(np.concatenate(gathers))) if gathers else 0.0
+        for hypotheses in self.weighed:
+            share = np.exp(hypotheses.log_weight - whole + odds - evidence)
+            yield hypotheses, share * ~hypotheses.single[:, None]
+
+    @property
+    def gathered(self) -> tuple[Hypotheses, ...]:
+        """What the gathered subsets of each group would do, in their order."""
+        forms = [hypotheses.found for hypotheses in self.weighed if len(hypotheses.single) > 1]
+        ends = [(group.size, group.size + len(group.gathered)) for group in self.groups]
+        return tuple(found.take(slice(a, b)) for found, (a, b) in zip(forms, ends, strict=True))
+
+    @property
+    def probability(self) -> float:
+        """Posterior probability that something gathers in one of the groups."""
+        return float(self.by_group.sum())
+
+    @property
+    def worst(self) -> int:
+        """The group that is most probably disturbed."""
+        return int(np.argmax(self.by_group))
+
+    def proved(self, significance: float) -> bool:
+        """Whether a disturbance is proved; on sound data with less than this probability."""
+        return self.log_bayes > -float(np.log(significance))
+
+    @property
+    def possible(self) -> bool:
+        """Whether the residuals speak for a disturbance rather than against one."""
+        return self.log_bayes > float(np.log(POSSIBLE))
+
+    @cached_property
+    def chance(self) -> float:
+        """How probably sound data have a Bayes factor as large as this one.
+
+        By DRAWS sets of residuals with the cofactor of each group, from a fixed seed; subsets that
+        were searched for are not searched for again. One where nothing is possible.
+        """
+        if not self.possible:
+            return 1.0
+        rng = np.random.default_rng(0)
+        total: list[Floats] = []
+        single = [np.full(DRAWS, np.log(1.0 - self.belief.outlier))]
+        for group in self.groups:
+            for part, prior, counts in _drawn(group, self.belief, rng):
+                (total if counts else single).append(part + prior - np.log(len(self.groups)))
+        drawn = log_sum(np.array(total).T) - log_sum(np.array(single).T)
+        return float((1 + (drawn >= self.log_bayes).sum()) / (1 + DRAWS))
+
+    def covariance(self) -> Floats:
+        """Return what the probable errors add to the covariance (o, o) of the outputs."""
+        return self.moments[1]
+
+
+def judge(
+    groups: Sequence[Group],
+    belief: Belief = BELIEF,
+    rest: tuple[float, float] | None = None,
+    searched: float = 0.01,
+    among: int = 0,
+) -> Judgement:
+    """Return what the residuals of ``groups`` say of disturbances that gather in one of them.
+
+    ``among``: how many there are, where only those that show anything are handed over; then
+    :meth:`Judgement.chance` does not hold.
+
+    ``rest``: chi-squared and degrees of freedom of the adjustment where the noise was estimated,
+    see :func:`~.groups.group_test`. Any subset is searched for in groups whose own test has a
+    probability below ``searched``.
+    """
+    groups = tuple(_seen(group, rest) for group in groups)
+    if not groups:
+        return Judgement(groups, belief, -np.inf, ())
+    weighed = [w for g, group in enumerate(groups) for w in _weigh(g, group, belief, searched)]
+    logs = np.concatenate([w.log_weight.ravel() for w in weighed])
+    logs -= np.log(max(len(groups), among))
+    single = np.concatenate([np.repeat(w.single, w.log_weight.shape[1]) for w in weighed])
+    calm = float(log_sum(np.append(logs[single], np.log(1.0 - belief.outlier))))
+    return Judgement(groups, belief, float(log_sum(logs[~single])) - calm, tuple(weighed))
+
+
+def _seen(group: Group, rest: tuple[float, float] | None) -> Group:
+    """Return ``group`` with the noise that the others show, where it was estimated."""
+    if rest is None:
+        return group
+    squares, rank = group.together
+    left = rest[1] - rank
+    return group if left < 1.0 else studentised(group, max((rest[0] - squares) / left, 1e-9))
+
+
+def _families(group: Group, belief: Belief) -> tuple[list[tuple[Bools, Floats]], float]:
+    """Return subsets (q, e) of each family of shifts with their priors (q,), singles first.
+
+    And the prior of a group that is noisier.
+    """
+    e, many = group.size, len(group.gathered)
+    single = (np.eye(e, dtype=np.bool_), np.full(e, belief.outlier / e))
+    noisier = 1.0 - belief.gathered - belief.scattered
+    if not many:
+        return [single], noisier + belief.gathered
+    return [single, (group.gathered, np.full(many, belief.gathered / many))], noisier
+
+
+def _weigh(g: int, group: Group, belief: Belief, searched: float) -> list[Weighed]:
+    """Return the families of one group, each with priors that add up to its share of belief."""
+    families, noisier = _families(group, belief)
+    if chi2_sf(*group.together) < searched and len(other := search(group)):
+        count = other.sum(axis=1).astype(np.float64)
+        families.append((other, belief.scattered * np.exp(any_subset(group.size, count))))
+    prior = np.concatenate([priors for _, priors in families])
+    found = shifts(group, np.concatenate([subsets for subsets, _ in families]))
+    whole, alike = scatter(group), float(np.log(len(SIZES)))
+    weight = found.log_bayes() + (np.log(prior) - alike)[:, None]
+    noisy = whole.log_bayes() + float(np.log(noisier)) - alike
+    return [
+        Weighed(g, found, weight, np.arange(len(prior)) < group.size),
+        Weighed(g, whole, noisy, np.zeros(1, dtype=np.bool_)),
+    ]
+
+
+def _drawn(
+    group: Group, belief: Belief, rng: np.random.Generator
+) -> list[tuple[Floats, float, bool]]:
+    """Return ln of the mean Bayes factor (DRAWS,) of each family on sound residuals.
+
+    With ln of its prior, and whether it gathers.
+    """
+    values, vectors = group.axes
+    normal = rng.standard_normal((len(values), DRAWS))
+    # by the symmetric root: vectors of equal values may turn with the rounding
+    drawn = vectors @ (np.sqrt(values)[:, None] * (vectors.T @ normal))
+    whole = log_bayes(np.tile(values, (DRAWS, 1)), (vectors.T @ drawn).T)
+    families, noisier = _families(group, belief)
+    alike = np.log(len(SIZES))
+    found = [(log_sum(whole) - alike, float(np.log(noisier)), True)]
+    for k, (subsets, prior) in enumerate(families):
+        form = shifts(group, subsets)
+        score = drawn.reshape(*group.residual.shape, DRAWS) * group.relative[:, :, None]
+        along = np.einsum("qe,ecr->rqc", subsets.astype(np.float64), score)
+        if form.axes is not None:
+            along = np.einsum("rqa,qab->rqb", along, form.axes)
+        mean = _mean_bayes(form.values, along)
+        found.append((mean, float(np.log(prior.sum())), k > 0))
+    return found
+
+
+def _mean_bayes(values: Floats, along: Floats) -> Floats:
+    """Return ln of the mean over subsets and sizes of the Bayes factor, ``along`` (r, q, c)."""
+    total = np.zeros(len(along))
+    for size in SIZES:
+        grown = 1.0 + size**2 * values
+        gain = along**2 / (grown / size**2)
+        total += np.exp(0.5 * (gain - np.log(grown)).sum(axis=2)).sum(axis=1)
+    return np.asarray(np.log(total / (len(SIZES) * along.shape[1])))
+
+
+@dataclass(frozen=True, eq=False)
+class Blame:
+    """Which elements of a group to leave out, and what else explains the residuals as well.
+
+    ``subset`` (e,), its ``size`` (c,): by how much its elements are off together, in the unit of
+    a shift; ``probability`` among all that was tried. ``change`` (o,): what leaving it out does to
+    the outputs. ``rivals`` (q, e), best first, with their ``ratios`` (q,) of likelihood, best to
+    rival; ``covariance`` (o, o): what the choice among all of them adds.
+    """
+
+    group: Group
+    subset: Bools
+    size: Floats
+    probability: float
+    change: Floats
+    rivals: Bools
+    ratios: Floats
+    covariance: Floats
+
+    @property
+    def ambiguous(self) -> bool:
+        """Whether another explanation is nearly as good and changes who is to blame."""
+        return bool((self.ratios < ALIKE).any())
+
+
+def blame(group: Group, belief: Belief = BELIEF) -> Blame | None:
+    """Return the subset of ``group`` that most probably is wrong; None where none can be.
+
+    Candidates: shifts of gathered and of any subsets, their complements, and what a forward
+    search by free errors finds; the best is polished by exchange of single elements. Compared are
+    :func:`~.explanations.free` explanations. ``group``: as in a :class:`Judgement`.
+    """
+    if most_of(group.size) < LEAST:
+        return None
+    tried = _Tried(group, belief)
+    part = _candidates(group, tried)
+    merit = np.array([tried.merit(subset) for subset in part])
+    best = tried.polished(part[int(np.argmax(merit))])
+    part = distinct(best[None], part)
+    merit = np.array([tried.merit(subset) for subset in part])
+    rank = np.argsort(-merit, kind="stable")
+    part, merit = part[rank], merit[rank]
+    probability = np.exp(merit - log_sum(merit))
+    change = without(group, part[0])
+    likely = probability > 1e-4
+    apart = np.array([without(group, subset) - change for subset in part[likely]])
+    covariance = np.einsum("q,qa,qb->ab", probability[likely], apart, apart)
+    rivals = [k for k in range(1, len(part)) if _different(part[0], part[k])]
+    return Blame(
+        group=group,
+        subset=part[0],
+        size=_common(group, part[0]),
+        probability=float(probability[0]),
+        change=change,
+        rivals=part[rivals],
+        ratios=np.exp(np.minimum(merit[0] - merit[rivals], 700.0)),
+        covariance=covariance,
+    )
+
+
+def _different(subset: Bools, other: Bools) -> bool:
+    """Whether two subsets blame others, rather than the same and some more or less."""
+    return int((subset & other).sum()) <= 0.5 * min(int(subset.sum()), int(other.sum()))
+
+
+def _common(group: Group, subset: Bools) -> Floats:
+    """Return by how much a ``subset`` (e,) is off together, (c,), by least squares."""
+    part = subset.astype(np.float64)
+    square = np.einsum("e,eafb,f->ab", part, group.weight, part)
+    size = np.linalg.lstsq(square, part @ group.score, rcond=1e-9)[0]
+    return np.asarray(size * group.usual_std)
+
+
+class _Tried:
+    """Merits of subsets as free explanations, each worked out once."""
+
+    def __init__(self, group: Group, belief: Belief) -> None:
+        self.group, self.belief = group, belief
+        self._known: dict[bytes, float] = {}
+        self._gathered = {subset.tobytes() for subset in group.gathered}
+
+    def merit(self, subset: Bools) -> float:
+        """Return ln of prior times Bayes factor."""
+        key = subset.tobytes()
+        if key not in self._known:
+            self._known[key] = self._merit(subset, key)
+        return self._known[key]
+
+    def _merit(self, subset: Bools, key: bytes) -> float:
+        count = float(subset.sum())
+        prior = np.log(self.belief.scattered) + float(
+            any_subset(len(subset), np.array([count]))[0] if count > 1.0 else -np.log(len(subset))
+        )
+        if key in self._gathered:
+            prior = np.logaddexp(prior, np.log(self.belief.gathered / len(self._gathered)))
+        bayes = log_sum(free(self.group, subset).log_bayes())[0] - np.log(len(SIZES))
+        return float(prior + bayes)
+
+    @cached_property
+    def limits(self) -> tuple[int, int]:
+        """Fewest and most elements of a subset."""
+        return 1, most_of(self.group.size)
+
+    def polished(self, subset: Bools) -> Bools:
+        """Return ``subset`` with elements taken in and put back while that gains."""
+        here: Bools = subset.copy()
+        for _ in range(POLISHED):
+            best: Bools | None = None
+            value = self.merit(here)
+            for k in range(len(here)):
+                other = here.copy()
+                other[k] ^= True
+                if not self.limits[0] <= other.sum() <= self.limits[1]:
+                    continue
+                if self.merit(other) > value + 1e-9:
+                    best, value = other, self.merit(other)
+            if best is None:
+                return here
+            here = best
+        return here
+
+
+def _candidates(group: Group, tried: _Tried) -> Bools:
+    """Return subsets (q, e) that may be to blame, each once."""
+    found = [search(group, CANDIDATES), _forward(group, tried)]
+    if len(group.gathered):
+        merit = log_sum(shifts(group, group.gathered).log_bayes())
+        found.append(group.gathered[np.argsort(-merit, kind="stable")[:CANDIDATES]])
+    part = distinct(*found)
+    part = distinct(part, ~part)
+    count = part.sum(axis=1)
+    return np.asarray(part[(count >= 1) & (count <= most_of(group.size))])
+
+
+def _forward(group: Group, tried: _Tried) -> Bools:
+    """Return the subsets that a forward search by free errors passes through."""
+    here = np.zeros(group.size, dtype=np.bool_)
+    path = []
+    for _ in range(most_of(group.size)):
+        trial = here | np.eye(group.size, dtype=np.bool_)
+        merit = [-np.inf if here[k] else tried.merit(trial[k]) for k in range(group.size)]
+        here = trial[int(np.argmax(merit))]
+        path.append(here)
+    return np.array(path)

@@ -1,0 +1,150 @@
+"""How large an effect of a disturbance may be that no test sees: external reliability.
+
+Baarda (1968): an error is detectable from the size on at which its test finds it with a stated
+power; carried to the outputs, in their standard uncertainties, that is what stays hidden.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.adjust.distributions import normal_isf
+from rotcal_ros.adjust.explanations import Hypotheses, shifts
+from rotcal_ros.adjust.felt import Felt
+from rotcal_ros.adjust.groups import Group
+from rotcal_ros.arrays import Bools, Floats
+
+UNSEEN: Final = 1e-9
+"""Information of a shift, per that of its elements alone, below which nothing shows it."""
+SAFELY: Final = 1.0 + 1e-9
+"""Factor on a bound, for its rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """The worst that may stay unseen of a shift of elements that gather in one group.
+
+    ``error``: the largest change of an output in its standard uncertainty, of a shift of ``size``
+    (in its own unit) of ``count`` elements in the group ``name``; ``seen``: some test finds it.
+    """
+
+    error: float
+    size: float
+    count: int
+    name: str
+    seen: bool
+
+
+def hidden(
+    groups: Sequence[Group],
+    std: Floats,
+    significance: float,
+    power: float,
+    largest: float,
+    gathered: Sequence[Hypotheses] | None = None,
+) -> Hidden | None:
+    """Return the worst of all gathered subsets; None where no group has one.
+
+    ``std`` (o,): standard uncertainties of the outputs; zero: one that does not count.
+    ``significance``: that of the test of :meth:`~.judgement.Judgement.proved`, whose limit
+    for a shift is 2 ln(1 / significance) and what choosing among all subsets takes away.
+    ``gathered``: those of a :class:`~.judgement.Judgement` of the same groups, if there is one.
+    ``largest``: a shift of this size, in its own unit, nobody would overlook.
+    """
+    many = sum(len(group.gathered) for group in groups)
+    if not many:
+        return None
+    needed = np.sqrt(2.0 * np.log(max(many, 2) / significance)) + normal_isf(1.0 - power)
+    if gathered is None:
+        gathered = [shifts(group, group.gathered) for group in groups]
+    unseen = [
+        _Unseen.of(group, found, needed, largest)
+        for group, found in zip(groups, gathered, strict=True)
+        if len(group.gathered)
+    ]
+    reach = _Reach.of(unseen[0].found.felt, std)
+    most = np.array([reach.most(each) for each in unseen])
+    worst: Hidden | None = None
+    for k in np.argsort(-most, kind="stable").tolist():
+        if worst is not None and most[k] < worst.error:
+            break
+        here = unseen[k].worst(std)
+        if worst is None or here.error > worst.error:
+            worst = here
+    return worst
+
+
+@dataclass(frozen=True, eq=False)
+class _Unseen:
+    """The gathered subsets of a ``group``, and the sizes (q, c) up to which no test sees them.
+
+    ``seen`` (q, c): a larger one is found; else nobody would overlook it.
+    """
+
+    group: Group
+    found: Hypotheses
+    size: Floats
+    seen: Bools
+
+    @classmethod
+    def of(cls, group: Group, found: Hypotheses, needed: float, largest: float) -> _Unseen:
+        alone = group.gathered.astype(np.float64) @ (group.relative**2).sum(axis=1)
+        checked = found.values > UNSEEN * alone[:, None]
+        size = np.where(checked, needed / np.sqrt(np.where(checked, found.values, 1.0)), np.inf)
+        seen = size * group.usual_std <= largest
+        return cls(group, found, np.where(seen, size, largest / group.usual_std), seen)
+
+    def worst(self, std: Floats) -> Hidden:
+        """Return the worst of the subsets; ``std`` (o,) of the outputs."""
+        felt, group = std > 0.0, self.group
+        share = (np.abs(self.found.moved[felt]) / std[felt, None, None]).max(axis=0, initial=0.0)
+        error = share * self.size
+        q, axis = np.unravel_index(int(np.argmax(error)), error.shape)
+        return Hidden(
+            float(error[q, axis]),
+            float(self.size[q, axis] * group.usual_std),
+            int(group.gathered[q].sum()),
+            group.name,
+            bool(self.seen[q, axis]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Reach:
+    """What the outputs feel at most, so that few groups need to be looked at closely.
+
+    ``std`` (o,). Of the common part over ``std`` no row r has |r x| above ``longest`` |root x|
+    (Cauchy and Schwarz); ``root`` None: there is none, and nothing is known beforehand.
+    """
+
+    std: Floats
+    root: Floats | None
+    longest: float
+
+    @classmethod
+    def of(cls, felt: Felt, std: Floats) -> _Reach:
+        if felt.common is None:
+            return cls(std, None, np.inf)
+        there = std > 0.0
+        rows, root = np.linalg.qr(felt.common[there] / std[there, None])
+        longest = np.sqrt((rows**2).sum(axis=1)).max(initial=0.0)
+        return cls(std, np.asarray(root), SAFELY * float(longest))
+
+    def most(self, unseen: _Unseen) -> float:
+        """Return what the error of no subset exceeds."""
+        felt, mix = unseen.found.felt, unseen.found.mixing()
+        if self.root is None or felt.common is None:
+            return np.inf
+        flat = mix.reshape(len(mix), -1)
+        along = felt.along @ flat
+        share = self.longest * np.sqrt(((self.root @ along) ** 2).sum(axis=0))
+        at = felt.at[self.std[felt.at] > 0.0]
+        if len(at):
+            own = felt.common[felt.at] @ along + felt.own @ flat
+            own = np.abs(own[self.std[felt.at] > 0.0]) / self.std[at, None]
+            share = np.maximum(share, SAFELY * own.max(axis=0))
+        return float((share * unseen.size.ravel()).max())

@@ -1,0 +1,95 @@
+"""Which elements of a group may be wrong together: sectors, neighbourhoods, stretches.
+
+A disturbance gathers: warm air lies in a sector of directions, a loose ball plate touches
+neighbours, a knock lasts for a while. Such subsets are few and are tried all; any other subset is
+searched for (:mod:`.explanations`).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Bools, Floats, Ints
+
+LEAST: Final = 2
+"""Elements that gather: one alone is an outlier, and screening's."""
+GROWTH: Final = 1.2
+"""From one number of elements that are tried to the next."""
+OVERLAP: Final = 8
+"""Part of a subset by which it is moved to the next place."""
+LARGEST_SHARE: Final = 0.5
+"""Share of a group that may be wrong together; of more, the others are held to be."""
+
+
+def most_of(size: int) -> int:
+    """Return how many of ``size`` elements may be wrong together."""
+    return int(LARGEST_SHARE * size)
+
+
+def _sizes(size: int) -> Ints:
+    """Return how many of ``size`` elements are tried to be wrong together.
+
+    Every number of few; of many, each is at least GROWTH times the one before: one that lies
+    between explains nearly as much, and what is blamed is polished.
+    """
+    found = [LEAST]
+    while found[-1] < most_of(size):
+        found.append(max(found[-1] + 1, int(GROWTH * found[-1])))
+    return np.array([min(number, most_of(size)) for number in found if most_of(size) >= LEAST])
+
+
+def _step(size: int) -> int:
+    """Return from one place of subsets of so many elements to the next."""
+    return max(1, size // OVERLAP)
+
+
+def neighbourhoods(places: Floats) -> Bools:
+    """Return each element's nearest ones, (q, e), for ``places`` (e, d) of the elements.
+
+    Unit vectors for directions. From LEAST to LARGEST_SHARE of the elements, each set once.
+    """
+    e = len(places)
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    rank = np.empty((e, e), dtype=np.int64)
+    rank[np.arange(e)[:, None], np.argsort(apart, axis=1, kind="stable")] = np.arange(e)
+    parts = [rank[:: _step(size)] < size for size in _sizes(e).tolist()]
+    return distinct(*parts) if parts else np.zeros((0, e), dtype=np.bool_)
+
+
+def runs(along: Floats, closed: bool = False) -> Bools:
+    """Return unbroken runs (q, e) of elements in the order of ``along`` (e,), as of time.
+
+    ``closed``: the last is followed by the first, as of directions round a circle.
+    """
+    rank = np.argsort(np.argsort(along, kind="stable"), kind="stable")
+    return _runs(len(along), closed)[:, rank]
+
+
+@lru_cache(maxsize=64)
+def _runs(e: int, closed: bool) -> Bools:
+    """Return the runs of e elements that are in order."""
+    place, found = np.arange(e), [np.zeros((0, e), dtype=np.bool_)]
+    for size in _sizes(e).tolist():
+        first = np.arange(0, e if closed else e - size + 1, _step(size))[:, None]
+        found.append((place - first) % e < size)
+    return distinct(np.concatenate(found))
+
+
+def distinct(*subsets: Bools) -> Bools:
+    """Return all ``subsets`` (q, e), each once."""
+    together = np.concatenate(subsets)
+    if not len(together):
+        return together
+    # sums of whole numbers, exact below 2^53; two sets agree by chance with 1e-13
+    sums = together.astype(np.float64) @ _signature(together.shape[1])
+    first = np.unique(sums, return_index=True)[1]
+    return np.asarray(together[np.sort(first)])
+
+
+@lru_cache(maxsize=64)
+def _signature(size: int) -> Floats:
+    """Return whole numbers (size,) whose sums tell sets apart."""
+    return np.random.default_rng(0).integers(2**44, size=size).astype(np.float64)

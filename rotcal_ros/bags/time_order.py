@@ -1,0 +1,300 @@
+"""In which order of time the messages of a bag stand, and which of their times is the truth.
+
+The capture lets streams run apart by seconds, and its windows go by stamps, so the order of a file
+is nearly always good as it is. It is not where topics or channels stand one behind the other, as
+converters and merges write them: then the messages are sorted, by
+
+1. their log times, as long as those of each topic ascend;
+2. their publish times, else the stamps in their headers, where the streams have those in common
+   but hardly any log time: then the log times are of the program that wrote the file.
+
+Where the log times of one and the same channel go back, while its numbers go on or tell nothing,
+the clock of the recorder was set: the order of the file is the only one there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rotcal_ros.arrays import Bools, Ints
+from rotcal_ros.bags.blocks import Block, gather
+from rotcal_ros.bags.decode import Decoder
+from rotcal_ros.bags.definitions import ChannelDefinition
+from rotcal_ros.bags.run_number import run_number
+from rotcal_ros.bags.scan import Contents, Scan
+from rotcal_ros.bags.sorting import Sorting
+
+LEAST_NS: Final = 1_000_000_000
+"""Messages of several topics may stand a little out of their order."""
+LOG, PUBLISH, STAMP = range(3)
+IN_WORDS: Final = ("log times", "publish times", "the stamps in their headers")
+_SHARED, _APART = 0.5, 0.1
+"""Share of the whole time that long streams have in common by a true clock, and by a false one."""
+_STAMP_AT: Final = 4
+_LARGEST: Final = (1 << 63) - 1
+
+
+@dataclass(frozen=True)
+class TimeOrder:
+    """What was found: ``sort_by`` is LOG, PUBLISH or STAMP, None where the file's order is good.
+
+    ``back`` says how often log times of one and the same channel go back by a second or more and
+    ``back_ns`` how far at most, ``apart_ns`` how far messages stand behind later ones;
+    ``doubtful`` that the log times are not true and no other time is there for every stream.
+    """
+
+    sort_by: int | None = None
+    back: int = 0
+    back_ns: int = 0
+    apart_ns: int = 0
+    doubtful: bool = False
+
+    def in_words(self) -> tuple[str, ...]:
+        """Return what a reader of the messages should know, none where all is in order."""
+        if self.sort_by is not None:
+            why = (
+                "its log times are those of the program that wrote it"
+                if self.sort_by != LOG
+                else f"some stand {self.apart_ns / 1e9:.1f} s behind later ones"
+            )
+            what = f"its messages were read by {IN_WORDS[self.sort_by]}"
+            return (f"the bag is not in the order of time ({why}): {what}",)
+        if self.doubtful:
+            return (
+                "the bag is not in the order of time, and not all of its streams have times that "
+                "are true: its messages were read in the order of the file",
+            )
+        if self.back:
+            return (
+                f"log times go back {self.back} times, by up to {self.back_ns / 1e9:.1f} s: the "
+                "recorder's clock was set, or somebody exchanged parts of the file; the messages "
+                "were read in the order of the file",
+            )
+        return ()
+
+
+@dataclass
+class _Followed:
+    """How one channel or topic, or all together, went by the three times.
+
+    ``newest`` are the latest times so far, ``most`` how far any was behind them.
+    """
+
+    newest: Ints = field(default_factory=lambda: np.full(3, -1, np.int64))
+    most: Ints = field(default_factory=lambda: np.zeros(3, np.int64))
+
+    def take(self, times: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Take times (3, n), negative where unknown; return how far each is behind."""
+        best = np.maximum.accumulate(np.column_stack([self.newest, times]), axis=1)
+        behind = np.where(times < 0, 0, best[:, 1:] - times)
+        self.newest = best[:, -1]
+        self.most = np.maximum(self.most, behind.max(axis=1, initial=0))
+        return behind
+
+
+@dataclass
+class _Channel(_Followed):
+    """A channel of one file: beside the above what tells a set clock from a sorted file."""
+
+    part: tuple[str, int] = ("", 0)
+    stamp: int = -1
+    sequence: int = -1
+    back: int = 0
+    back_ns: int = 0
+
+
+@dataclass
+class _Topic(_Followed):
+    """A topic: first and last times, by which streams have time in common."""
+
+    first: Ints = field(default_factory=lambda: np.full(3, _LARGEST, np.int64))
+    unknown: Bools = field(default_factory=lambda: np.zeros(3, np.bool_))
+    count: int = 0
+    channels: set[tuple[Any, int]] = field(default_factory=set)
+
+
+class TimeOrders:
+    """Is told of the messages in the order of the files, and judges that order."""
+
+    def __init__(self) -> None:
+        self._channels: dict[tuple[str, str, int], _Channel] = {}
+        self._topics: dict[str, _Topic] = {}
+        self._all = _Followed()
+
+    def look(
+        self, block: Block, rows: Iterable[tuple[Decoder, Ints]], file: str = "", run: int = 0
+    ) -> None:
+        """Take the next block of a ``file`` of a ``run``; ``rows`` are those that matter."""
+        every = list(rows)
+        if not every:
+            return
+        times = np.full((3, len(block)), -1, np.int64)
+        for decoder, mine in every:
+            times[:, mine] = times_of(block, mine, decoder)
+            self._channel(decoder.channel, block.headers[mine], times[:, mine], (file, run))
+        for topic in {decoder.channel.topic for decoder, _ in every}:
+            own = [(d.channel, mine) for d, mine in every if d.channel.topic == topic]
+            self._topic(topic, times, own)
+        self._all.take(times[:, np.sort(np.concatenate([mine for _, mine in every]))])
+
+    def judged(self, tolerance_ns: int = LEAST_NS) -> TimeOrder:
+        """Return the order, in which streams may be apart by ``tolerance_ns``."""
+        clock = self._true_clock()
+        streams = [topic for topic in self._topics.values() if topic.count > 1]
+        apart = int(self._all.most[clock])
+        mixed = any(len(t.channels) > 1 and t.most[clock] > 0 for t in streams)
+        back = max((channel.back for channel in self._channels.values()), default=0)
+        back_ns = max((channel.back_ns for channel in self._channels.values()), default=0)
+        if clock != LOG:
+            lost = any(t.unknown[clock] for t in streams)
+            own = max((int(c.most[clock]) for c in self._channels.values()), default=0)
+            if apart <= tolerance_ns and not mixed:
+                return TimeOrder()
+            if lost or own > tolerance_ns:
+                return TimeOrder(apart_ns=apart, doubtful=True)
+            return TimeOrder(clock, apart_ns=apart)
+        if back:
+            return TimeOrder(back=back, back_ns=back_ns, apart_ns=apart)
+        return TimeOrder(LOG if apart > tolerance_ns or mixed else None, apart_ns=apart)
+
+    def _channel(
+        self,
+        channel: ChannelDefinition,
+        headers: NDArray[np.void],
+        times: NDArray[np.int64],
+        part: tuple[str, int],
+    ) -> None:
+        key = (channel.topic, channel.type_name, channel.channel_id)
+        known = self._channels.setdefault(key, _Channel())
+        steps = np.diff(times[LOG], prepend=known.newest[LOG])
+        numbers = np.diff(headers["sequence"].astype(np.int64), prepend=known.sequence)
+        falls = np.flatnonzero(steps <= -LEAST_NS)
+        rearranged = numbers[falls] < 0
+        if len(falls) and not falls[0] and part[0] != known.part[0] and part[1] == known.part[1]:
+            alike = known.stamp >= 0 and times[STAMP, 0] >= 0
+            rearranged[0] |= alike and abs(times[STAMP, 0] - known.stamp - steps[0]) < LEAST_NS
+        known.back += int(np.count_nonzero(~rearranged))
+        known.back_ns = max(known.back_ns, -int(steps[falls][~rearranged].min(initial=0)))
+        known.take(times)
+        known.newest[LOG], known.stamp = times[LOG, -1], times[STAMP, -1]
+        known.sequence, known.part = int(headers["sequence"][-1]), part
+
+    def _topic(
+        self, name: str, times: NDArray[np.int64], parts: list[tuple[ChannelDefinition, Ints]]
+    ) -> None:
+        known = self._topics.setdefault(name, _Topic())
+        mine = times[:, np.sort(np.concatenate([rows for _, rows in parts]))]
+        known.first = np.minimum(known.first, np.where(mine < 0, _LARGEST, mine).min(axis=1))
+        known.unknown |= (mine < 0).any(axis=1)
+        known.count += mine.shape[1]
+        known.channels |= {(channel.type_name, channel.channel_id) for channel, _ in parts}
+        known.take(mine)
+
+    def _true_clock(self) -> int:
+        """Return the time that the long streams have in common; LOG unless it surely is not."""
+        for other in (PUBLISH, STAMP):
+            spans = {
+                name: int(t.newest[other] - t.first[other])
+                for name, t in self._topics.items()
+                if t.count > 1 and t.newest[other] > 0
+            }
+            longest = max(spans.values(), default=0)
+            long = [self._topics[name] for name, span in spans.items() if 2 * span > longest]
+            if len(long) < 2 or longest <= LEAST_NS:
+                continue
+            if _in_common(long, other) >= _SHARED and _in_common(long, LOG) < _APART:
+                return other
+        return LOG
+
+
+def _in_common(topics: list[_Topic], clock: int) -> float:
+    """Return the share of the whole time during which all topics were there."""
+    first = [int(topic.first[clock]) for topic in topics]
+    last = [int(topic.newest[clock]) for topic in topics]
+    whole = max(last) - min(first)
+    return max(0, min(last) - max(first)) / whole if whole > 0 else 0.0
+
+
+def times_of(block: Block, rows: Ints, decoder: Decoder) -> NDArray[np.int64]:
+    """Return log time, publish time and stamp (3, n) of messages in ns, -1 where unknown."""
+    headers = block.headers[rows]
+    times = np.full((3, len(rows)), -1, np.int64)
+    times[LOG] = np.minimum(headers["log_time"], _LARGEST).astype(np.int64)
+    sent = np.minimum(headers["publish_time"], _LARGEST).astype(np.int64)
+    times[PUBLISH] = np.where(sent > 0, sent, -1)
+    if decoder.begins_with_header:
+        long = np.flatnonzero(block.size[rows] >= _STAMP_AT + 8)
+        raw = np.frombuffer(block.data, np.uint8)
+        stamps = gather(raw, block.start[rows[long]] + _STAMP_AT, 8).view("<u4").astype(np.int64)
+        stamped_ns = stamps[:, 0] * 1_000_000_000 + stamps[:, 1]
+        times[STAMP, long] = np.where(stamped_ns > 0, stamped_ns, -1)
+    return times
+
+
+def sorted_blocks(
+    blocks: Iterable[tuple[Scan, Block | None]],
+    wanted: Mapping[ChannelDefinition, Decoder],
+    sort_by: int,
+) -> Iterator[tuple[Contents, Block]]:
+    """Yield the messages of the ``wanted`` channels by time; ``blocks``: of :func:`read_blocks`.
+
+    Files of one run belong together: their messages are sorted as one, and come with what is known
+    of all. Log times of the blocks are those that they are sorted by.
+    """
+    run, group = 0, _Group(sort_by, wanted)
+    for scan, block in blocks:
+        before, run = run, run_number(scan.metadata, run)
+        if run != before and group.scans:
+            yield from group.blocks()
+            group = _Group(sort_by, wanted)
+        if block is None:
+            group.scans.append(scan)
+        else:
+            group.add(scan, block)
+    yield from group.blocks()
+
+
+class _Group:
+    """The messages of the files of one run; ``scans`` are those that were read to their ends."""
+
+    def __init__(self, sort_by: int, wanted: Mapping[ChannelDefinition, Decoder]) -> None:
+        self.scans: list[Scan] = []
+        self._sorting = Sorting()
+        self._sort_by = sort_by
+        self._wanted = wanted
+        self._numbers: dict[ChannelDefinition, int] = {}
+
+    def add(self, scan: Scan, block: Block) -> None:
+        numbers = block.headers["channel"]
+        keys = np.full(len(block), -1, np.int64)
+        headers = block.headers.copy()
+        chosen = np.zeros(len(block), np.bool_)
+        for number in np.unique(numbers).tolist():
+            channel = scan.channels[number]
+            decoder = self._wanted.get(channel)
+            if decoder is None:
+                continue
+            rows = np.flatnonzero(numbers == number)
+            keys[rows] = times_of(block, rows, decoder)[self._sort_by]
+            headers["channel"][rows] = self._numbers.setdefault(channel, len(self._numbers))
+            chosen[rows] = True
+        if chosen.any():
+            whole = Block(block.data, block.start, block.size, headers)
+            self._sorting.add(whole.select(chosen), keys[chosen])
+
+    def blocks(self) -> Iterator[tuple[Contents, Block]]:
+        """Yield the sorted messages."""
+        if not self.scans:
+            return
+        channels = {number: channel for channel, number in self._numbers.items()}
+        together = Contents(self.scans[0].path, channels)
+        for scan in self.scans:
+            together.metadata |= scan.metadata
+            together.attachments |= scan.attachments
+        for block in self._sorting.blocks():
+            yield together, block

@@ -1,0 +1,128 @@
+"""Whether a table belongs to the machine that it is meant for: axis, serial number, age.
+
+``rotcal export`` and the bridge ask the same function. What contradicts is refused; a person may
+say that it is meant all the same, by the word that names the contradiction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from rotcal_ros.compensation.table import CompensationTable
+from rotcal_ros.errors import ConfigurationError, DataError
+from rotcal_ros.units import NANOSECOND
+
+AXIS: Final = "axis"
+SERIAL: Final = "serial"
+AGE: Final = "age"
+CONFLICTS: Final = (AXIS, SERIAL, AGE)
+"""The words that accept a contradiction, each its own."""
+LARGEST_AGE_DAYS: Final = 30.0
+"""Of a measurement, unless the settings say otherwise: tables are mounted anew, and they wear."""
+DAY_S: Final = 86_400.0
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The axis letter and the serial number of what a table is for; empty: not known."""
+
+    axis: str = ""
+    serial: str = ""
+
+
+NO_MACHINE: Final = Machine()
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """What a person accepts: words of CONFLICTS, and how old (days) a measurement may be."""
+
+    words: tuple[str, ...] = ()
+    largest_age_days: float = LARGEST_AGE_DAYS
+
+    def __post_init__(self) -> None:
+        if wrong := [word for word in self.words if word not in CONFLICTS]:
+            raise ConfigurationError(
+                f"accept {wrong[0]!r}: expected one of {', '.join(CONFLICTS)}, what it accepts"
+            )
+        if not self.largest_age_days > 0.0:
+            raise ConfigurationError(
+                f"largest age {self.largest_age_days:g} days: expected more than 0"
+            )
+
+
+def agreeing(
+    table: CompensationTable,
+    machines: Mapping[str, Machine],
+    accepted: Accepted,
+    now_ns: int,
+    made_ns: int = 0,
+) -> CompensationTable:
+    """Return ``table`` for the ``machines`` if it belongs to all of them, see :func:`require`.
+
+    ``made_ns`` is when the table was made, which counts where the measurement's time is not known.
+    What contradicts and is accepted becomes a warning, and so does an age that is not known; the
+    axis becomes that of the machines.
+    """
+    measured = Machine(table.axis, table.serial)
+    notes = require(measured, table.measured_from_ns or made_ns, machines, accepted, now_ns)
+    axis = next((m.axis for m in machines.values() if m.axis), table.axis)
+    fresh = tuple(note for note in notes if note not in table.warnings)
+    if not fresh and axis == table.axis:
+        return table
+    return replace(table, axis=axis, warnings=(*table.warnings, *fresh))
+
+
+def require(
+    measured: Machine,
+    made_ns: int,
+    machines: Mapping[str, Machine],
+    accepted: Accepted,
+    now_ns: int,
+) -> tuple[str, ...]:
+    """Return in words what contradicts, and is accepted, when ``measured`` is for ``machines``.
+
+    Those are named in words. The measurement was made at ``made_ns`` (since 1970, 0: not known,
+    which is said too: nothing may pass for young) and may not be older at ``now_ns`` than
+    accepted. Raises DataError with every contradiction that is not accepted, and its word.
+    """
+    found = _contradictions(measured, machines)
+    limit = f"at most {accepted.largest_age_days:g} are taken (--max-age, bridge.max_age_days)"
+    age_days = (now_ns - made_ns) * NANOSECOND / DAY_S
+    if made_ns and age_days > accepted.largest_age_days:
+        found[AGE] = [f"the measurement is {age_days:.0f} days old, {limit}"]
+    refused = [word for word in found if word not in accepted.words]
+    if refused:
+        words = " ".join(f"--accept {word}" for word in refused)
+        raise DataError(
+            f"{'; '.join(text for word in refused for text in found[word])}: the table is not for "
+            f"this. Where that is meant all the same, say so: {words} (bridge.accept: "
+            f"[{', '.join(refused)}]); nothing was written"
+        )
+    undated = () if made_ns else (f"nothing says how many days ago this was measured, {limit}",)
+    return undated + tuple(
+        f"{text}: accepted by a person ({word})" for word, texts in found.items() for text in texts
+    )
+
+
+def _contradictions(measured: Machine, machines: Mapping[str, Machine]) -> dict[str, list[str]]:
+    """Return where axis and serial number contradict, in words, by the word that accepts it."""
+    found: dict[str, list[str]] = {}
+    for name, machine in machines.items():
+        if measured.axis and machine.axis and machine.axis != measured.axis:
+            found.setdefault(AXIS, []).append(
+                f"axis {measured.axis} was measured and {name} has axis {machine.axis}"
+            )
+        if measured.serial and machine.serial and machine.serial != measured.serial:
+            found.setdefault(SERIAL, []).append(
+                f"the item with the serial number {measured.serial} was measured and {name} has "
+                f"{machine.serial}"
+            )
+    return found
+
+
+def words_of(texts: Iterable[str]) -> tuple[str, ...]:
+    """Return the words of several options, of which each may hold more than one."""
+    return tuple(word for text in texts for word in text.replace(",", " ").split())

@@ -1,0 +1,115 @@
+"""Does the table in force act? What is left, held against what it corrects.
+
+With t the correction in force, c = -t is the deviation that it was made for. A table that acts
+leaves nothing of it; one that does not act, or acts on another axis, leaves c; one whose sign is
+turned round adds c once more and leaves 2 c; one that acts twice takes it off twice and leaves -c.
+So the regression factor of what is left on c tells, and to add what is left to such a table would
+be wrong in each of these cases.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rotcal_ros.arrays import Floats
+from rotcal_ros.compensation.held import HeldTable
+from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
+from rotcal_ros.curves.directional import directional_curve
+from rotcal_ros.results import Result
+
+WRONG: Final = ((-1.5, -0.75), (0.75, 1.5), (1.5, 2.5))
+"""Factors of a table that acts twice, does not act, or acts with the wrong sign. More than that is
+left of a table that corrects a small part only; to add to it is right."""
+WHY: Final = (
+    "it acts twice (at two places of the control, or in the control and in software)",
+    "it is inactive, or on the wrong axis: has the control loaded it (restart, reference run, its "
+    "switch), and for this axis?",
+    "its sign is turned round: the control adds what it should take off",
+)
+SURE: Final = 0.5
+"""By so much the factor must differ from 0 with two standard uncertainties taken off."""
+SHARE: Final = 0.8
+"""Of the variance of what is left, noise aside, that the factor must explain: else chance."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """How much is left of what the table in force corrects: 0 for one that acts.
+
+    ``factor`` is the regression factor, ``std`` its standard uncertainty (k = 1), ``share`` of the
+    variance of what is left is explained by it.
+    """
+
+    factor: float
+    std: float
+    share: float
+
+    @property
+    def wrong(self) -> str:
+        """What the table in force does wrong, in words; empty where nothing shows that it does."""
+        sure = abs(self.factor) - 2.0 * self.std > SURE and self.share >= SHARE
+        near = (low <= self.factor < high for low, high in WRONG)
+        why = next((text for text, is_near in zip(WHY, near, strict=True) if is_near), "")
+        if not (sure and why):
+            return ""
+        return f"the table in force does not do what it should: {self.in_words()}; {why}"
+
+    def in_words(self) -> str:
+        """Return the factor with its expanded uncertainty (k = 2)."""
+        return (
+            f"{self.factor:.2f} +- {2.0 * self.std:.2f} (k = 2) times what it corrects is left "
+            "(0: it acts; 1: it does not; 2: its sign is wrong)"
+        )
+
+
+def effect(left: Floats, corrected: Floats, covariance: Floats) -> Effect | None:
+    """Return the factor of the deviations ``left`` (n,) on those that are ``corrected`` (n,), rad.
+
+    ``covariance`` (n, n), rad^2, is that of ``left``; both may count from any zero. None for a
+    table that corrects nothing, or fewer than three values.
+    """
+    shape = corrected - np.mean(corrected)
+    size = float(shape @ shape)
+    if len(left) < 3 or size <= 0.0:
+        return None
+    weights = shape / size
+    factor = float(weights @ left)
+    free = left - np.mean(left)
+    centre = np.eye(len(left)) - 1.0 / len(left)
+    noise = float(np.sum(centre * covariance))
+    signal = float(free @ free) - noise
+    rest = free - factor * shape
+    unexplained = max(float(rest @ rest) - noise, 0.0)
+    share = 1.0 - unexplained / signal if signal > 0.0 else 0.0
+    variance = float(weights @ covariance @ weights)
+    return Effect(factor, float(np.sqrt(max(variance, 0.0))), share)
+
+
+def effect_of_result(result: Result, held: HeldTable) -> Effect | None:
+    """Return what the ECC of ``result``, measured on top of ``held``, says of it.
+
+    With the joint covariance of both directions, as far as it is known.
+    """
+    curve = directional_curve(result)
+    ways = DIRECTIONS if curve.both else DIRECTIONS[:1]
+    left = np.concatenate([curve.forward, curve.reverse][: len(ways)])
+    corrected = np.concatenate([-held.correction(curve.angles, way) for way in ways])
+    return effect(left, corrected, curve.covariance[: len(left), : len(left)])
+
+
+def effect_on(table: CompensationTable, held: HeldTable) -> Effect | None:
+    """Return what ``table``, measured on top of ``held``, says of it.
+
+    A table knows the standard uncertainty of each value and no correlation: the factor's is the
+    bound that holds for any.
+    """
+    ways = DIRECTIONS if table.directional else DIRECTIONS[:1]
+    columns = (table.correction_forward, table.correction_reverse)
+    left = np.concatenate([-column for column, _ in zip(columns, ways, strict=False)])
+    corrected = np.concatenate([-held.correction(table.angles, way) for way in ways])
+    std = np.concatenate([table.std_of(way) for way in ways])
+    worst = std * np.sign(corrected - np.mean(corrected))
+    return effect(left, corrected, np.outer(worst, worst))

@@ -1,0 +1,110 @@
+"""How busy this machine is, and time that counts only while this process gets its turns.
+
+A busy machine is no fault: what is judged by elapsed time is given more of it there, and nobody is
+blamed for a standstill of the one who judges.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from math import inf
+from typing import Final
+
+MOST_CROWDED: Final = 10.0
+"""Time-outs are so many times as long at most."""
+LONGEST_TURN_S: Final = 0.5
+"""What is longer between two looks is a standstill of the looker; so much of it counts."""
+_KNOWN_S: Final = 1.0
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def load() -> float:
+    """Return how many processes wanted a core in the last minute; 0 where nobody knows."""
+    try:
+        return os.getloadavg()[0]
+    except (AttributeError, OSError):
+        return 0.0
+
+
+def in_words() -> str:
+    """Return the load of the machine for people."""
+    number = cores()
+    return f"load {load():.1f} on {number} core{'s' * (number != 1)}"
+
+
+class Crowding:
+    """How many processes want each core, from 1 to ``MOST_CROWDED``; looked up once a second."""
+
+    def __init__(self, read: Callable[[], float] | None = None) -> None:
+        self._read = read or (lambda: load() / cores())
+        self._until_s, self._known = -inf, 1.0
+
+    def __call__(self) -> float:
+        """Return it as it is now."""
+        now_s = time.monotonic()
+        if now_s > self._until_s:
+            self._until_s = now_s + _KNOWN_S
+            self._known = min(max(1.0, self._read()), MOST_CROWDED)
+        return self._known
+
+
+crowding: Final = Crowding()
+
+
+def patient(seconds: float) -> float:
+    """Return a time-out as it is meant on a machine that is as busy as this one is now."""
+    return seconds * crowding()
+
+
+class AwakeClock:
+    """Seconds of the monotonic clock without the standstills of this process; look regularly."""
+
+    def __init__(self, read: Callable[[], float] = time.monotonic) -> None:
+        self._read = read
+        self._last_s = read()
+        self._stood_s = 0.0
+        self._woke_s = -inf
+
+    def now_s(self) -> float:
+        """Return the time; of a standstill only ``LONGEST_TURN_S`` count."""
+        now_s = self._read()
+        if (stood_s := now_s - self._last_s - LONGEST_TURN_S) > 0.0:
+            self._stood_s += stood_s
+            self._woke_s = now_s
+        self._last_s = now_s
+        return now_s - self._stood_s
+
+    def awake_s(self) -> float:
+        """Return how long ago the latest standstill has ended; 0 where this look ends one."""
+        self.now_s()
+        return self._last_s - self._woke_s
+
+
+class Patience:
+    """The time that is left to wait: standstills, a busy machine and pauses do not use it up."""
+
+    def __init__(
+        self,
+        seconds: float,
+        crowd: Callable[[], float] = crowding,
+        read: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._left_s, self._crowd = seconds, crowd
+        self._clock = AwakeClock(read)
+        self._last_s = self._clock.now_s()
+
+    def is_over(self, *, pausing: bool = False) -> bool:
+        """Return whether the time is used up; ``pausing``: not by that since the last look."""
+        now_s = self._clock.now_s()
+        passed_s, self._last_s = now_s - self._last_s, now_s
+        if not pausing:
+            self._left_s -= passed_s / self._crowd()
+        return self._left_s < 0.0

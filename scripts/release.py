@@ -1,0 +1,234 @@
+#!/usr/bin/env python3
+"""Make a release: check, build, try and describe what goes out. docs/releasing.md explains it.
+
+    make release                             # of a tagged, clean checkout, into out/release
+    make release RELEASE_ARGS=--rehearse     # of any commit, however unfinished
+
+Whatever is wrong ends it with a sentence and exit code 1, before anything stands in out/release.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+import zipfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+ROOT = Path(__file__).resolve().parents[1]
+OUTPUT = ROOT / "out" / "release"
+MANIFESTS = (ROOT / "package.xml", ROOT / "msg_defs" / "package.xml")
+CHANGELOGS = (ROOT / "CHANGELOG.rst", ROOT / "msg_defs" / "CHANGELOG.rst")
+PYTHONS = ("3.10", "3.11", "3.12", "3.13")
+UNTRIED = "not on this machine"
+GOLDEN = ROOT / "test" / "golden" / "tracer" / "table"
+SPEAKS = """
+import json, sys
+stored, solved = (json.load(open(path)) for path in sys.argv[1:])
+apart = [abs(a - b) for a, b in zip(*(r["deviations"]["ECC"] for r in (stored, solved)))]
+assert solved["verdict"] == stored["verdict"], solved["verdict"]
+assert max(apart) < 1e-12, f"deviations differ by {max(apart)} rad"
+"""
+
+
+class UnfitError(Exception):
+    """Why this checkout cannot be released."""
+
+
+def main() -> int:
+    """Check, build, try, describe; print where it all is."""
+    parser = argparse.ArgumentParser(description="Make a release.")
+    parser.add_argument("--rehearse", action="store_true", help="of a commit that is no release")
+    rehearsed = parser.parse_args().rehearse
+    try:
+        version = agreed_version()
+        if not rehearsed:
+            check_finished(version)
+        with tempfile.TemporaryDirectory(prefix="release-") as folder:
+            built = release(version, Path(folder))
+            shutil.rmtree(OUTPUT, ignore_errors=True)
+            shutil.copytree(built, OUTPUT)
+    except (UnfitError, subprocess.CalledProcessError) as reason:
+        print(f"release: {reason}", file=sys.stderr)
+        return 1
+    print(f"{'rehearsal of ' if rehearsed else ''}rotcal_ros {version}: {OUTPUT}")
+    return 0
+
+
+def agreed_version() -> str:
+    """Return the one version that package, manifests and changelogs tell."""
+    stated = re.search(r'__version__ = "(.+)"', (ROOT / "rotcal_ros/__init__.py").read_text())
+    told = {"rotcal_ros/__init__.py": stated[1] if stated else ""}
+    for path in MANIFESTS:
+        told[_name(path)] = ElementTree.parse(path).findtext("version") or ""
+    for path in CHANGELOGS:
+        told[_name(path)] = newest_heading(path)[0]
+    if len(set(told.values())) != 1:
+        raise UnfitError("versions differ: " + ", ".join(f"{k} {v}" for k, v in told.items()))
+    return next(iter(told.values()))
+
+
+def newest_heading(changelog: Path) -> tuple[str, str]:
+    """Return version and date ("unreleased" before it has one) of a changelog's first section."""
+    found = re.search(r"^(\d+\.\d+\.\d+) \((.+)\)$", changelog.read_text(), re.MULTILINE)
+    if not found:
+        raise UnfitError(f"{_name(changelog)} has no heading like '1.0.0 (2027-01-31)'")
+    return found[1], found[2]
+
+
+def check_finished(version: str) -> None:
+    """Refuse what is not committed, not dated or not tagged."""
+    if changed := _output("git", "status", "--porcelain"):
+        raise UnfitError(
+            f"not committed: {changed.splitlines()[0].strip()} ...; commit it or put it away"
+        )
+    for path in CHANGELOGS:
+        date = newest_heading(path)[1]
+        if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", date):
+            raise UnfitError(
+                f"{_name(path)}: {version} is '{date}'; write the day of the release there"
+            )
+    if version not in _output("git", "tag", "--points-at", "HEAD").split():
+        raise UnfitError(
+            f"this commit is not tagged: git tag -a {version} -m 'rotcal_ros {version}'"
+        )
+
+
+def release(version: str, work: Path) -> Path:
+    """Return the folder of all that goes out, after it was tried."""
+    source, built = work / "source", work / "release"
+    for folder in (source, built):
+        folder.mkdir()
+    _export(source)
+    _run(sys.executable, "-m", "build", "--quiet", "--outdir", built, source, cwd=work)
+    wheel, archive = next(built.glob("*.whl")), next(built.glob("*.tar.gz"))
+    check_contents(wheel, archive, source)
+    tried = {
+        f"{python} {package.name}": try_out(python, package, work, built)
+        for python in PYTHONS
+        for package in (wheel, archive)
+    }
+    if not any(ok == "passed" for ok in tried.values()):
+        raise UnfitError(f"none of Python {', '.join(PYTHONS)} is on this machine")
+    with tarfile.open(built / f"rotcal_msgs-{version}.tar.gz", "w:gz") as messages:
+        messages.add(source / "msg_defs", f"rotcal_msgs-{version}")
+    note = {"version": version, "commit": _output("git", "rev-parse", "HEAD"), "tried": tried}
+    (built / "release.json").write_text(json.dumps(note, indent=2) + "\n")
+    write_checksums(built)
+    return built
+
+
+def check_contents(wheel: Path, archive: Path, source: Path) -> None:
+    """Refuse a wheel or a source archive that lacks a file of the package, or holds another."""
+    of_package = {
+        str(path.relative_to(source))
+        for path in (source / "rotcal_ros").rglob("*")
+        if path.is_file()
+    }
+    with zipfile.ZipFile(wheel) as stream:
+        packed = {name for name in stream.namelist() if name.startswith("rotcal_ros/")}
+    with tarfile.open(archive) as stream:
+        names = {name.partition("/")[2] for name in stream.getnames()}
+    for what, held in (("wheel", packed), ("source archive", names)):
+        if missing := of_package - held:
+            raise UnfitError(f"the {what} lacks {min(missing)} ({len(missing)} files)")
+    if strange := packed - of_package:
+        raise UnfitError(f"the wheel holds {min(strange)}, which the repository does not")
+
+
+def try_out(python: str, package: Path, work: Path, built: Path) -> str:
+    """Install a package for one Python, alone, and solve with it; return how that went.
+
+    The first wheel that passes also gives the bill of materials.
+    """
+    interpreter = find_python(python)
+    if interpreter is None:
+        return UNTRIED
+    print(f"Python {python}: {package.name}", flush=True)
+    place = work / "try"
+    shutil.rmtree(place, ignore_errors=True)
+    _run(interpreter, "-m", "venv", place)
+    inside = place / "bin" / "python"
+    pins = ("-c", ROOT / "constraints.txt")
+    _run(inside, "-m", "pip", "-q", "--disable-pip-version-check", "install", *pins, package)
+    program = place / "bin" / "rotcal"
+    _run(program, "--help", cwd=place)
+    solved = place / "solved.json"
+    solve = (program, "solve", GOLDEN / "table.csv", "--setup", GOLDEN / "setup.yaml", "--json")
+    solved.write_text(_output(*solve, cwd=place))
+    _run(inside, "-c", SPEAKS, GOLDEN / "result.json", solved, cwd=place)
+    bill = built / "sbom.cdx.json"
+    if package.suffix == ".whl" and not bill.exists():
+        tool = Path(sys.executable).with_name("cyclonedx-py")
+        _run(tool, "environment", "--output-reproducible", "-o", bill, inside)
+    return "passed"
+
+
+def find_python(version: str) -> str | None:
+    """Return the path of a Python, on the path or of pyenv; None: there is none."""
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    here = sorted(pyenv.glob(f"versions/{version}.*/bin/python"))
+    on_path = shutil.which(f"python{version}")
+    for candidate in [*([on_path] if on_path else []), *map(str, here)]:
+        asked = [candidate, "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
+        answer = subprocess.run(asked, capture_output=True, text=True, check=False)
+        if answer.stdout.strip() == version:
+            return candidate
+    return None
+
+
+def write_checksums(folder: Path) -> None:
+    """Write SHA256SUMS, as `sha256sum --check` reads it."""
+    lines = [
+        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n"
+        for path in sorted(folder.iterdir())
+    ]
+    (folder / "SHA256SUMS").write_text("".join(lines))
+
+
+def _export(target: Path) -> None:
+    """Copy what is committed, and nothing else, into a folder."""
+    archive = subprocess.run(
+        ("git", "archive", "HEAD"), cwd=ROOT, check=True, stdout=subprocess.PIPE
+    ).stdout
+    subprocess.run(("tar", "-x", "-C", target), input=archive, check=True)
+
+
+def _run(*command: str | Path, cwd: Path = ROOT) -> None:
+    _output(*command, cwd=cwd)
+
+
+def _output(*command: str | Path, cwd: Path = ROOT) -> str:
+    """Return what a command prints; what it complains about ends the release."""
+    words: Sequence[str] = [str(word) for word in command]
+    done = subprocess.run(
+        words, cwd=cwd, env=_environment(), capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        last = (done.stderr or done.stdout).strip().splitlines()[-8:]
+        raise UnfitError(f"{' '.join(words[:4])} ... failed:\n  " + "\n  ".join(last))
+    return done.stdout
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment without what points at other Pythons and at this checkout."""
+    hidden: Iterable[str] = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "AMENT_PREFIX_PATH")
+    kept = {name: text for name, text in os.environ.items() if name not in hidden}
+    return kept | {"OMP_NUM_THREADS": "1"}
+
+
+def _name(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

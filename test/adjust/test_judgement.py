@@ -1,0 +1,92 @@
+"""What is believed of disturbances, against truth and against all explanations enumerated."""
+
+import numpy as np
+import pytest
+from linear_worlds import lines, outputs, places_on_a_ring, residuals
+
+from rotcal_ros.adjust.groups import Dense
+from rotcal_ros.adjust.judgement import blame, judge
+from rotcal_ros.adjust.subsets import neighbourhoods
+
+E, GROUPS = 20, 6
+DESIGN = {zero: lines(GROUPS, E, zero) for zero in (True, False)}
+GAIN = {zero: np.linalg.pinv(DESIGN[zero]) for zero in (True, False)}
+NEAR = neighbourhoods(places_on_a_ring(E) * [1.0, 1.01])
+
+
+def groups(errors, own_zero=True):
+    design = DESIGN[own_zero]
+    view = Dense(design, outputs(design, GROUPS, own_zero), residuals(design, errors))
+    return view, [
+        view.group("station", f"station {g}", np.arange(E), E * g + np.arange(E), gathered=NEAR)
+        for g in range(GROUPS)
+    ]
+
+
+def disturbed(seed, which, size, own_zero=True, at=2):
+    rng = np.random.default_rng(seed)
+    errors = rng.standard_normal(E * GROUPS)
+    errors[E * at + np.asarray(which, dtype=int)] += size
+    return groups(errors, own_zero)
+
+
+def test_sound_data_are_called_disturbed_less_often_than_allowed():
+    alarms = sum(judge(disturbed(seed, [], 0.0)[1]).proved(0.02) for seed in range(300))
+    assert alarms <= 12  # 0.02 of 300 are 6; twice as many have a chance below 0.02
+
+
+def test_sound_data_cost_little():
+    grown = []
+    for seed in range(100):
+        view, found = disturbed(seed, [], 0.0)
+        more = judge(found).covariance().diagonal()
+        grown.append(np.sqrt(1.0 + more / view.std**2).mean())
+    assert np.mean(grown) < 1.05
+
+
+@pytest.mark.parametrize("own_zero", [True, False])
+@pytest.mark.parametrize("which", [range(8), [0, 3, 4, 7, 9, 12, 13, 18]])
+def test_eight_of_twenty_are_found_and_named(own_zero, which):
+    for seed in range(5):
+        _view, found = disturbed(seed, list(which), 8.0, own_zero)
+        seen = judge(found)
+        assert seen.proved(1e-3)
+        assert seen.worst == 2
+        to_blame = blame(seen.groups[2])
+        assert np.flatnonzero(to_blame.subset).tolist() == sorted(which)
+        assert to_blame.size == pytest.approx([8.0], abs=3.0)
+
+
+def test_uneven_errors_are_found_and_named():
+    sizes = np.linspace(5.0, 15.0, 8)
+    _, found = disturbed(3, np.arange(8), sizes)
+    assert np.flatnonzero(blame(judge(found).groups[2]).subset).tolist() == list(range(8))
+
+
+def test_a_half_against_the_other_is_ambiguous():
+    which = np.arange(0, E, 2)
+    _view, found = disturbed(1, which, 8.0)
+    to_blame = blame(judge(found).groups[2])
+    assert to_blame.ambiguous
+    halves = {tuple(which), tuple(which + 1)}
+    assert tuple(np.flatnonzero(to_blame.subset)) in halves
+    assert tuple(np.flatnonzero(to_blame.rivals[0])) in halves
+    assert to_blame.ratios[0] >= 1.0
+
+
+def test_one_outlier_is_left_to_screening():
+    _, found = disturbed(4, [5], 12.0)
+    assert not judge(found).proved(0.01)
+
+
+def test_probable_but_unproved_errors_are_covered():
+    """Between nothing and what is found the covariance grows by what is hidden."""
+    held = []
+    for seed in range(60):
+        view, found = disturbed(seed, range(8), 4.0)
+        truth = view.outputs @ GAIN[True] @ np.eye(E * GROUPS)[:, 2 * E : 2 * E + 8].sum(axis=1)
+        seen = judge(found)
+        if not seen.proved(0.02):
+            std = np.sqrt(view.std**2 + seen.covariance().diagonal())
+            held.append((np.abs(4.0 * truth) / std).max() < 2.5)
+    assert not held or np.mean(held) > 0.8

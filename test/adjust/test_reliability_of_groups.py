@@ -1,0 +1,47 @@
+"""What may stay unseen."""
+
+import numpy as np
+import pytest
+from linear_worlds import lines, outputs, places_on_a_ring, residuals
+
+from rotcal_ros.adjust.groups import Dense
+from rotcal_ros.adjust.reliability import hidden
+from rotcal_ros.adjust.subsets import runs
+
+
+def view_of(e):
+    design = lines(4, e)
+    view = Dense(design, outputs(design, 4), residuals(design, np.zeros(len(design))))
+    angle = np.arctan2(*places_on_a_ring(e).T[::-1])
+    group = view.group("station", "station 1", np.arange(e), e + np.arange(e),
+                       gathered=runs(angle, closed=True))  # fmt: skip
+    return view, group
+
+
+def test_a_shift_of_the_hidden_size_moves_an_output_by_the_hidden_error():
+    view, group = view_of(12)
+    found = hidden([group], view.std, 0.01, 0.95, 1e3)
+    gain = view.outputs @ np.linalg.pinv(view.design) / view.std[:, None]
+    errors = [
+        np.abs(gain[:, 12 + np.flatnonzero(one)].sum(axis=1)).max()
+        for one in group.gathered
+        if one.sum() == found.count
+    ]
+    assert found.seen
+    assert found.error <= max(errors) * found.size * (1 + 1e-9)
+    assert min(abs(found.error - found.size * np.array(errors))) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_more_observations_hide_less_and_none_hide_nothing():
+    few = hidden([view_of(8)[1]], view_of(8)[0].std, 0.01, 0.95, 1e3)
+    assert few.size > hidden([view_of(24)[1]], view_of(24)[0].std, 0.01, 0.95, 1e3).size
+    view, _ = view_of(8)
+    bare = view.group("station", "x", np.arange(8), np.arange(8))
+    assert hidden([bare], view.std, 0.01, 0.95, 1.0) is None
+
+
+def test_what_no_residual_shows_is_not_seen():
+    design = np.eye(4)
+    view = Dense(design, np.ones((1, 4)), np.zeros(4))
+    group = view.group("position", "p", np.arange(4), np.arange(4), gathered=runs(np.arange(4.0)))
+    assert not hidden([group], view.std, 0.01, 0.95, 1e3).seen

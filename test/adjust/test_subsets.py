@@ -1,0 +1,33 @@
+"""Subsets that lie together."""
+
+import numpy as np
+from linear_worlds import places_on_a_ring
+
+from rotcal_ros.adjust.subsets import distinct, most_of, neighbourhoods, runs
+
+
+def as_sets(subsets):
+    return {frozenset(np.flatnonzero(one).tolist()) for one in subsets}
+
+
+def test_runs_in_time_are_all_unbroken_stretches_up_to_half():
+    found = as_sets(runs(np.array([3.0, 1.0, 2.0, 0.0])))
+    assert found == {frozenset(s) for s in ([3, 1], [1, 2], [2, 0])}
+
+
+def test_runs_round_a_circle_close():
+    found = as_sets(runs(np.arange(6.0), closed=True))
+    assert frozenset([5, 0]) in found
+    assert len(found) == 12  # six pairs, six threes
+
+
+def test_neighbourhoods_are_the_nearest():
+    found = as_sets(neighbourhoods(places_on_a_ring(8) * [1.0, 1.001]))
+    assert frozenset([7, 0, 1]) in found
+    assert frozenset([0, 4]) not in found
+    assert max(map(len, found)) == most_of(8) == 4
+
+
+def test_distinct_keeps_each_once_in_order():
+    a = np.array([[True, False, True], [False, True, True]])
+    assert distinct(a, a[::-1]).tolist() == a.tolist()

@@ -1,0 +1,34 @@
+"""How many runs a statistical test makes, and what chance alone may bring in so many.
+
+Without ROTCAL_LONG_TESTS the runs are few; their bounds follow from the number of runs.
+"""
+
+import os
+
+import numpy as np
+from scipy.stats import binom, chi2
+
+LONG = bool(os.environ.get("ROTCAL_LONG_TESTS"))
+ODDS = 1e-3
+"""How often a sound program leaves such bounds, both sides together."""
+
+
+def share(probability, runs):
+    """Return the bounds of the share of independent runs in which that happens."""
+    low, high = binom.ppf(ODDS / 2, runs, probability), binom.isf(ODDS / 2, runs, probability)
+    return low / runs, high / runs
+
+
+def most(probability, runs):
+    """Return the largest number of runs in which something of that probability happens."""
+    return int(binom.isf(ODDS / 2, runs, probability))
+
+
+def squares(error, covariance):
+    """Return e' C^-1 e of one run: chi-square, the sharpest look at a stated covariance."""
+    return error @ np.linalg.solve(covariance, error)
+
+
+def scatter(dof):
+    """Return the bounds of a mean of ``dof`` independent squares of standard deviation 1."""
+    return chi2.ppf(ODDS / 2, dof) / dof, chi2.isf(ODDS / 2, dof) / dof

@@ -1,0 +1,95 @@
+"""Two marks: may the measurement be believed, and is the table within its tolerance?"""
+
+import json
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from rotcal_ros.cli.console import print_outcome
+from rotcal_ros.evaluation.marks import COLOURS, Mark, marks
+from rotcal_ros.identity import Identity
+from rotcal_ros.report.page import ReportInput, render_report
+from rotcal_ros.report.terminal.tables import print_result
+from rotcal_ros.results import Result
+from rotcal_ros.units import ARCSEC, MICROMETRE
+
+DATA = Path(__file__).parents[2] / "examples" / "data"
+
+
+def result(tolerance_arcsec, verdict="ok", tolerance_um=0.0, **more):
+    """Return a result whose ECC reaches 10 arcsec with U 1, and EZC 5 um with U 0.2."""
+    known = Result.from_dict(json.loads((DATA / "result_tracer.json").read_text()))
+    size = np.linspace(-1.0, 1.0, len(known.angles))
+    identity = Identity(tolerance_arcsec=tolerance_arcsec, tolerance_um=tolerance_um)
+    return replace(
+        known,
+        deviations={"ECC": 10.0 * ARCSEC * size, "EZC": 5.0 * MICROMETRE * size},
+        std={"ECC": 0.5 * ARCSEC + 0 * size, "EZC": 0.1 * MICROMETRE + 0 * size},
+        covariance={}, verdict=verdict, warnings=("a doubt",) * (verdict != "ok"), protections=(),
+        circumstances=replace(known.circumstances, identity=identity),
+        **more,
+    )  # fmt: skip
+
+
+# |deviation| + U <= limit: within; |deviation| - U > limit: beyond.
+CASES = [
+    (11.1, 0.0, "within", "within ±11.1 arcsec (ECC)"),
+    (10.5, 0.0, "undecided", "undecided ±10.5 arcsec (ECC)"),
+    (8.9, 0.0, "beyond", "beyond ±8.9 arcsec (ECC)"),
+    (11.1, 5.1, "undecided", "undecided ±5.1 µm (EZC)"),
+    (8.9, 5.1, "beyond", "beyond ±8.9 arcsec (ECC)"),
+    (11.1, 5.3, "within", "within ±11.1 arcsec (ECC), ±5.3 µm (EZC)"),
+]
+
+
+@pytest.mark.parametrize(("arcsec", "um", "kind", "words"), CASES)
+def test_a_good_measurement_says_nothing_of_the_tolerance_and_the_other_way(
+    arcsec, um, kind, words
+):
+    about, against = marks(result(arcsec, tolerance_um=um))
+    assert (about.name, about.kind) == ("measurement", "partly")
+    assert against.words == words
+    assert (against.name, against.kind) == ("tolerance", kind)
+
+
+@pytest.mark.parametrize("verdict", ["suspect", "failed"])
+def test_where_u_is_withheld_nothing_is_decided(verdict):
+    about, against = marks(result(8.9, verdict))
+    assert about.kind == verdict
+    assert against.kind == "undecided"
+    assert "U is not stated" in against.words
+
+
+def test_without_a_tolerance_there_is_one_mark():
+    assert [mark.name for mark in marks(result(0.0))] == ["measurement"]
+
+
+@pytest.mark.parametrize("tolerance_arcsec", [11.1, 10.5, 8.9])
+def test_page_and_terminal_show_the_same_marks_in_their_colours(tolerance_arcsec, capsys):
+    given = result(tolerance_arcsec)
+    page = render_report(ReportInput(given, "title", "method"))
+    shown = re.findall(r'<span class="verdict (\w+)">([^<]*)</span>', page)
+    print_result(given)
+    words = capsys.readouterr().err
+    outcome = {
+        "n_used": 1, "skipped_steps": [], "n_rejected": 0, "verdict": "ok",
+        "marks": [asdict(mark) for mark in marks(given)],
+    }  # fmt: skip
+    ended = CliRunner().invoke(click.command()(lambda: print_outcome(outcome)), color=True).stdout
+    codes = {"green": 32, "yellow": 33, "red": 31}
+    for mark in marks(given):
+        assert (mark.kind, mark.line[0].upper() + mark.line[1:]) in shown
+        assert mark.line in words
+        assert f"\x1b[{codes[mark.colour]}m{mark.line}" in ended
+    style = page.partition("</style>")[0]
+    assert all(f".{kind} {{ background" in style for kind in COLOURS)
+
+
+def test_a_green_mark_never_stands_for_a_table_that_is_beyond():
+    assert {kind for kind, colour in COLOURS.items() if colour == "green"} == {"ok", "within"}
+    assert Mark("tolerance", "beyond", "beyond").colour == "red"

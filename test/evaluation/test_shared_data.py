@@ -1,0 +1,332 @@
+"""Results that rest on the same observations: known, counted once, or refused.
+
+The worlds are drawn here, in plain numpy; how two evaluations vary together is taken from many
+draws of their noise.
+"""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rotcal_ros.catalogue import changed, prepare
+from rotcal_ros.catalogue.configuration import read_configuration
+from rotcal_ros.catalogue.measurements import read_measurements
+from rotcal_ros.curves.measured import measured_curve
+from rotcal_ros.errors import DataError
+from rotcal_ros.evaluation.combination import CombinationInput, combine
+from rotcal_ros.evaluation.compare import compare
+from rotcal_ros.observations import Observation, PointKind
+from rotcal_ros.raw_data import MOST_INFLUENCES, Influence, RawData
+from rotcal_ros.results import Result
+
+TAU = 2.0 * np.pi
+DATED_NS = 10**17
+EXAMPLES = Path(__file__).parents[2] / "examples" / "data"
+
+
+def rotcal(*arguments):
+    script = "from rotcal_ros.cli.main import main; main()"
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def observation(step, position, angle, target, values, std, when_ns=0, kind=PointKind.REFLECTOR):
+    return Observation(
+        step=step, attempt=0, table_position=position, table_angle=angle, target=target, station=0,
+        kind=kind, mean=tuple(values), std=(std,) * len(values), scatter=(std,) * len(values),
+        probe_position=(0.0, 0.0, 0.0), n_samples=10, n_used=10, accepted=True, reason="",
+        table_angle_measured=angle, temperature_c=20.0, window_start_ns=when_ns,
+        window_end_ns=when_ns + 10**8 * bool(when_ns),
+    )  # fmt: skip
+
+
+class Tracer:
+    """A tracer on a table that turns a little wrong, and a machine whose targets are a bit off."""
+
+    def __init__(self):
+        configuration = read_configuration(EXAMPLES / "tracer.yaml")
+        self.calibration = prepare(changed(configuration, ("solver.error_motion_std_m=0.0",)))
+
+    def observations(self, rng, begun_ns=0):
+        plan = self.calibration.plan
+        nominal = np.array(plan.targets)
+        targets = nominal + rng.normal(0.0, 0.85e-6, nominal.shape)
+        ecc = 2e-5 * np.sin(np.array(plan.table_angles) + 0.3)
+        found = []
+        for k, step in enumerate(plan.steps):
+            angle = step.table_angle + ecc[step.table_position]
+            arm = np.array([0.0569, -0.0318])
+            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            station = np.array([*(turn @ arm), 0.1225])
+            length = np.linalg.norm(targets[step.target] - station) - 0.4
+            reported = nominal[step.target]
+            seen = observation(
+                step.index, step.table_position, step.table_angle, step.target,
+                [length + rng.normal(0.0, 0.12e-6)], 0.0, begun_ns and begun_ns + 10**9 * k,
+            )  # fmt: skip
+            found.append(replace(seen, probe_position=tuple(reported.tolist())))
+        return found
+
+    def solve(self, observations, *changes):
+        configuration = changed(self.calibration.configuration, changes)
+        return replace(self.calibration, configuration=configuration).solve(observations)
+
+
+@pytest.fixture(scope="module")
+def tracer():
+    return Tracer()
+
+
+def plate_calibration():
+    return prepare(
+        changed(
+            read_configuration(EXAMPLES / "ball_plate.yaml"),
+            ("solver.sigma_centre_m=0.0000002",),
+        )
+    )
+
+
+def centres(calibration, rng):
+    """Noise about exact places of the balls: the table, the CMM and the plate have no errors."""
+    plate = calibration.configuration.plan.plate
+    found = []
+    for step in calibration.plan.steps:
+        angle = TAU * (step.table_position + step.target) / plate.grid
+        place = plate.circle_radius_m * np.array([np.cos(angle), np.sin(angle), 0.0])
+        measured = place + np.array(calibration.configuration.plan.centre_m)
+        values = measured + rng.normal(0.0, 0.2e-6, 3)
+        found.append(
+            observation(
+                step.index,
+                step.table_position,
+                step.table_angle,
+                step.target,
+                values.tolist(),
+                0.2e-6,
+                kind=PointKind.CENTRE,
+            )
+        )
+    return found
+
+
+def both_ways(pairs):
+    """Return mean chi2 / dof of differences, and that of the same taken for independent."""
+    told, apart = [], []
+    for first, second in pairs:
+        curves = [measured_curve(r) for r in (first, second)]
+        found = compare(*curves)
+        told.append(found.chi2 / found.dof)
+        alone = [replace(c, raw_data=RawData()) for c in curves]
+        apart.append((lambda c: c.chi2 / c.dof)(compare(*alone)))
+    return np.mean(told), np.mean(apart)
+
+
+@pytest.mark.slow
+def test_lengths_evaluated_with_fewer_targets_vary_together_as_their_noise_says(tracer):
+    rng = np.random.default_rng(24)
+    pairs = []
+    for _ in range(60):
+        every = tracer.observations(rng)
+        some = [o for o in every if o.target % 3]
+        pairs.append((tracer.solve(every), tracer.solve(some)))
+    told, apart = both_ways(pairs)
+    assert told == pytest.approx(1.0, abs=0.2)  # 60 x 11 contrasts: 0.055 as one std, and slack
+    assert apart < 0.5
+
+
+@pytest.mark.slow
+def test_two_variants_of_the_same_lengths_vary_together_as_their_noise_says(tracer):
+    rng = np.random.default_rng(25)
+    pairs = []
+    for _ in range(60):
+        every = tracer.observations(rng)
+        pairs.append((tracer.solve(every), tracer.solve(every, "solver.variant=station")))
+    told, apart = both_ways(pairs)
+    assert told == pytest.approx(1.0, abs=0.25)
+    assert apart < 0.5
+
+
+def test_half_of_the_balls_vary_together_with_all_as_their_noise_says():
+    rng = np.random.default_rng(26)
+    calibration = plate_calibration()
+    balls = sorted({step.target for step in calibration.plan.steps})
+    fewer = f"solver.balls={balls[: len(balls) - 1]}"
+    less = replace(calibration, configuration=changed(calibration.configuration, (fewer,)))
+    pairs = []
+    for _ in range(60):
+        seen = centres(calibration, rng)
+        pairs.append((calibration.solve(seen), less.solve(seen)))
+    told, apart = both_ways(pairs)
+    assert told == pytest.approx(1.0, abs=0.2)
+    assert apart < 0.6
+
+
+def test_evaluations_of_one_table_do_not_lower_the_uncertainty(tracer):
+    every = tracer.observations(np.random.default_rng(1))
+    some = [o for o in every if o.target % 3]
+    inputs = {
+        "joint": tracer.solve(every),
+        "by station": tracer.solve(every, "solver.variant=station"),
+        "fewer": tracer.solve(some),
+    }
+    # Counted from the mean, as a combination is: alone each is combined with nothing.
+    alone = [combine([CombinationInput.of(n, r)]).result.std["ECC"] for n, r in inputs.items()]
+    whole = combine([CombinationInput.of(n, r) for n, r in inputs.items()]).result
+    best = np.min(alone, axis=0).mean()
+    assert whole.std["ECC"].mean() > 0.93 * best
+    bare = [CombinationInput.of(n, replace(r, raw_data=RawData())) for n, r in inputs.items()]
+    fooled = combine(bare).result
+    assert fooled.std["ECC"].mean() < 0.75 * best
+    assert fooled.verdict == "suspect"  # chi-squared is too small
+    assert "they agree better than independent measurements do" in " ".join(fooled.warnings)
+    assert set(whole.raw_data.hashes) == {h for r in inputs.values() for h in r.raw_data.hashes}
+
+
+def test_a_combination_does_not_combine_with_what_it_rests_on(tracer):
+    first = tracer.solve(tracer.observations(np.random.default_rng(1)))
+    other = tracer.solve(tracer.observations(np.random.default_rng(2)))
+    pair = [CombinationInput.of(n, r) for n, r in (("a", first), ("b", other))]
+    both = combine(pair).result
+    with pytest.raises(DataError, match=r"c and a rest on 288 observations.*288 and 576|same"):
+        combine([CombinationInput.of("c", both), CombinationInput.of("a", first)])
+    third = tracer.solve(tracer.observations(np.random.default_rng(3)))
+    combine([CombinationInput.of("c", both), CombinationInput.of("d", third)])
+
+
+def test_windows_tell_what_was_captured_again_with_other_settings(tracer):
+    rng = np.random.default_rng(4)
+    every = tracer.observations(rng, begun_ns=16 * 10**17)
+    again = [
+        replace(o, mean=(o.mean[0] + 1e-9,), window_start_ns=o.window_start_ns + 10**7)
+        for o in every
+    ]
+    here, there = RawData.of(every, DATED_NS).shared_with(RawData.of(again, DATED_NS))
+    np.testing.assert_array_equal(here, np.arange(len(every)))
+    np.testing.assert_array_equal(there, here)
+    later = [
+        replace(o, window_start_ns=o.window_start_ns + 5 * 10**8,
+                window_end_ns=o.window_end_ns + 5 * 10**8)
+        for o in every
+    ]  # fmt: skip
+    assert not len(RawData.of(every, DATED_NS).shared_with(RawData.of(later, DATED_NS))[0])
+
+
+@given(st.integers(0, 2**31), st.integers(3, 60), st.data())
+def test_a_subset_is_known_in_any_order(seed, n, data):
+    rng = np.random.default_rng(seed)
+    every = [
+        observation(k, k % 5, 0.1 * (k % 5), k // 5, [x], 1e-7)
+        for k, x in enumerate(rng.normal(1.0, 0.1, n))
+    ]
+    size = data.draw(st.integers(2, n))
+    chosen = rng.permutation(n)[:size]
+    here, there = RawData.of(every, DATED_NS).shared_with(
+        RawData.of([every[k] for k in chosen], DATED_NS)
+    )
+    assert sorted(zip(here.tolist(), there.tolist(), strict=True)) == sorted(
+        zip(chosen.tolist(), range(size), strict=True)
+    )
+
+
+def test_values_read_coarsely_agree_by_chance_and_are_not_called_the_same():
+    rng = np.random.default_rng(5)
+
+    def run():
+        return RawData.of(
+            [
+                observation(k, 0, 0.0, k, [round(1.0 + rng.normal(0.0, 0.5e-6), 7)], 1e-7)
+                for k in range(200)
+            ],
+            DATED_NS,
+        )
+
+    first, second = run(), run()
+    assert set(first.hashes) & set(second.hashes)  # some are equal
+    assert not len(first.shared_with(second)[0])
+
+
+def test_two_ways_of_a_mirror_are_refused_with_the_reason():
+    setup = read_configuration(EXAMPLES / "plane_mirror.yaml")
+
+    def way(name):
+        return read_measurements(
+            EXAMPLES / "tracker.csv", changed(setup, (f"solver.way={name}",))
+        ).solve()
+
+    first, second = way("joint"), way("stitching")
+    n = len(first.raw_data.hashes)
+    with pytest.raises(DataError, match=rf"x and y rest on {n} observations that are the same"):
+        compare(measured_curve(first), measured_curve(second), names=("x", "y"))
+
+
+def test_a_result_keeps_its_observations_in_its_file(tracer):
+    result = tracer.solve(tracer.observations(np.random.default_rng(6)))
+    data = json.loads(result.to_json())
+    again = Result.from_dict(data).raw_data
+    assert again.hashes == result.raw_data.hashes
+    ours, theirs = result.raw_data.influence, again.influence
+    assert theirs.causes == ours.causes
+    np.testing.assert_array_equal(theirs.rows, ours.rows)
+    np.testing.assert_allclose(
+        theirs.deviations["ECC"], ours.deviations["ECC"], rtol=1e-6, atol=1e-14
+    )
+    # The influences of lengths and targets are where this covariance comes from.
+    own = ours.deviations["ECC"]
+    assert np.trace(own @ own.T) <= np.trace(result.covariance["ECC"]) * (1 + 1e-9)
+    assert np.trace(own @ own.T) > 0.9 * np.trace(result.covariance["ECC"])
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        ("sha256", [1, 2]),
+        ("begun_ns", [1]),
+        ("begun_ns", ["x"]),
+        ("influence", {"rows": [99999], "coordinates": 1, "causes": [], "deviations": {}}),
+        (
+            "influence",
+            {"rows": [0], "coordinates": 1, "causes": [], "deviations": {"ECC": "AAAA"}},
+        ),
+        ("influence", {"rows": [0], "coordinates": 1, "causes": [], "deviations": {"ECC": "!"}}),
+        ("influence", {"rows": [0], "coordinates": 2, "causes": [], "deviations": {}}),
+    ],
+)
+def test_damaged_observations_are_named(tracer, entry, value):
+    data = json.loads(tracer.solve(tracer.observations(np.random.default_rng(6))).to_json())
+    data["raw_data"][entry] = value
+    with pytest.raises(DataError, match="raw_data"):
+        Result.from_dict(data)
+
+
+def test_too_many_influences_are_left_out_of_the_file():
+    many = Influence(np.arange(2), 1, {"ECC": np.zeros((MOST_INFLUENCES // 2 + 1, 2))})
+    assert not many.kept
+    assert "influence" not in RawData(("a", "b"), influence=many).to_dict()
+
+
+def test_compare_reads_the_file_of_several_evaluations(tmp_path):
+    out = tmp_path / "ways.json"
+    table = EXAMPLES / "balls.csv"
+    sound = ["solve", str(table), "--setup", str(EXAMPLES / "ball_plate.yaml")]
+    steps = sorted({int(line.split(",")[1]) for line in table.read_text().splitlines()[1:]})
+    fewer = ",".join(map(str, steps[:-1]))
+    solved = rotcal(*sound, "--balls", "all", "--balls", fewer, "-o", out)
+    assert solved.returncode in (0, 1), solved.stderr
+    compared = rotcal("compare", out, "--json")
+    assert compared.returncode in (0, 1), compared.stderr
+    (pair,) = json.loads(compared.stdout)["pairs"]
+    assert [pair["first"].rpartition(": ")[2], pair["second"].rpartition(": ")[2]] == [
+        "all data",
+        f"balls=[{fewer}]",
+    ]
+    assert any("same observations" in note for note in pair["notes"])
+    alone = rotcal("export", out, "--to", "csv", "--out", tmp_path)
+    assert alone.returncode == 3
+    assert "holds 2 evaluations of the same data" in alone.stderr

@@ -1,0 +1,115 @@
+"""What a node makes of the planner's word on who is believed; the middleware is made up."""
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from rotcal_ros.capture.heard import Believed
+from rotcal_ros.nodes.concerns import INTRUDER
+from rotcal_ros.nodes.hearing import BELIEVED, HEARS, Hearing, digest, origin_of
+
+POINTS = "/cell/probe_point"
+OURS, STRAY = bytes(range(16)), bytes(range(16, 32))
+RUN = Believed({POINTS: (OURS.hex(),)})
+
+
+class Node:
+    """A node whose planner says what the test wants."""
+
+    def __init__(self):
+        self.said = []
+        self.beat({})
+        self.there = [("probe", OURS), ("second_probe", STRAY)]
+
+    def beat(self, values):
+        told = {"planner": object()}
+        self.health = SimpleNamespace(
+            others=told, values=lambda name: values, concerns={}, alarms={}
+        )
+
+    def get_logger(self):
+        return SimpleNamespace(warning=self.said.append)
+
+    def get_publishers_info_by_topic(self, _topic):
+        return [SimpleNamespace(node_name=n, endpoint_gid=[*g]) for n, g in self.there]
+
+
+def info(gid, number=1):
+    return {"publisher_gid": {"data": gid}, "publication_sequence_number": number}
+
+
+def during_a_run(**options):
+    node = Node()
+    node.beat({BELIEVED: RUN.in_a_beat()})
+    return node, Hearing(node, **options)
+
+
+def test_messages_of_somebody_else_are_split_off_named_once_and_shown():
+    node, hearing = during_a_run()
+    batch = [("a", info(OURS)), ("b", info(STRAY)), ("c", info(OURS, 2)), ("d", info(STRAY, 2))]
+    ours, others = hearing.split(POINTS, batch)
+    assert [message for message, _ in ours] == ["a", "c"]
+    assert [message for message, _ in others] == ["b", "d"]
+    assert len(node.said) == 1
+    assert f"{POINTS}: node second_probe publishes there too" in node.said[0]
+    assert node.health.concerns[INTRUDER] == node.said[0]
+    assert hearing.values() == {HEARS: digest(RUN)}
+
+
+@pytest.mark.parametrize(
+    ("there", "anew"),
+    [
+        ([("probe", OURS), ("second_probe", STRAY)], False),
+        ([("probe", OURS), ("probe", STRAY)], True),  # the graph has not forgotten the first yet
+        ([("probe", STRAY)], True),
+        ([("stand_in", STRAY)], True),
+    ],
+)
+def test_a_node_that_was_started_anew_is_named_as_that(there, anew):
+    node, hearing = during_a_run()
+    node.there = there
+    assert not hearing.hears(POINTS, info(STRAY))
+    assert f"node {there[-1][0]} " in node.said[0]
+    assert ("started anew" in node.said[0]) == anew
+    assert ("end that node" in node.said[0]) != anew
+
+
+def test_without_a_run_everybody_is_heard():
+    node, hearing = during_a_run()
+    assert not hearing.hears(POINTS, info(STRAY))
+    node.beat({})
+    assert hearing.hears(POINTS, info(STRAY))
+    assert INTRUDER not in node.health.concerns
+    assert hearing.values() == {}
+
+
+def test_the_planner_decides_for_itself_and_ends_it():
+    node = Node()
+    node.health.others.clear()
+    hearing = Hearing(node)
+    hearing.decide(RUN)
+    assert not hearing.hears(POINTS, info(STRAY))
+    hearing.decide(Believed())
+    assert hearing.hears(POINTS, info(STRAY))
+
+
+def test_a_node_that_keeps_quiet_leaves_alone_all_the_same():
+    node, hearing = during_a_run(quiet=True)
+    assert not hearing.hears(POINTS, info(STRAY))
+    assert node.said == []
+    assert node.health.concerns == {}
+
+
+def test_somebody_who_left_before_he_could_be_named():
+    node, hearing = during_a_run()
+    node.there = []
+    hearing.hears(POINTS, info(STRAY))
+    assert "a node that is gone publishes there too" in node.said[0]
+
+
+def test_a_middleware_without_identities_has_numbers_at_most():
+    assert origin_of({"publisher_gid": None}).publisher == ""
+    assert origin_of({"publication_sequence_number": 7}).number == 7
+    assert origin_of(info(OURS, 3)).publisher == OURS.hex()

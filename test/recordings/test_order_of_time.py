@@ -1,0 +1,142 @@
+"""Files in another order than that of time, topics of several channels: the same result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from rearranged import (
+    CONFIGURATION,
+    SECOND,
+    Kept,
+    by_topic,
+    changed,
+    definition_of,
+    run_messages,
+    write_mcap,
+    write_sqlite,
+)
+
+from rotcal_ros.catalogue.configuration import parse_configuration
+from rotcal_ros.recordings.replay import read_recording
+
+RUN = run_messages()
+FIRST_NS = RUN[0].log_ns
+SET_UP = parse_configuration(CONFIGURATION)
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ordered")
+    found = read_recording(write_mcap(folder / "a.mcap", RUN))
+    assert sum(o.accepted for o in found.observations) == 32
+    assert found.warnings() == ()
+    return found.observations
+
+
+def in_windows(seconds: float) -> list[Kept]:
+    """Return the run as a program leaves it that writes its buffers topic by topic."""
+    return sorted(RUN, key=lambda m: (int((m.log_ns - FIRST_NS) / SECOND / seconds), m.topic))
+
+
+def of_the_writer(messages, *, published):
+    """Return messages with the log times of a program that writes 1000 of them a second."""
+    return changed(
+        messages,
+        lambda n, m: {
+            "log_ns": FIRST_NS + n * 1_000_000,
+            "publish_ns": m.publish_ns if published else FIRST_NS + n * 1_000_000,
+        },
+    )
+
+
+ARRANGED = {
+    "topic by topic": (by_topic(RUN), "read by log times"),
+    "in buffers of 0.5 s": (in_windows(0.5), ""),
+    "in buffers of 3 s": (in_windows(3.0), "read by log times"),
+    "two channels in turn": (changed(RUN, lambda n, _: {"channel": n % 2}), ""),
+    "two channels, one after the other": (
+        changed(RUN, lambda n, _: {"channel": int(n > len(RUN) / 2)}), ""),
+    "channel by channel": (
+        by_topic(changed(by_topic(RUN), lambda n, _: {"channel": n % 2})), "read by log times"),
+    "all messages twice, by two recorders": (
+        [twice for m in RUN for twice in (m, replace(m, channel=1, log_ns=m.log_ns + 10**6))], ""),
+    "topic by topic, log times of the writer": (
+        of_the_writer(by_topic(RUN), published=True), "read by publish times"),
+    "topic by topic, all times of the writer": (
+        of_the_writer(by_topic(RUN), published=False), "read by the stamps in their headers"),
+    "topic by topic, one time for all": (
+        changed(by_topic(RUN), lambda *_: {"log_ns": FIRST_NS, "publish_ns": 0}),
+        "read by the stamps in their headers"),
+    "one time for all": (changed(RUN, lambda *_: {"log_ns": FIRST_NS, "publish_ns": 0}), ""),
+    "halves exchanged": (
+        [*RUN[len(RUN) // 2 :], *RUN[: len(RUN) // 2]], "read by log times"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("chunk_size", [30_000, 1 << 24])
+@pytest.mark.parametrize("how", ARRANGED)
+def test_the_observations_are_those_of_the_ordered_file(how, chunk_size, expected, tmp_path):
+    messages, words = ARRANGED[how]
+    path = write_mcap(tmp_path / "a.mcap", messages, chunk_size=chunk_size)
+    found = read_recording(path)
+    assert found.observations == expected
+    assert [text for text in found.warnings() if words not in text or not words] == []
+    assert len(found.warnings()) == bool(words)
+
+
+@pytest.mark.parametrize("how", ["topic by topic", "two channels in turn", "channel by channel"])
+def test_of_sqlite_too(how, expected, tmp_path):
+    path = write_sqlite(tmp_path / "a.db3", ARRANGED[how][0])
+    found = read_recording(path, configuration=SET_UP)
+    assert (found.observations, found.warnings()) == (expected, ())
+
+
+def test_times_of_the_writer_in_sqlite(expected, tmp_path):
+    path = write_sqlite(tmp_path / "a.db3", of_the_writer(by_topic(RUN), published=False))
+    found = read_recording(path, configuration=SET_UP)
+    assert found.observations == expected
+    assert "read by the stamps in their headers" in " ".join(found.warnings())
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_files_whose_names_are_exchanged(numbered, expected, tmp_path):
+    half = len(RUN) // 2
+    for number, part in enumerate((RUN[half:], RUN[:half])):
+        messages = part if numbered else changed(part, lambda *_: {"sequence": 0})
+        write_mcap(tmp_path / "bag" / f"bag_{number}.mcap", messages)
+    assert read_recording(tmp_path / "bag").observations == expected
+
+
+def set_back(messages, seconds):
+    half = len(messages) / 2
+    return changed(messages, lambda n, m: {"log_ns": m.log_ns - seconds * SECOND * (n > half)})
+
+
+def test_a_clock_that_was_set_is_no_other_order(expected, tmp_path):
+    found = read_recording(write_mcap(tmp_path / "a.mcap", set_back(RUN, 20)))
+    assert found.observations == expected
+    (words,) = found.warnings()
+    assert words.startswith("log times go back 1 times, by up to 20.0 s: the recorder's clock")
+
+
+@pytest.mark.parametrize("end", ["\r\n", "\n"])
+def test_definitions_of_windows_are_read(end, expected, tmp_path):
+    path = write_mcap(
+        tmp_path / "a.mcap", RUN, definition=lambda name: definition_of(name).replace("\n", end)
+    )
+    assert read_recording(path).observations == expected
+
+
+def test_streams_without_any_true_time_are_told(tmp_path):
+    """Bare numbers have no stamps: nothing tells their order when the log times do not."""
+    bare = [
+        Kept("/cell/joint_states", "std_msgs/msg/Float64", b"\0\1\0\0" + bytes(8), m.log_ns, 0)
+        if m.topic.endswith("joint_states")
+        else m
+        for m in RUN
+    ]
+    path = write_mcap(tmp_path / "a.mcap", of_the_writer(by_topic(bare), published=False))
+    assert "not all of its streams have times that are true" in " ".join(
+        read_recording(path).warnings()
+    )
