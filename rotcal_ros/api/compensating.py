@@ -123,7 +123,7 @@ def write_controller_files(
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     files = rc.write_controller_files(table, "csv", folder, replaces=True)
     >>> sorted(file.name for file in files)
-    ['c_csv.csv', 'c_csv.provenance.json']
+    ['c_csv_simulated.csv', 'c_csv_simulated.provenance.json']
     """
     now = datetime.now(timezone.utc)
     export = prepare_export(

@@ -170,8 +170,9 @@ def test_a_table_has_the_axis_that_was_measured(plate):
     other = replace(plate, deviations={"ECC": plate.deviations["ECC"] + 2e-6})
     assert rc.make_table(of_machine(plate, "B")).axis == "B"
     assert rc.make_table(of_machine(plate, "B"), axis="B").axis == "B"
-    assert rc.make_table(plate, reverse=of_machine(other, "B")).axis == "B"
-    assert rc.make_table(plate, axis="A").axis == "A"
+    backward = of_machine(other, "B")
+    assert rc.make_table(of_machine(plate), reverse=backward).axis == "B"
+    assert rc.make_table(of_machine(plate), axis="A").axis == "A"
     with pytest.raises(ConfigurationError, match=r"axis B was measured.*that of axis C"):
         rc.make_table(of_machine(plate, "B"), axis="C")
     with pytest.raises(ConfigurationError, match="forward run is of axis B, the reverse run of a"):

@@ -113,8 +113,12 @@ def test_an_undecided_check_says_what_would_decide_it():
     assert needed == pytest.approx(0.383, abs=1e-3)
 
 
-def test_every_method_can_be_checked_in_its_own_unit():
-    ran = run("check", PLATE, PLATE, "--within", "1", "--component", "EXC", "--align-order", "1")
+def test_every_method_can_be_checked_in_its_own_unit(tmp_path):
+    again = json.loads(PLATE.read_text())
+    del again["raw_data"]  # as if it had been measured once more
+    new = tmp_path / "again.json"
+    new.write_text(json.dumps(again))
+    ran = run("check", PLATE, new, "--within", "1", "--component", "EXC", "--align-order", "1")
     assert ran.exit_code == 0, ran.output
     assert "difference/µm,U (k = 2)/µm" in ran.stdout
 
