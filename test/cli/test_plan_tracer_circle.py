@@ -24,6 +24,7 @@ def planned(folder, *changes):
         "spacing_m=0.2",
         "zero=one",
         "circle_std_m=7.0e-8",
+        "confidence=0.85",
         *changes,
     ]
     arguments = [part for option in options for part in ("--set", option)]
