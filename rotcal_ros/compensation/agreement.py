@@ -110,7 +110,10 @@ def require(
 def _contradictions(measured: Machine, machines: Mapping[str, Machine]) -> dict[str, list[str]]:
     """Return where axis and serial number contradict, in words, by the word that accepts it."""
     found: dict[str, list[str]] = {}
-    serial, its = measured.serial, f"the item with the serial number {measured.serial} was measured"
+    serial, its = (
+        measured.serial,
+        f"the item with the serial number {measured.serial} was measured",
+    )
     for name, machine in machines.items():
         if measured.axis and machine.axis and machine.axis != measured.axis:
             found.setdefault(AXIS, []).append(

@@ -113,7 +113,11 @@ def prepare_export(
     lag = controller.lag(rule, rows)
     residual = residual_budget(shifted, rows, controller, rule, lag)
     _refuse_harm(residual, lag, controller.facts.title)
-    warnings = (*_warnings(table, controller), *_too_wide(shifted, rows, residual, spacing), *lag.notes)
+    warnings = (
+        *_warnings(table, controller),
+        *_too_wide(shifted, rows, residual, spacing),
+        *lag.notes,
+    )
     side = {
         **_origin(table, now, sources or {}),
         "controller": controller_name,

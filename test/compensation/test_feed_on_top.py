@@ -174,7 +174,9 @@ def test_a_hash_that_the_journal_contradicts_is_named_and_refused(cell):
     left = replace(left, measured_on=second, measured_from_ns=between_ns)
     for until_ns in (between_ns, cell.clock()):
         wrong = replace(left, measured_until_ns=until_ns)
-        with pytest.raises(DataError, match=rf"{second[:12]}.*journal .* held the table {first[:12]}"):
+        with pytest.raises(
+            DataError, match=rf"{second[:12]}.*journal .* held the table {first[:12]}"
+        ):
             feed.take(wrong, cell.clock())
     undone(feed)
     undone(feed)
@@ -257,7 +259,9 @@ def test_a_measurement_without_a_number_does_not_wash_that_of_the_table_away(cel
         feed.take(other, cell.clock())
     feed.close()
     elsewhere = Feed(cell.settings, "C", cell.clock, serial="9999")
-    with pytest.raises(DataError, match="cell has the serial number 9999 and .* in force has 4711"):
+    with pytest.raises(
+        DataError, match=r"cell has the serial number 9999 and .* in force has 4711"
+    ):
         elsewhere.take(replace(other, serial=""), cell.clock())
 
 

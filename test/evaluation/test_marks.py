@@ -89,7 +89,8 @@ def test_page_and_terminal_show_the_same_marks_in_their_colours(tolerance_arcsec
     style = page.partition("</style>")[0]
     shades = dict(re.findall(r"--(\w+): (#\w+);", style))
     shown_as = {
-        kind: shades[name] for kind, name in re.findall(r"\.(\w+) \{ background: var\(--(\w+)", style)
+        kind: shades[name]
+        for kind, name in re.findall(r"\.(\w+) \{ background: var\(--(\w+)", style)
     }
     # one shade for one colour: what is red at the terminal is not brown on the page
     pairs = {(colour, shown_as[kind]) for kind, colour in COLOURS.items()}
