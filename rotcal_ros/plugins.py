@@ -6,9 +6,11 @@ The built-in ones are found the same way, see ``setup.py``; there is no built-in
 from __future__ import annotations
 
 import difflib
+import sys
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from traceback import walk_tb
+from types import FrameType
 from typing import Any, Final
 
 from rotcal_ros.errors import ConfigurationError
@@ -56,21 +58,49 @@ def culprit(error: BaseException) -> str:
     """Return in words in which plug-in of another package ``error`` came up; empty: in none.
 
     It is the innermost one on the way from where the error was caught to where it was raised, also
-    when it was raised by what the plug-in had called.
+    when it was raised by what the plug-in had called. Of several plug-ins in one package it is the
+    one whose module, and whose object, was at work; all of them where nothing tells.
     """
-    foreign = {
-        point.module.partition(".")[0]: (what, point)
+    frames = reversed(list(walk_tb(error.__traceback__)))
+    place, suspects = "", []
+    for frame, line in frames:
+        module = str(frame.f_globals.get("__name__", ""))
+        if not place:
+            suspects = _foreign(module.partition(".")[0])
+            place = f"{frame.f_code.co_filename}, line {line}" if suspects else ""
+        for nearer in (_in_module, _at_work):
+            suspects = [s for s in suspects if nearer(s[1], frame)] or suspects
+    if not suspects:
+        return ""
+    named = " or ".join(f"{what} {point.name!r}" for what, point in suspects)
+    return f"in the {named} ({_package(suspects[0][1])}: {place})"
+
+
+def in_words(error: BaseException) -> str:
+    """Return an exception that nobody expected, with the plug-in that it came up in."""
+    place = culprit(error)
+    return f"{type(error).__name__}{f' {place}' if place else ''}: {error}"
+
+
+def _foreign(package: str) -> list[tuple[str, EntryPoint]]:
+    """Return the plug-ins that another ``package`` brings, with their kinds in words."""
+    return [
+        (what, point)
         for group, what in KINDS.items()
         for point in _found(group).values()
-        if point.module.partition(".")[0] != _OWN
-    }
-    for frame, line in reversed(list(walk_tb(error.__traceback__))):
-        package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
-        if package in foreign:
-            what, point = foreign[package]
-            place = f"{frame.f_code.co_filename}, line {line}"
-            return f"in the {what} {point.name!r} ({_package(point)}: {place})"
-    return ""
+        if point.module.partition(".")[0] == package != _OWN
+    ]
+
+
+def _in_module(point: EntryPoint, frame: FrameType) -> bool:
+    return bool(frame.f_globals.get("__name__", "") == point.module)
+
+
+def _at_work(point: EntryPoint, frame: FrameType) -> bool:
+    """Return whether ``frame`` is one of a method of what ``point`` names."""
+    named = getattr(sys.modules.get(point.module), point.attr, None)
+    self = frame.f_locals.get("self")
+    return named is not None and (named is self or named is type(self))
 
 
 def _package(point: EntryPoint) -> str:

@@ -8,6 +8,7 @@ import pytest
 from rotcal_ros import plugins
 from rotcal_ros.cli.main import _explain
 from rotcal_ros.errors import ConfigurationError
+from rotcal_ros.recordings.many import _in_words
 
 MODULE = """
 import json
@@ -56,6 +57,44 @@ def test_an_exception_of_a_plug_in_names_it_and_the_line(plugin, tmp_path, capsy
     assert _explain(error) == 2
     told = " ".join(capsys.readouterr().err.split())
     assert "unexpected ZeroDivisionError in the controller 'broken'" in told
+
+
+def test_a_file_that_a_plug_in_does_not_find_is_its_own(plugin, tmp_path, capsys):
+    error = raised(plugin("def write(path):\n    return open(path)\n")(), tmp_path / "gone")
+    assert _explain(error) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "unexpected FileNotFoundError in the controller 'broken'" in told
+    assert plugins.in_words(error).startswith("FileNotFoundError in the controller 'broken' (bro")
+    assert _in_words(error) == plugins.in_words(error)
+    assert "which is a fault of rotcal_ros" in _in_words(raised(lambda: 1 / 0))
+
+
+TWO = """
+class First:
+    def write(self, table):
+        return 1 / table
+
+class Second(First):
+    pass
+
+SECOND = Second
+"""
+
+
+@pytest.mark.parametrize("name", ["First", "Second"])
+def test_of_two_plug_ins_in_one_module_the_one_at_work_is_named(plugin, monkeypatch, name):
+    points = {
+        known: EntryPoint(known.lower(), f"broken_drive:{attribute}", plugins.CONTROLLERS)
+        for known, attribute in (("First", "First"), ("Second", "SECOND"))
+    }
+    plugin(TWO)
+    monkeypatch.setattr(
+        plugins, "_found", lambda group: points if group == plugins.CONTROLLERS else {}
+    )
+    told = plugins.culprit(raised(points[name].load()().write, 0))
+    assert told.startswith(f"in the controller {name.lower()!r} (broken_drive: ")
+    nobody = plugins.culprit(raised(points[name].load().write, None, 0))
+    assert nobody.startswith("in the controller 'first' or controller 'second' (broken_drive: ")
 
 
 def test_what_a_plug_in_calls_is_its_own_matter(plugin):

@@ -258,4 +258,9 @@ def _members(which: Ints, size: int) -> Bools:
 def studentised(group: Group, variance: float) -> Group:
     """Return ``group`` as seen with noise of ``variance`` per whitened unit."""
     root = float(np.sqrt(variance))
-    return replace(group, residual=group.residual / root, felt=group.felt.weighted(root))
+    return replace(
+        group,
+        residual=group.residual / root,
+        felt=group.felt.weighted(root),
+        unit=group.unit / root,
+    )

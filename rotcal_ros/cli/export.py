@@ -109,12 +109,13 @@ def command(
     from rotcal_ros.compensation.earlier import to_be_in_force
     from rotcal_ros.compensation.export import prepare_export
     from rotcal_ros.compensation.writing import write_files
+    from rotcal_ros.components import check_axis
 
     changes = tuple(option for option in options if _of_configuration(option))
     own = tuple(option for option in options if option not in changes)
     forward = _read(source, setup, targets, changes)
     asked = _Asked(
-        machine=Machine(axis or "", serial or ""),
+        machine=Machine(check_axis(axis) if axis else "", serial or ""),
         accepted=Accepted(words_of(accept), LARGEST_AGE_DAYS if max_age is None else max_age),
         measured_axis=_axis_of(forward) or axis or DEFAULT_AXIS,
         now=datetime.now(timezone.utc),

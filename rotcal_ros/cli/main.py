@@ -162,14 +162,13 @@ def _explain(error: Exception) -> int:
         return error.exit_code
     if isinstance(error, ModuleNotFoundError) and error.name in OF_PIP_ALONE:
         _complain(f"{error.name} is missing: pip install {' '.join(OF_PIP_ALONE)}")
-    elif isinstance(error, OSError) and error.strerror:
+        return UNREADABLE
+    from rotcal_ros.plugins import culprit, in_words
+
+    if isinstance(error, OSError) and error.strerror and not culprit(error):
         _complain(f"{error.strerror}: {error.filename}" if error.filename else error.strerror)
     else:
-        from rotcal_ros.plugins import culprit
-
-        place = culprit(error)
-        what = f"unexpected {type(error).__name__}{f' {place}' if place else ''}: {error}"
-        _complain(f"{what} ('rotcal --debug ...' shows where)")
+        _complain(f"unexpected {in_words(error)} ('rotcal --debug ...' shows where)")
     return UNREADABLE
 
 

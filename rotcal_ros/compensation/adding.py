@@ -135,6 +135,7 @@ def added(table: CompensationTable, held: HeldTable) -> CompensationTable:
         std_reverse=std[1],
         measured_on=held.in_force,
         adds_to=held.in_force,
+        serial=table.serial or held.machine.serial,
         warnings=(*table.warnings, note),
     )
     return replace(total, between_std=float(np.hypot(new.between_std, _between(total))))

@@ -110,16 +110,19 @@ def require(
 def _contradictions(measured: Machine, machines: Mapping[str, Machine]) -> dict[str, list[str]]:
     """Return where axis and serial number contradict, in words, by the word that accepts it."""
     found: dict[str, list[str]] = {}
+    serial, its = (
+        measured.serial,
+        f"the item with the serial number {measured.serial} was measured",
+    )
     for name, machine in machines.items():
         if measured.axis and machine.axis and machine.axis != measured.axis:
             found.setdefault(AXIS, []).append(
                 f"axis {measured.axis} was measured and {name} has axis {machine.axis}"
             )
-        if measured.serial and machine.serial and machine.serial != measured.serial:
-            found.setdefault(SERIAL, []).append(
-                f"the item with the serial number {measured.serial} was measured and {name} has "
-                f"{machine.serial}"
-            )
+        if serial and machine.serial and machine.serial != serial:
+            found.setdefault(SERIAL, []).append(f"{its} and {name} has {machine.serial}")
+        if machine.serial and not serial:
+            serial, its = machine.serial, f"{name} has the serial number {machine.serial}"
     return found
 
 

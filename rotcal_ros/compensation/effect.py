@@ -17,7 +17,9 @@ import numpy as np
 from rotcal_ros.arrays import Floats
 from rotcal_ros.compensation.held import HeldTable
 from rotcal_ros.compensation.table import DIRECTIONS, CompensationTable
+from rotcal_ros.components import COVERAGE_FACTOR
 from rotcal_ros.curves.directional import directional_curve
+from rotcal_ros.gum_numbers import value_with_uncertainty
 from rotcal_ros.results import Result
 
 WRONG: Final = ((-1.5, -0.75), (0.75, 1.5), (1.5, 2.5))
@@ -25,8 +27,8 @@ WRONG: Final = ((-1.5, -0.75), (0.75, 1.5), (1.5, 2.5))
 left of a table that corrects a small part only; to add to it is right."""
 WHY: Final = (
     "it acts twice (at two places of the control, or in the control and in software)",
-    "it is inactive, or on the wrong axis: has the control loaded it (restart, reference run, its "
-    "switch), and for this axis?",
+    "it is inactive, or on the wrong axis: see whether the control has loaded it (restart, "
+    "reference run, its switch), and for this axis",
     "its sign is turned round: the control adds what it should take off",
 )
 SURE: Final = 0.5
@@ -50,7 +52,7 @@ class Effect:
     @property
     def wrong(self) -> str:
         """What the table in force does wrong, in words; empty where nothing shows that it does."""
-        sure = abs(self.factor) - 2.0 * self.std > SURE and self.share >= SHARE
+        sure = abs(self.factor) - COVERAGE_FACTOR * self.std > SURE and self.share >= SHARE
         near = (low <= self.factor < high for low, high in WRONG)
         why = next((text for text, is_near in zip(WHY, near, strict=True) if is_near), "")
         if not (sure and why):
@@ -58,9 +60,10 @@ class Effect:
         return f"the table in force does not do what it should: {self.in_words()}; {why}"
 
     def in_words(self) -> str:
-        """Return the factor with its expanded uncertainty (k = 2)."""
+        """Return the factor with its expanded uncertainty."""
+        factor = value_with_uncertainty(self.factor, COVERAGE_FACTOR * self.std)
         return (
-            f"{self.factor:.2f} +- {2.0 * self.std:.2f} (k = 2) times what it corrects is left "
+            f"{factor} (k = {COVERAGE_FACTOR:g}) times what it corrects is left "
             "(0: it acts; 1: it does not; 2: its sign is wrong)"
         )
 

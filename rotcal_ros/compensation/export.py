@@ -113,7 +113,11 @@ def prepare_export(
     lag = controller.lag(rule, rows)
     residual = residual_budget(shifted, rows, controller, rule, lag)
     _refuse_harm(residual, lag, controller.facts.title)
-    warnings = (*_warnings(table, controller), *_too_wide(shifted, rows, residual), *lag.notes)
+    warnings = (
+        *_warnings(table, controller),
+        *_too_wide(shifted, rows, residual, spacing),
+        *lag.notes,
+    )
     side = {
         **_origin(table, now, sources or {}),
         "controller": controller_name,
@@ -216,16 +220,22 @@ def _warnings(table: CompensationTable, controller: Controller) -> tuple[str, ..
 
 
 def _too_wide(
-    table: CompensationTable, rows: CompensationTable, residual: ResidualBudget
+    table: CompensationTable,
+    rows: CompensationTable,
+    residual: ResidualBudget,
+    spacing: float | None,
 ) -> tuple[str, ...]:
+    """Return in words that the rows are too wide, and what can be done about the ``spacing``."""
     if residual.interpolation <= demanded(table):
         return ()
     widest = float(np.max(gaps_of(rows.angles, rows.period))) / DEGREE
+    cure = "the controller takes no rows that leave less"
+    if spacing is not None:
+        cure = "state no spacing, and the widest rows that the controller takes are chosen"
     return (
         f"between rows {widest:.6g} deg apart the control leaves up to "
         f"{residual.interpolation / ARCSEC:.2g} arcsec, more than a third of U "
-        f"({COVERAGE_FACTOR * residual.std / ARCSEC:.2g} arcsec): take narrower rows if the "
-        "controller holds them (no spacing stated chooses them)",
+        f"({COVERAGE_FACTOR * residual.std / ARCSEC:.2g} arcsec): {cure}",
     )
 
 

@@ -4,7 +4,9 @@ Slots hold *increments* of the correction, whole numbers -7 .. +7 in detection u
 magnification. For a rotary axis the slots reference + 1 .. reference + N cover one turn, their
 sum is zero, and the slot of the reference position repeats the last one. The running sum is
 rounded, never the increments. The control does not interpolate: between the points the correction
-is a staircase. Sources: 0i-PB Parameter Manual B-63980EN/01 p. 100; A-77810E; 16i
+is a staircase. With bidirectional compensation (3605#0) a second set of slots, from 3626 on, holds
+the way back in the same manner, and 3627 what it is at the reference position.
+Sources: 0i-PB Parameter Manual B-63980EN/01 p. 100; A-77810E; 16i
 Descriptions B-63522EN/02 p. 222; Series 15i Parameter Manual B-63330EN/03 p. 25 (file frame).
 """
 
@@ -20,6 +22,7 @@ from rotcal_ros.arrays import Floats, Ints
 from rotcal_ros.compensation.controller import Controller, Facts
 from rotcal_ros.compensation.parsing import integer, matches, number, only_file
 from rotcal_ros.compensation.rows import (
+    columns_deg,
     even_interval_deg,
     fixed,
     mean_deg,
@@ -36,25 +39,44 @@ LARGEST_STEP: Final = 7
 LARGEST_MAGNIFICATION: Final = 100
 PITCH_DATA: Final = 10000
 """In a punched file the number of a pitch slot is its slot plus this."""
+MEAN: Final = "mean"
+UNVERIFIED: Final = (
+    "the text form of the file (N1xxxxP..; lines for pitch slots, A.. for the axis)",
+    "where inside an interval the control puts out its step",
+)
+UNVERIFIED_BACK: Final = (
+    "that the slots of the way back are increments seen in positive direction as well, from "
+    "3626 on, with the same rule for a rotary axis",
+    "that 3627 counts in detection units, and that the reference return runs in positive "
+    "direction; set 3605#0 to 1 by hand, the file leaves its other bits alone",
+)
 
 
 @dataclass(frozen=True, eq=False)
 class PitchTable:
-    """Increments (N,) from the reference on, in units of ``unit_deg`` degrees."""
+    """Increments (N,) of the way up and of the way back, in units of ``unit_deg`` degrees.
+
+    ``back_deg`` is the correction of the way back at the reference position.
+    """
 
     increments: Ints
+    back: Ints
+    back_deg: float
     unit_deg: float
 
     def correction(self, angle: Floats, approach: Approach) -> Floats:
         """Return the running sum (rad) at ``angle`` (rad): each step comes amid its interval.
 
-        The same in both directions. Where exactly inside the interval a control puts out its step
-        is not documented; the stated residual holds for any place.
+        Where exactly inside the interval a control puts out its step is not documented; the stated
+        residual holds for any place.
         """
-        n = len(self.increments)
+        up = approach is Approach.POSITIVE
+        steps, start_deg = (self.increments, 0.0) if up else (self.back, self.back_deg)
+        n = len(steps)
         point = np.floor(np.mod(np.asarray(angle) / DEGREE, 360.0) / (360.0 / n) + 0.5).astype(int)
-        total = np.concatenate([[0], np.cumsum(self.increments)])
-        return np.asarray(total[point] * (self.unit_deg * DEGREE), dtype=np.float64)
+        total = np.concatenate([[0], np.cumsum(steps)])
+        turned = start_deg + total[point] * self.unit_deg
+        return np.asarray(turned * DEGREE, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -65,17 +87,12 @@ class Fanuc(Controller):
     facts = Facts(
         title="Fanuc",
         sign="slot = step of -(actual - commanded), in detection units x magnification",
-        wrap="3605#0 = 0, 3625 = 360, slots reference + 1 .. reference + N, sum zero, "
-        "slot(reference) = last",
+        wrap="3605#0 = 0 (directions each: 1), 3625 = 360, slots reference + 1 .. reference + N, "
+        "sum zero, slot(reference) = last",
         unit="detection unit x magnification, whole numbers -7 .. +7",
         source="B-63980EN/01 p. 100, A-77810E, B-63522EN/02 p. 222, B-63330EN/03 p. 25",
     )
     staircase = True
-    one_direction = True
-    unverified = (
-        "the text form of the file (N1xxxxP..; lines for pitch slots, A.. for the axis)",
-        "where inside an interval the control puts out its step",
-    )
 
     detection_unit_deg: float = setting(
         0.001, doc="deg, 0.001 (IS-B) or 0.0001 (IS-C)", minimum=1e-6, maximum=0.1
@@ -91,6 +108,21 @@ class Fanuc(Controller):
     )
     slots: int = setting(128, doc="pitch slots of the control", minimum=1, maximum=1024)
     axis_number: int = setting(4, doc="number of the controlled axis", minimum=1, maximum=32)
+    directions: str = setting(
+        MEAN,
+        doc="one column, the mean of both directions, or one set of slots for each",
+        choices=(MEAN, "each"),
+    )
+
+    @property
+    def one_direction(self) -> bool:
+        """Whether one set of slots serves both directions."""
+        return self.directions == MEAN
+
+    @property
+    def unverified(self) -> tuple[str, ...]:
+        """What nobody has confirmed on a real control."""
+        return UNVERIFIED if self.one_direction else UNVERIFIED + UNVERIFIED_BACK
 
     def __post_init__(self) -> None:
         if self.reference_slot >= self.slots:
@@ -107,17 +139,18 @@ class Fanuc(Controller):
         spacing = even_interval_deg(table, "Fanuc", self.detection_unit_deg)
         require_zero_at_start(table, "Fanuc", self.resolution(table))
         n = len(table.angles)
+        sets = 1 if self.one_direction else 2
         last = self.reference_slot + n
         require_at_most(
-            last,
+            last + (sets - 1) * (n + 1),
             self.slots - 1,
-            f"fanuc: last slot for {n} intervals from {self.reference_slot}",
+            f"fanuc: last slot for {'two times ' * (sets - 1)}{n} intervals from "
+            f"{self.reference_slot}",
             "choose a wider spacing or a lower reference_slot",
         )
         magnification = self._fitting_magnification(table)
-        increments = _increments(table, self.detection_unit_deg * magnification)
-        self._refuse_steps(table, increments)
-        axis = self.axis_number
+        totals = self._totals(table, magnification)
+        self._refuse_steps(table, totals)
         values = {
             3620: f"{self.reference_slot}",
             3621: f"{self.reference_slot}",
@@ -126,11 +159,13 @@ class Fanuc(Controller):
             3624: fixed(spacing, 6),
             3625: "360.0",
         }
+        if sets == 2:
+            values |= {3626: f"{last + 1}", 3627: f"{totals[1][0] * magnification}"}
+        axis = self.axis_number
         lines = [f"N{number:05d}A{axis}P{value};" for number, value in values.items()]
+        steps = [step for total in totals for step in _with_first(np.diff(total))]
         first = PITCH_DATA + self.reference_slot
-        lines += [
-            f"N{first + k:05d}P{step};" for k, step in enumerate([increments[-1], *increments])
-        ]
+        lines += [f"N{first + k:05d}P{step};" for k, step in enumerate(steps)]
         return {f"{stem}.txt": "\n".join(["%", *lines, "%"]) + "\n"}
 
     def read(self, files: Mapping[str, str]) -> PitchTable:
@@ -146,7 +181,6 @@ class Fanuc(Controller):
             integer(values[k], f"{name}, parameter {k}") for k in (3620, 3621, 3622, 3623)
         )
         turn, interval = (number(values[k], f"{name}, parameter {k}") for k in (3625, 3624))
-        slots = range(reference, high + 1)
         n = high - reference
         if low != reference or n < 2 or turn != 360.0 or abs(n * interval - turn) > 1e-3:
             raise BagError(
@@ -154,53 +188,84 @@ class Fanuc(Controller):
                 f"turn of {turn:g} deg; expected the first to be the reference and the rest to "
                 "make 360 deg"
             )
-        if any(PITCH_DATA + k not in values for k in slots):
-            raise BagError(f"{name}: not all slots {reference} .. {high} are there")
-        steps = [integer(values[PITCH_DATA + k], f"{name}, slot {k}") for k in slots]
-        if sum(steps[1:]) != 0 or steps[0] != steps[-1] or max(map(abs, steps)) > LARGEST_STEP:
+        up = _steps(name, values, reference, n)
+        unit_deg = self.detection_unit_deg * magnification
+        if 3626 not in values and 3627 not in values:
+            return PitchTable(up, up, 0.0, unit_deg)
+        if not (3626 in values and 3627 in values):
+            raise BagError(f"{name}: of the parameters 3626 and 3627 one is missing")
+        place, back = (integer(values[k], f"{name}, parameter {k}") for k in (3626, 3627))
+        if place <= high:
             raise BagError(
-                f"{name}: the steps of a turn add up to {sum(steps[1:])} (expected 0), the slot "
-                f"of the reference holds {steps[0]} and the last {steps[-1]} (expected the same), "
-                f"the largest is {max(map(abs, steps))} (at most 7)"
+                f"{name}: the way back begins in slot {place}, which is one of the way up "
+                f"({low} .. {high})"
             )
         return PitchTable(
-            np.array(steps[1:], dtype=np.int64), self.detection_unit_deg * magnification
+            up, _steps(name, values, place, n), back * self.detection_unit_deg, unit_deg
         )
 
     def resolution(self, table: CompensationTable) -> float:
         """Return the step of a slot, in rad."""
         return self.detection_unit_deg * self._fitting_magnification(table) * DEGREE
 
-    def _refuse_steps(self, table: CompensationTable, increments: Ints) -> None:
-        row = int(np.argmax(np.abs(increments)))
-        if abs(increments[row]) > LARGEST_STEP:
-            raise ConfigurationError(
-                f"fanuc: the step to {360.0 / len(increments) * (row + 1):g} deg is "
-                f"{increments[row]} at magnification {self.magnification}, and a slot holds "
-                f"-7 .. +7: use a magnification of at least {self._smallest_magnification(table)} "
-                "or a narrower spacing"
-            )
+    def _totals(self, table: CompensationTable, magnification: int) -> list[Ints]:
+        """Return the rounded corrections (N + 1,) of each set of slots, halves away from zero."""
+        unit_deg = self.detection_unit_deg * magnification
+        return [_rounded(column / unit_deg) for column in self._columns(table)]
+
+    def _columns(self, table: CompensationTable) -> tuple[Floats, ...]:
+        """Return the corrections (N + 1,) of each set of slots, degrees."""
+        return (mean_deg(table),) if self.one_direction else columns_deg(table)[1:]
+
+    def _refuse_steps(self, table: CompensationTable, totals: list[Ints]) -> None:
+        for increments in map(np.diff, totals):
+            row = int(np.argmax(np.abs(increments)))
+            if abs(increments[row]) > LARGEST_STEP:
+                raise ConfigurationError(
+                    f"fanuc: the step to {360.0 / len(increments) * (row + 1):g} deg is "
+                    f"{increments[row]} at magnification {self.magnification}, and a slot holds "
+                    f"-7 .. +7: use a magnification of at least "
+                    f"{self._smallest_magnification(table)} or a narrower spacing"
+                )
 
     def _fitting_magnification(self, table: CompensationTable) -> int:
         return self.magnification or self._smallest_magnification(table)
 
     def _smallest_magnification(self, table: CompensationTable) -> int:
         for magnification in range(1, LARGEST_MAGNIFICATION + 1):
-            steps = _increments(table, self.detection_unit_deg * magnification)
-            if np.max(np.abs(steps)) <= LARGEST_STEP:
+            totals = self._totals(table, magnification)
+            if max(np.max(np.abs(np.diff(total))) for total in totals) <= LARGEST_STEP:
                 return magnification
-        steepest = float(np.max(np.abs(np.diff(mean_deg(table)))))
+        steepest = max(float(np.max(np.abs(np.diff(c)))) for c in self._columns(table))
         raise ConfigurationError(
             f"fanuc: a step of {steepest:.4g} deg between rows is more than 7 x "
             f"{LARGEST_MAGNIFICATION} x {self.detection_unit_deg:g} deg: choose a narrower spacing"
         )
 
 
-def _increments(table: CompensationTable, unit_deg: float) -> Ints:
-    """Return the steps (N,) of the rounded running sum, halves away from zero."""
-    scaled = mean_deg(table) / unit_deg
-    total = np.copysign(np.floor(np.abs(scaled) + 0.5 + 1e-9), scaled).astype(np.int64)
-    return np.diff(total)
+def _rounded(values: Floats) -> Ints:
+    """Return whole numbers, halves away from zero."""
+    return np.copysign(np.floor(np.abs(values) + 0.5 + 1e-9), values).astype(np.int64)
+
+
+def _with_first(increments: Ints) -> list[int]:
+    """Return the slots of a turn: that of the reference repeats the last one."""
+    return [int(increments[-1]), *increments.tolist()]
+
+
+def _steps(name: str, values: Mapping[int, str], first: int, n: int) -> Ints:
+    """Return the ``n`` steps of the slots after ``first``; BagError unless they make a turn."""
+    slots = range(first, first + n + 1)
+    if any(PITCH_DATA + k not in values for k in slots):
+        raise BagError(f"{name}: not all slots {first} .. {first + n} are there")
+    steps = [integer(values[PITCH_DATA + k], f"{name}, slot {k}") for k in slots]
+    if sum(steps[1:]) != 0 or steps[0] != steps[-1] or max(map(abs, steps)) > LARGEST_STEP:
+        raise BagError(
+            f"{name}: the steps of a turn add up to {sum(steps[1:])} (expected 0), the slot "
+            f"of the reference holds {steps[0]} and the last {steps[-1]} (expected the same), "
+            f"the largest is {max(map(abs, steps))} (at most 7)"
+        )
+    return np.array(steps[1:], dtype=np.int64)
 
 
 CONTROLLER: Final = Fanuc

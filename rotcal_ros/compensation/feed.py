@@ -90,9 +90,10 @@ class Feed:
         word = cast(Combination, self.settings.combine)
         self._refuse_journal(table, stamp_ns, word)
         now_ns = self._now_ns()
-        table = combined(self._agreeing(table, stamp_ns, now_ns), self._held, word)
+        measured = self._agreeing(table, stamp_ns, now_ns)
+        table = combined(measured, self._held, word)
         if table.adds_to:
-            self._agreeing(table, stamp_ns, now_ns, machine_of(self._present()))
+            self._agreeing(measured, stamp_ns, now_ns, machine_of(self._present()))
         self.offer = make_offer(table, stamp_ns, self.settings, self.axis, now_ns)
         return self.offer.paths
 
@@ -273,21 +274,32 @@ class Feed:
             )
 
     def _refuse_journal(self, table: CompensationTable, stamp_ns: int, word: Combination) -> None:
-        """Refuse a table that is said to be the whole, where the journal knows that it is not."""
-        claim = f"measured with '{NONE}' in force"
-        if table.measured_on == UNKNOWN and word == "replace":
-            claim = "bridge.combine says 'replace'"
-        elif table.measured_on != NONE:
+        """Refuse a table whose word about what was in force the journal contradicts.
+
+        A table that the journal does not know at all may have been copied there by hand.
+        """
+        claim, stated = f"measured with {table.measured_on[:12]!r} in force", table.measured_on
+        if stated == UNKNOWN and word == "replace":
+            claim, stated = "bridge.combine says 'replace'", NONE
+        elif stated == UNKNOWN and word == "add":
+            claim, stated = "bridge.combine says 'add'", self.in_force()
+        if stated != NONE and stated not in {held for _, held in self._journal.history()}:
             return
-        times = (table.measured_from_ns or stamp_ns, table.measured_until_ns or stamp_ns)
-        for since_ns, held in self._journal.held_while(*times):
-            if known_hash(held):
-                raise DataError(
-                    f"{claim}, but by the journal of this bridge the controller held the table "
-                    f"{held[:12]} then (since {_utc(since_ns)}): what was measured is what that "
-                    "table left, and in its place it would be lost. Measure again, with what is "
-                    "in force announced by this bridge (take 'none' out of cell.table_in_force)"
-                )
+        from_ns = table.measured_from_ns or stamp_ns
+        then = self._journal.held_while(from_ns, table.measured_until_ns or stamp_ns)
+        wrong = [event for event in then if event[1] != stated]
+        if not wrong and known_hash(stated):  # nor may it have come only then
+            wrong = [event for event in then[:1] if event[0] > from_ns]
+        if not wrong:
+            return
+        since_ns, held = wrong[0]
+        raise DataError(
+            f"{claim}, but by the journal of this bridge the controller held "
+            f"{f'the table {held[:12]}' if known_hash(held) else 'no table'} then (since "
+            f"{_utc(since_ns)}): what was measured is not what that word says, and taken for that "
+            "it would spoil the correction. Measure again, with what is in force announced by "
+            "this bridge (leave it out of cell.table_in_force)"
+        )
 
     def _agreeing(
         self, table: CompensationTable, stamp_ns: int, now_ns: int, held: Machine = NO_MACHINE

@@ -30,6 +30,7 @@ from rotcal_ros.nodes.pauses import Pauses
 from rotcal_ros.nodes.plans import PlannerParameters, read_continuation
 from rotcal_ros.nodes.progress import Progress
 from rotcal_ros.nodes.running import run
+from rotcal_ros.plugins import in_words
 
 RESULT_TIMEOUT_S: Final = 3600
 FEEDBACK_PERIOD_S: Final = 0.1
@@ -127,7 +128,7 @@ class Planner(CellNode):
 
     def _unknown(self, error: Exception) -> Codes:
         self.health.note_error("goal", error)
-        return Codes(error_code=Codes.UNKNOWN, error_msg=repr(error))
+        return Codes(error_code=Codes.UNKNOWN, error_msg=in_words(error))
 
     async def _prepared(self, handle: ServerGoalHandle) -> GoalRun:
         """Return :meth:`_prepare`, which may plan for seconds; the node goes on meanwhile."""

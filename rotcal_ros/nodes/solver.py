@@ -41,6 +41,7 @@ from rotcal_ros.nodes.qos import EVENT, LATCHED
 from rotcal_ros.nodes.roll_call import LOADING, SOLVING
 from rotcal_ros.nodes.running import run
 from rotcal_ros.observations import Observation
+from rotcal_ros.plugins import in_words
 from rotcal_ros.results import Result
 
 ARRIVAL_TIMEOUT_S = 10.0
@@ -166,10 +167,11 @@ class SolverNode(CellNode):
             response.success = True
             self._state = f"final result, verdict {result.verdict_line}"
         except Exception as error:
+            response.message = str(error)
             if not isinstance(error, RotcalError):
                 self.health.note_error("final solution", error)
-            response.message = str(error)
-            self._state = f"no final result: {error}"
+                response.message = in_words(error)
+            self._state = f"no final result: {response.message}"
         return response
 
     async def _final(self, request: FinishCalibration.Request) -> Result:

@@ -12,6 +12,7 @@ from rotcal_ros.bags.session_identity import session_of
 from rotcal_ros.bags.unread import unread
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import ConfigurationError, RotcalError
+from rotcal_ros.plugins import culprit, in_words
 from rotcal_ros.recordings.kept import (
     BrokenEntry,
     Outcome,
@@ -72,6 +73,8 @@ def _in_words(error: Exception) -> str:
         return str(error)
     if isinstance(error, MemoryError):
         return "the bag needs more memory than there is"
+    if culprit(error):
+        return in_words(error)
     if isinstance(error, OSError) and error.strerror:
         return f"{error.strerror}: {error.filename}" if error.filename else error.strerror
     return f"{type(error).__name__} while solving, which is a fault of rotcal_ros: {error}"

@@ -1,5 +1,7 @@
 """What is believed of disturbances, against truth and against all explanations enumerated."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from linear_worlds import lines, outputs, places_on_a_ring, residuals
@@ -55,6 +57,18 @@ def test_eight_of_twenty_are_found_and_named(own_zero, which):
         to_blame = blame(seen.groups[2])
         assert np.flatnonzero(to_blame.subset).tolist() == sorted(which)
         assert to_blame.size == pytest.approx([8.0], abs=3.0)
+
+
+def test_the_size_is_the_shift_whatever_the_noise_was_taken_for():
+    """The residuals are whitened by twice the noise that there is, which the others show."""
+    for seed in range(5):
+        _view, found = disturbed(seed, list(range(8)), 16.0)
+        squares = sum(group.together[0] for group in found) / 4.0
+        rank = sum(group.together[1] for group in found)
+        wide = [replace(g, residual=g.residual / 2.0, unit=g.unit / 2.0) for g in found]
+        to_blame = blame(judge(wide, rest=(squares, rank)).groups[2])
+        assert to_blame.subset.sum() == 8
+        assert to_blame.size == pytest.approx([16.0], abs=3.0)
 
 
 def test_uneven_errors_are_found_and_named():

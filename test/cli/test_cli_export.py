@@ -295,3 +295,11 @@ def test_what_is_added_to_has_the_same_item(tmp_path):
     run = CliRunner().invoke(rotcal, [*words, "--add-to", str(tmp_path / "one")])
     assert run.exit_code == 3  # the same deviation again: the first table does not act
     assert "it is inactive, or on the wrong axis" in run.stderr
+
+
+def test_a_small_letter_is_no_axis_and_no_contradiction_to_accept(export, tmp_path):
+    source = write_result(tmp_path / "result.json", axis="C")
+    run = export("--to", "csv", "--axis", "c", "--accept", "axis", source=source)
+    assert run.exit_code == 2
+    assert "axis name 'c': expected a capital letter" in run.stderr
+    assert not (tmp_path / "files").exists()

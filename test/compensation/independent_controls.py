@@ -122,12 +122,26 @@ def pmac(files):
 
 
 def fanuc(files):
-    """Each slot's step comes out amid its interval, in units of 0.0001 deg x magnification."""
+    """Each slot's step comes out amid its interval, in units of 0.0001 deg x magnification.
+
+    With 3605#0 the slots from 3626 on are those of the way down, and 3627 is what it begins with.
+    """
     values = dict(re.findall(r"N(\d{5})(?:A\d+)?P(-?[\d.]+);", text_of(files, ".txt")))
     n = int(values["03622"]) - int(values["03621"])
-    steps = [int(values[f"{10000 + k:05d}"]) for k in range(1, n + 1)]
-    total = np.concatenate([[0], np.cumsum(steps)]) * 1e-4 * int(values["03623"])
-    return lambda at, _: total[np.floor(np.mod(at, 360.0) * n / 360.0 + 0.5).astype(int)]
+
+    def way(first, start):
+        steps = [int(values[f"{10000 + first + k:05d}"]) for k in range(1, n + 1)]
+        return start * 1e-4 + np.concatenate([[0], np.cumsum(steps)]) * 1e-4 * int(values["03623"])
+
+    up = down = way(0, 0)
+    if "03626" in values:
+        down = way(int(values["03626"]), int(values["03627"]))
+
+    def correction(at, rising):
+        place = np.floor(np.mod(at, 360.0) * n / 360.0 + 0.5).astype(int)
+        return (up if rising else down)[place]
+
+    return correction
 
 
 CONTROLS = {
@@ -144,4 +158,5 @@ CONTROLS = {
     "fagor": (fagor, {}),
     "pmac": (pmac, {"counts_per_turn": 3_600_000}),
     "fanuc": (fanuc, {"detection_unit_deg": 0.0001, "slots": 512}),
+    "fanuc each": (fanuc, {"directions": "each", "detection_unit_deg": 0.0001, "slots": 1024}),
 }

@@ -4,6 +4,7 @@ import os
 import socket
 import stat
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -201,6 +202,44 @@ def test_fanuc_rounds_the_running_sum_with_halves_away_from_zero():
     text = make_controller("fanuc").write(table, "t")["t.txt"]
     slots = [line.split("P")[1] for line in text.splitlines() if line.startswith("N10")]
     assert slots == ["0;", "-2;", "4;", "-1;", "-1;", "0;"]
+
+
+def test_fanuc_in_two_directions_by_hand():
+    """Up -e is 0, -5, 3, -1 and down 2, -3, 5, 1 thousandths; in steps of two, halves away."""
+    up, down = [0.0, 0.005, -0.003, 0.001], [-0.002, 0.003, -0.005, -0.001]
+    settings = {"directions": "each", "reference_slot": 60}
+    both = replace(turn(up), correction_reverse=turn(down).correction_forward)
+    files = make_controller("fanuc", settings).write(both, "t")
+    assert files["t.txt"].splitlines()[1:-1] == [
+        "N03620A4P60;", "N03621A4P60;", "N03622A4P64;", "N03623A4P2;", "N03624A4P90.000000;",
+        "N03625A4P360.0;", "N03626A4P65;", "N03627A4P2;",
+        "N10060P1;", "N10061P-3;", "N10062P5;", "N10063P-3;", "N10064P1;",
+        "N10065P0;", "N10066P-3;", "N10067P5;", "N10068P-2;", "N10069P0;",
+    ]  # fmt: skip
+    rule = make_controller("fanuc", settings).read(files)
+    back = rule.correction(np.deg2rad([0.0, 90.0, 180.0, 270.0]), Approach.NEGATIVE)
+    np.testing.assert_allclose(np.rad2deg(back), [0.002, -0.004, 0.006, 0.002], atol=1e-12)
+    with pytest.raises(ConfigurationError, match="last slot for two times 4 intervals from 119"):
+        make_controller("fanuc", {**settings, "reference_slot": 119}).write(both, "t")
+    assert any(
+        "3605#0 to 1 by hand" in text for text in make_controller("fanuc", settings).unverified
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [("N03627A4P2;", "of the parameters 3626 and 3627 one is missing"),
+     ("N10067P5;", "not all slots 65 .. 69 are there")],
+)  # fmt: skip
+def test_fanuc_reads_no_half_of_a_way_back(line, words):
+    settings = {"directions": "each", "reference_slot": 60}
+    both = replace(
+        turn([0.0, 0.005, -0.003, 0.001]),
+        correction_reverse=turn([-0.002, 0.003, -0.005, -0.001]).correction_forward,
+    )
+    text = make_controller("fanuc", settings).write(both, "t")["t.txt"]
+    with pytest.raises(BagError, match=words):
+        make_controller("fanuc", settings).read({"t.txt": text.replace(f"{line}\n", "")})
 
 
 def test_fanuc_has_a_slot_for_its_reference():

@@ -31,6 +31,7 @@ VARIANTS = {
     "sinumerik cec": ("sinumerik", {"tables": "cec", "max_points": 400}),
     "sinumerik cec other sign": ("sinumerik", {"tables": "cec", "cec_adds": False}),
     "fanuc IS-B": ("fanuc", {"reference_slot": 10, "slots": 1024}),
+    "fanuc each": ("fanuc", {"directions": "each", "detection_unit_deg": 0.0001, "slots": 1024}),
     "fanuc IS-C": ("fanuc", {"detection_unit_deg": 0.0001, "slots": 512}),
     "twincat": ("twincat", {}),
     "twincat_nc each": ("twincat_nc", {"directions": "each"}),

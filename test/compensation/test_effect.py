@@ -43,6 +43,9 @@ def test_the_factor_tells_what_the_control_makes_of_its_table(gain, factor, word
     found = effect(*left_by(gain, PARTS, good))
     assert abs(found.factor - factor) < 5.0 * found.std < 0.05
     assert (words in found.wrong) if words else found.wrong == ""
+    assert not found.wrong.endswith("?")  # sentences follow
+    assert not found.in_words().startswith("-0.0")
+    assert " ± 0.00" in found.in_words()  # two digits of U, the factor to the same place
 
 
 def test_the_uncertainty_of_the_factor_is_that_of_the_measurement():

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_feed import COMP, Cell, applied, table_of, trims, undone
+from test_feed import COMP, Cell, applied, made_before, table_of, trims, undone
 
 from rotcal_ros.compensation.bridge_settings import BridgeSettings
 from rotcal_ros.compensation.feed import Feed
@@ -162,6 +162,44 @@ def test_a_table_that_was_in_force_for_a_part_of_the_measurement_is_one(cell):
         feed.take(mixed, cell.clock())
 
 
+def test_a_hash_that_the_journal_contradicts_is_named_and_refused(cell):
+    """Announced was the table of now, and by the journal another one, or none, was held then."""
+    feed = cell.feed()
+    early_ns = cell.clock()
+    applied(feed, table_of())
+    first, between_ns = feed.in_force(), cell.clock()
+    applied(feed, table_of(1.5))
+    second = feed.in_force()
+    left = replace(table_of(), correction_forward=np.roll(table_of().correction_forward, 5))
+    left = replace(left, measured_on=second, measured_from_ns=between_ns)
+    for until_ns in (between_ns, cell.clock()):
+        wrong = replace(left, measured_until_ns=until_ns)
+        with pytest.raises(
+            DataError, match=rf"{second[:12]}.*journal .* held the table {first[:12]}"
+        ):
+            feed.take(wrong, cell.clock())
+    undone(feed)
+    undone(feed)
+    applied(feed, made_before(table_of()))
+    begun_without = replace(left, measured_on=first, measured_from_ns=early_ns)
+    with pytest.raises(DataError, match="by the journal"):
+        feed.take(replace(begun_without, measured_until_ns=between_ns), cell.clock())
+    sound = replace(left, measured_on=first, measured_from_ns=cell.clock())
+    assert feed.take(replace(sound, measured_until_ns=cell.clock()), cell.clock())
+
+
+def test_the_word_add_is_held_against_the_journal_too(cell):
+    """Measured without a table, which came only then: what was measured is the whole."""
+    feed = cell.feed()
+    applied(feed, table_of())
+    undone(feed)
+    whole = replace(measured_now(cell, table_of(0.3)), measured_on="unknown")
+    applied(feed, made_before(table_of(1.5)))
+    feed = cell.feed(combine="add")
+    with pytest.raises(DataError, match=r"bridge.combine says 'add', but .* held no table then"):
+        feed.take(whole, cell.clock())
+
+
 def test_a_controller_that_shows_no_table_is_not_believed_against_the_journal(cell):
     feed = cell.feed()
     applied(feed, table_of())
@@ -209,6 +247,22 @@ def test_an_item_is_not_fed_over_another_one(cell):
     feed.close()
     accepting = cell.feed(accept=("serial",))
     assert applied(accepting, other).files
+
+
+def test_a_measurement_without_a_number_does_not_wash_that_of_the_table_away(cell):
+    feed = cell.feed()
+    applied(feed, numbered(table_of(), "4711"))
+    left = replace(table_of(), correction_forward=np.roll(table_of().correction_forward, 5))
+    applied(feed, replace(measured_now(cell, left), measured_on=feed.in_force()))
+    other = replace(measured_now(cell, numbered(left, "9999")), measured_on=feed.in_force())
+    with pytest.raises(DataError, match="9999 was measured and the table in force has 4711"):
+        feed.take(other, cell.clock())
+    feed.close()
+    elsewhere = Feed(cell.settings, "C", cell.clock, serial="9999")
+    with pytest.raises(
+        DataError, match=r"cell has the serial number 9999 and .* in force has 4711"
+    ):
+        elsewhere.take(replace(other, serial=""), cell.clock())
 
 
 def test_the_cell_has_a_number_and_a_largest_age_of_its_own(cell):

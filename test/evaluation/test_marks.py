@@ -87,7 +87,29 @@ def test_page_and_terminal_show_the_same_marks_in_their_colours(tolerance_arcsec
         assert mark.line in words
         assert f"\x1b[{codes[mark.colour]}m{mark.line}" in ended
     style = page.partition("</style>")[0]
-    assert all(f".{kind} {{ background" in style for kind in COLOURS)
+    shades = dict(re.findall(r"--(\w+): (#\w+);", style))
+    shown_as = {
+        kind: shades[name]
+        for kind, name in re.findall(r"\.(\w+) \{ background: var\(--(\w+)", style)
+    }
+    # one shade for one colour: what is red at the terminal is not brown on the page
+    pairs = {(colour, shown_as[kind]) for kind, colour in COLOURS.items()}
+    assert len(pairs) == len({colour for colour, _ in pairs}) == 3
+    assert len({shade for _, shade in pairs}) == 3
+
+
+@pytest.mark.parametrize("tolerance_arcsec", [11.1, 10.5, 8.9])
+def test_solve_shows_the_marks_in_their_colours_at_a_terminal(
+    tolerance_arcsec, capsys, monkeypatch
+):
+    monkeypatch.setattr("rotcal_ros.report.terminal.columns.for_people", lambda: True)
+    monkeypatch.setattr("click.utils.should_strip_ansi", lambda *_: False)
+    given = result(tolerance_arcsec)
+    print_result(given)
+    words = capsys.readouterr().out
+    codes = {"green": 32, "yellow": 33, "red": 31}
+    for mark in marks(given):
+        assert f"\x1b[{codes[mark.colour]}m{mark.line[:40]}" in words
 
 
 def test_a_green_mark_never_stands_for_a_table_that_is_beyond():

@@ -399,7 +399,7 @@ def _check_sense(motion: TableMotion, stations: Floats, commanded: Floats, grid:
     if abs(motion.cumulative[worst]) < LOST:
         return
     backward = table_motion(stations, -commanded)
-    cure = "check the order of the stations and the unit of the table angles (radians)"
+    cure = "check the order of the stations and the start, step and unit of the table angles"
     if np.abs(backward.cumulative).max() < LOST:
         cure = (
             "they follow the angles with the opposite sign. Which way does the table turn, seen "

@@ -341,4 +341,4 @@ class UntilGoal:
 
 
 def _in_words(uncertainty: float) -> str:
-    return f"U {uncertainty / ARCSEC:.3f} arcsec"
+    return f"U {uncertainty / ARCSEC:.3f} arcsec rms"  # the largest U of a curve is another figure

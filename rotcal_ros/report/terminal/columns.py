@@ -105,16 +105,15 @@ def print_tables(tables: Sequence[Titled], key: str = "") -> None:
             writer.writerow([*([table_cell(table.key)] if key else []), *map(_exact, row)])
 
 
-def print_words(*texts: str) -> None:
+def print_words(*texts: str, colour: str = "") -> None:
     """Print lines for people, broken at blanks at a terminal; on standard error in a pipe."""
     if not for_people():
-        for text in texts:
-            tell(text, err=True)
+        tell(*texts, colour=colour, err=True)
         return
     width = shutil.get_terminal_size().columns
     for text in texts:
         lines = wrap(printable(text), width, break_long_words=False, break_on_hyphens=False)
-        tell(*lines or [""])
+        tell(*lines or [""], colour=colour)
 
 
 def stacked(columns: Sequence[Column], width: int) -> list[list[Column]]:

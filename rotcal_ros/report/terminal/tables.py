@@ -47,11 +47,15 @@ def print_result(result: Result) -> None:
     print_words(
         *(f"warning: {warning}" for warning in result.warnings),
         *([f"U: not stated, because the verdict is {result.verdict}"] if reason else []),
+    )
+    print_words(
         f"{about.line}: {result.n_observations} observations, "
         f"{len(result.rejected)} rejected, {result.dof} degrees of freedom, "
         f"sigma0 {result.sigma0:.3f}",
-        *(mark.line for mark in against),
+        colour=about.colour,
     )
+    for mark in against:
+        print_words(mark.line, colour=mark.colour)
 
 
 def say_groups(groups: Sequence[Group]) -> None:

@@ -232,7 +232,7 @@ def test_unstated_error_motion_is_seen_on_the_circle():
 def test_clockwise_table_is_told():
     with pytest.raises(DataError, match="clockwise"):
         solve(SCENE.problem(table_angles=-SCENE.angles))
-    with pytest.raises(DataError, match="unit of the table angles"):
+    with pytest.raises(DataError, match=r"start, step and unit of the table angles$"):
         solve(SCENE.problem(table_angles=np.degrees(SCENE.angles)))
 
 

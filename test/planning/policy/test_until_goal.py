@@ -78,6 +78,8 @@ def test_goal_reached_is_what_the_result_states(of, factor):
         last = measured(UntilGoal(of, Limits(GOAL)), cell)[-1]
         result = of.solved(cell.measured.observations)
         assert last.reason.startswith(f"goal reached: U {result.uncertainty / ARCSEC:.3f} arcsec")
+        # the largest U of the curve, which pages call U, is another figure
+        assert f"U {result.uncertainty / ARCSEC:.3f} arcsec rms <= U " in last.reason
         assert last.standing.uncertainty == result.uncertainty <= GOAL
         assert ("the verdict would not be ok: " in last.reason) == bool(result.doubt)
 
