@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 
 import pytest
@@ -13,6 +14,7 @@ from rearranged import (
     changed,
     definition_of,
     run_messages,
+    stamped,
     write_mcap,
     write_sqlite,
 )
@@ -106,6 +108,38 @@ def test_files_whose_names_are_exchanged(numbered, expected, tmp_path):
         messages = part if numbered else changed(part, lambda *_: {"sequence": 0})
         write_mcap(tmp_path / "bag" / f"bag_{number}.mcap", messages)
     assert read_recording(tmp_path / "bag").observations == expected
+
+
+QUARTERS = [RUN[n * len(RUN) // 4 : (n + 1) * len(RUN) // 4] for n in range(4)]
+UNNUMBERED = {
+    "halves exchanged": [*QUARTERS[2], *QUARTERS[3], *QUARTERS[0], *QUARTERS[1]],
+    "quarters in another order": [m for n in (3, 1, 0, 2) for m in QUARTERS[n]],
+    "in no order at all": random.Random(8).sample(RUN, len(RUN)),
+}
+
+
+@pytest.mark.parametrize("how", UNNUMBERED)
+def test_without_numbers_the_stamps_tell(how, expected, tmp_path):
+    messages = changed(UNNUMBERED[how], lambda _, m: {"sequence": 0, "publish_ns": m.log_ns})
+    found = read_recording(write_mcap(tmp_path / "a.mcap", messages, chunk_size=30_000))
+    assert found.observations == expected
+    (words,) = found.warnings()
+    assert words.endswith("its messages were read by log times")
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("of_all", [True, False])
+def test_a_clock_that_was_set_while_some_of_it_came_again(numbered, of_all, tmp_path):
+    """Of the recorder alone, or of the whole machine: then the stamps go back as well."""
+    messages = set_back(RUN, 5)
+    if of_all:
+        messages = [stamped(m, m.publish_ns - 5 * SECOND * (n > len(RUN) / 2))
+                    for n, m in enumerate(messages)]  # fmt: skip
+    if not numbered:
+        messages = changed(messages, lambda *_: {"sequence": 0})
+    found = read_recording(write_mcap(tmp_path / "a.mcap", messages))
+    assert found.warnings()[0].startswith("log times go back 1 times, by up to 5.0 s")
+    assert sum(o.accepted for o in found.observations) >= 31
 
 
 def set_back(messages, seconds):
