@@ -27,6 +27,8 @@ _ALWAYS_KNOWN: Final = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/D
 _SECONDS: Final = "int32 sec\nuint32 nanosec\n"
 """The definition of both, in every distribution of ROS 2; a bag may leave it out."""
 _SHOWN: Final = 60
+_LINE_END: Final = re.compile(r"[ \t]*(?:\r\n?|\n)")
+"""As on Windows and elsewhere, with the blanks that editors leave before it."""
 _PLACE: Final = re.compile(r"\n(\d+)\n")
 
 
@@ -67,7 +69,7 @@ def message_types(channel: ChannelDefinition) -> tuple[Typestore, Definitions]:
 def _parsed(channel: ChannelDefinition) -> dict[str, Any]:
     if len(channel.definition) > MAX_DEFINITION:
         raise _Unusable(f"it is longer than {MAX_DEFINITION} characters")
-    text = channel.definition.replace("\r\n", "\n")  # written on Windows
+    text = _LINE_END.sub("\n", channel.definition.removeprefix("\ufeff"))
     if channel.encoding == "ros2idl":
         return dict(get_types_from_idl(text))
     return dict(get_types_from_msg(text, channel.type_name))

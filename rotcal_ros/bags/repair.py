@@ -60,7 +60,8 @@ def repair(
             else:
                 before.append(scan.verdict())
                 copier.end_file()
-        if losses := session_losses(before):
+        unread = {name: text for v in before for name, text in v.losses_unread.items()}
+        if losses := {**unread, **session_losses(before)}:
             writer.note(names.LOSSES, losses)
         writer.note(names.REPAIR, repair_record(before, judge_session(path, before).missing))
     room = max(limits.unpacked_bytes, 2 * copier.message_bytes)  # it may be packed more tightly

@@ -8,8 +8,11 @@ converters and merges write them: then the messages are sorted, by
 2. their publish times, else the stamps in their headers, where the streams have those in common
    but hardly any log time: then the log times are of the program that wrote the file.
 
-Where the log times of one and the same channel go back, while its numbers go on or tell nothing,
-the clock of the recorder was set: the order of the file is the only one there is.
+Where the log times of one and the same channel go back while its numbers go on, the clock of the
+recorder was set: the order of the file is the only one there is. Many writers number nothing; then
+the stamps tell. Where they go on, that clock was set; where they go back too, the clock of the
+whole machine was, if what follows covers times that were there before, else the file's parts were
+exchanged.
 """
 
 from __future__ import annotations
@@ -35,6 +38,8 @@ LOG, PUBLISH, STAMP = range(3)
 IN_WORDS: Final = ("log times", "publish times", "the stamps in their headers")
 _SHARED, _APART = 0.5, 0.1
 """Share of the whole time that long streams have in common by a true clock, and by a false one."""
+_MOST_SETS: Final = 10
+"""A clock is not set more often than that while a bag is recorded."""
 _STAMP_AT: Final = 4
 _LARGEST: Final = (1 << 63) - 1
 
@@ -98,6 +103,49 @@ class _Followed:
 
 
 @dataclass
+class _Unnumbered:
+    """How the log times of a channel go back where its messages have no numbers.
+
+    ``count`` is how often by a second or more, ``most_ns`` how far at most, ``small`` how often at
+    all; ``alike`` says that the stamps always went back with them. ``first`` and ``last`` are the
+    log times of the stretches without a gap, but the last one's end.
+    """
+
+    count: int = 0
+    most_ns: int = 0
+    small: int = 0
+    alike: bool = True
+    first: list[int] = field(default_factory=list)
+    last: list[int] = field(default_factory=list)
+
+    def take(self, times: Ints, steps: Ints, before: int) -> None:
+        """Take log times and their ``steps`` from the ones before, at first from ``before``."""
+        self.small += int(np.count_nonzero(steps < 0))
+        if self.small <= _MOST_SETS:
+            breaks = np.flatnonzero(np.abs(steps) >= LEAST_NS)
+            self.first += times[breaks].tolist()
+            self.last += np.where(breaks > 0, times[breaks - 1], before).tolist()
+
+    def fall(self, far: Ints, *, alike: bool) -> None:
+        """Take how ``far`` (ns) they went back, and whether the stamps always did as well."""
+        if len(far):
+            self.count += len(far)
+            self.most_ns = max(self.most_ns, int(far.max()))
+            self.alike &= alike
+
+    def is_of_a_clock(self, newest: int) -> bool:
+        """Return whether a clock was set; ``newest`` is the last log time."""
+        if not self.alike:
+            return True
+        if self.small > _MOST_SETS:
+            return False
+        first, last = np.array(self.first), np.array([*self.last[1:], newest])
+        order = np.argsort(first, kind="stable")
+        again = np.maximum.accumulate(last[order])[:-1] - first[order][1:]
+        return int(again.max(initial=0)) >= LEAST_NS // 2
+
+
+@dataclass
 class _Channel(_Followed):
     """A channel of one file: beside the above what tells a set clock from a sorted file."""
 
@@ -106,6 +154,14 @@ class _Channel(_Followed):
     sequence: int = -1
     back: int = 0
     back_ns: int = 0
+    unnumbered: _Unnumbered = field(default_factory=_Unnumbered)
+
+    def set_back(self) -> tuple[int, int]:
+        """Return how often a clock was set back, and by how much at most (ns)."""
+        more = self.unnumbered
+        if not more.count or not more.is_of_a_clock(int(self.newest[LOG])):
+            return self.back, self.back_ns
+        return self.back + more.count, max(self.back_ns, more.most_ns)
 
 
 @dataclass
@@ -148,8 +204,9 @@ class TimeOrders:
         streams = [topic for topic in self._topics.values() if topic.count > 1]
         apart = int(self._all.most[clock])
         mixed = any(len(t.channels) > 1 and t.most[clock] > 0 for t in streams)
-        back = max((channel.back for channel in self._channels.values()), default=0)
-        back_ns = max((channel.back_ns for channel in self._channels.values()), default=0)
+        sets = [channel.set_back() for channel in self._channels.values()]
+        back = max((count for count, _ in sets), default=0)
+        back_ns = max((far for _, far in sets), default=0)
         if clock != LOG:
             lost = any(t.unknown[clock] for t in streams)
             own = max((int(c.most[clock]) for c in self._channels.values()), default=0)
@@ -173,13 +230,19 @@ class TimeOrders:
         known = self._channels.setdefault(key, _Channel())
         steps = np.diff(times[LOG], prepend=known.newest[LOG])
         numbers = np.diff(headers["sequence"].astype(np.int64), prepend=known.sequence)
+        stamps = np.append(known.stamp, times[STAMP])
         falls = np.flatnonzero(steps <= -LEAST_NS)
+        alike = np.minimum(stamps[falls], stamps[falls + 1]) >= 0
+        alike &= np.abs(np.diff(stamps)[falls] - steps[falls]) < LEAST_NS
         rearranged = numbers[falls] < 0
         if len(falls) and not falls[0] and part[0] != known.part[0] and part[1] == known.part[1]:
-            alike = known.stamp >= 0 and times[STAMP, 0] >= 0
-            rearranged[0] |= alike and abs(times[STAMP, 0] - known.stamp - steps[0]) < LEAST_NS
-        known.back += int(np.count_nonzero(~rearranged))
-        known.back_ns = max(known.back_ns, -int(steps[falls][~rearranged].min(initial=0)))
+            rearranged[0] |= alike[0]
+        silent = ~rearranged & (numbers[falls] == 0)
+        known.unnumbered.take(times[LOG], steps, int(known.newest[LOG]))
+        known.unnumbered.fall(-steps[falls][silent], alike=bool(alike[silent].all()))
+        told = ~rearranged & ~silent
+        known.back += int(np.count_nonzero(told))
+        known.back_ns = max(known.back_ns, -int(steps[falls][told].min(initial=0)))
         known.take(times)
         known.newest[LOG], known.stamp = times[LOG, -1], times[STAMP, -1]
         known.sequence, known.part = int(headers["sequence"][-1]), part

@@ -6,11 +6,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from rotcal_ros.bags import names
 from rotcal_ros.bags.dropouts import Dropout
 
+_SHOWN: Final = 20
 State = Literal["complete", "index wrong", "truncated", "damaged"]
 
 
@@ -72,6 +73,12 @@ class FileVerdict:
         """Messages that are known to be lost."""
         return sum(topic.lost for topic in self.topics.values())
 
+    @property
+    def losses_unread(self) -> dict[str, str]:
+        """Recorded losses whose count is no number, by their names."""
+        noted = self.notes.get(names.LOSSES, {})
+        return {name: text for name, text in noted.items() if name not in self.losses_recorded}
+
     def sentence(self) -> str:
         """Return the verdict in words."""
         if self.state == "complete":
@@ -115,6 +122,16 @@ def session_losses(verdicts: Iterable[FileVerdict]) -> dict[str, int]:
     for losses in of_run.values():
         total.update(losses)
     return {name: count for name, count in total.items() if count}
+
+
+def unread_losses(verdicts: Iterable[FileVerdict]) -> tuple[str, ...]:
+    """Return a sentence for each recorded loss of which nobody can say how great it was."""
+    return tuple(
+        f"{verdict.path.name}: a loss was recorded ({name}), but its count is no number: "
+        f"{text[:_SHOWN]!r}"
+        for verdict in verdicts
+        for name, text in verdict.losses_unread.items()
+    )
 
 
 def losses_in_words(losses: Mapping[str, int]) -> tuple[str, ...]:

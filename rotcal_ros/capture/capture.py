@@ -40,6 +40,8 @@ _SETTLED_NS: Final = 1_000_000_000
 """What is stamped so soon behind a clock's setting back is not used: streams may follow late."""
 _PATIENCE_NS: Final = 3_000_000_000
 """A table that is not at rest so long after the probe is in position is worth a word."""
+_NEAR_M: Final = 1e-6
+"""Points that answer one order are the same place so near to each other, whatever is stated."""
 _WORDS: Final = {"tracer": "tracer readings", "table": "table feedbacks"}
 """What the samples of a stream are called; those of the air after their stream."""
 
@@ -242,7 +244,7 @@ class Capture:
         elif newest and (newest.step.index, newest.number) == (sample.step, sample.attempt):
             self._add_point(newest, sample)
         elif sample.attempt < self._next_attempt[sample.step]:
-            self._probe.duplicates += 1
+            self._count_again(self._newest, sample)
         else:
             self._begin(sample, newest)
         if not self._streams.before_set_back(sample.stamp_ns):
@@ -264,10 +266,17 @@ class Capture:
     def _add_point(self, attempt: Attempt, sample: ProbeSample) -> None:
         seen = {known.point for known in attempt.samples}
         if sample.point in seen or len(seen) >= attempt.step.n_points:
-            self._probe.duplicates += 1
+            self._count_again(attempt, sample)
             return
         attempt.refusal = attempt.refusal or self._refusal(attempt.step, sample)
         attempt.samples.append(sample)
+
+    def _count_again(self, newest: Attempt | None, sample: ProbeSample) -> None:
+        """Count a point that answers an order once more, and whether it says something else."""
+        self._probe.duplicates += 1
+        if newest and (newest.step.index, newest.number) == (sample.step, sample.attempt):
+            same = (known for known in newest.samples if known.point == sample.point)
+            self._probe.contradicting += any(_elsewhere(known, sample) for known in same)
 
     def _refusal(self, step: Step, sample: ProbeSample) -> str:
         """Say what is wrong with a probe sample itself; empty: nothing."""
@@ -413,3 +422,9 @@ class Capture:
     def _not_in_plan(self, step: int) -> str:
         last = len(self._plan.steps) - 1
         return f"step {step}, which is not in the plan: it has the steps 0 to {last}"
+
+
+def _elsewhere(known: ProbeSample, again: ProbeSample) -> bool:
+    """Return whether a point is of another place than one before it, noise apart."""
+    axes = zip(known.position, again.position, again.position_std, strict=True)
+    return any(abs(a - b) > max(6.0 * std, _NEAR_M) for a, b, std in axes)

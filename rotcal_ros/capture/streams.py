@@ -31,12 +31,14 @@ class StreamCounts:
 
     ``lost`` counts the samples missing according to the sequence numbers, ``out_of_order``
     sequence numbers going backwards (two publishers?). Samples that are ``duplicates``, stamped
-    ``backwards`` or by a ``foreign_clock`` are dropped. ``set_back`` is how often the clock was.
+    ``backwards`` or by a ``foreign_clock`` are dropped; ``contradicting`` are those of them that
+    say something else for the same moment, or order. ``set_back`` is how often the clock was.
     Commands are ``unanswered`` when the next one came before any probe sample echoed them.
     """
 
     received: int = 0
     duplicates: int = 0
+    contradicting: int = 0
     backwards: int = 0
     foreign_clock: int = 0
     lost: int = 0
@@ -222,6 +224,7 @@ class Stream:
                 again = step == 0 and newest is not None and _same(newest, values[i])
                 self.counts.duplicates += again
                 self.counts.backwards += not again
+                self.counts.contradicting += step == 0 and not again
                 if not again and self._set_back(stamp, values[i]):
                     return np.array(keep, dtype=np.intp), i + 1
             elif self._jumps_ahead(step):

@@ -218,6 +218,7 @@ def _print(summary: dict[str, Any]) -> None:
     for sentence in (
         *filter(None, [summary["contradiction"]]),
         *losses_in_words(summary["losses_recorded"]),
+        *summary["losses_unread"],
     ):
         say(sentence)
     for sentence in chain.from_iterable(

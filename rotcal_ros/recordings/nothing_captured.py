@@ -18,6 +18,8 @@ _TOPICS: Final = {
 }
 """What delivers each stream of the capture."""
 _MAX_NAMED: Final = 8
+_FEW: Final = 0.1
+"""Share of steps without an accepted observation that needs no word."""
 
 
 def why_nothing(
@@ -63,7 +65,10 @@ def _rejections(observations: Sequence[Observation]) -> str:
 def doubtful(
     observations: Sequence[Observation], counts: Mapping[str, Mapping[str, int]]
 ) -> tuple[str, ...]:
-    """Return what a reader should know when most attempts failed, though some did not."""
+    """Return what a reader should know of attempts that failed, though not all did.
+
+    And how many messages contradict others: nobody can say which of them are true.
+    """
     texts = []
     rejected = [o.reason for o in observations if not o.accepted]
     found = Commonest.of(rejected)
@@ -71,10 +76,28 @@ def doubtful(
         texts.append(
             f"{found.total} of {len(observations)} attempts were rejected, {found.in_words()}"
         )
+    elif without := _without(observations):
+        texts.append(without)
+    texts += [
+        f"{n} messages on {_TOPICS[stream]} say something else than another one of the same time "
+        "or order: two publishers, or stamps that are too coarse; the first one counts"
+        for stream in ("tracer", "table", "probe")
+        if (n := counts.get(stream, {}).get("contradicting", 0))
+    ]
     commands = counts.get("command", {})
     if 2 * commands.get("unanswered", 0) > commands.get("received", 0):
         texts.append(unanswered(commands))
     return tuple(texts)
+
+
+def _without(observations: Sequence[Observation]) -> str:
+    """Return how many steps were tried in vain, and why; empty: few, a beam that is blocked."""
+    done = {o.step for o in observations if o.accepted}
+    vain = [o for o in observations if o.step not in done]
+    found, steps = Commonest.of(o.reason for o in vain), len({o.step for o in vain})
+    if found is None or steps <= _FEW * (len(done) + steps):
+        return ""
+    return f"{steps} of {len(done) + steps} steps were tried in vain, {found.in_words()}"
 
 
 def unanswered(commands: Mapping[str, int]) -> str:

@@ -21,7 +21,7 @@ from rotcal_ros.bags.session_identity import require_one_session
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
 from rotcal_ros.bags.time_order import TimeOrder, TimeOrders, sorted_blocks
 from rotcal_ros.bags.unread import note_unread
-from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses
+from rotcal_ros.bags.verdict import FileVerdict, losses_in_words, session_losses, unread_losses
 from rotcal_ros.capture.attempt import nanoseconds
 from rotcal_ros.capture.stamp_offsets import OffsetLimits
 from rotcal_ros.catalogue.configuration import (
@@ -187,6 +187,7 @@ class Recording:
         texts = [*self.session.missing, *self.session.repaired]
         texts += [f"{v.path.name}: {v.sentence()}" for v in self.verdicts if v.state != "complete"]
         texts += losses_in_words(session_losses(self.verdicts))
+        texts += unread_losses(self.verdicts)
         texts += [*self.unreadable.values(), *self.clock, *sentences(self.dropouts)]
         texts += doubtful(self.observations, self.counts)
         texts += _undecoded(self.broken)

@@ -11,7 +11,7 @@ from rotcal_ros.bags.reader import Progress, bag_files, read_blocks
 from rotcal_ros.bags.reading_limits import DEFAULT_LIMITS, ReadingLimits
 from rotcal_ros.bags.scan import Scan
 from rotcal_ros.bags.session_verdict import SessionVerdict, judge_session
-from rotcal_ros.bags.verdict import FileVerdict, session_losses
+from rotcal_ros.bags.verdict import FileVerdict, session_losses, unread_losses
 from rotcal_ros.catalogue.configuration import Configuration, parse_configuration
 from rotcal_ros.errors import BagError, ConfigurationError
 from rotcal_ros.recordings.dropouts import PlacedDropout, placed_in
@@ -67,6 +67,7 @@ class Summary:
             "plan_id": self.configuration.plan_id if self.configuration else None,
             "contradiction": self.contradiction,
             "losses_recorded": session_losses(self.files),
+            "losses_unread": list(unread_losses(self.files)),
             "dropouts": [dropout.to_dict() for dropout in self.dropouts],
             "session": self.session.to_dict(),
         }

@@ -56,6 +56,12 @@ def _stamp(time_ns: int) -> bytes:
     return seconds.to_bytes(4, "little") + rest.to_bytes(4, "little")
 
 
+def stamped(message: Kept, time_ns: int) -> Kept:
+    """Return a message that was taken and sent at another time."""
+    data = message.data[:4] + _stamp(time_ns) + message.data[12:]
+    return replace(message, data=data, publish_ns=time_ns)
+
+
 def by_topic(messages: Iterable[Kept]) -> list[Kept]:
     """Return the messages topic by topic, each in its order: what many converters write."""
     return sorted(messages, key=lambda m: m.topic)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import random
+import struct
+from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from rearranged import (
     CONFIGURATION,
@@ -13,6 +17,7 @@ from rearranged import (
     changed,
     definition_of,
     run_messages,
+    stamped,
     write_mcap,
     write_sqlite,
 )
@@ -108,6 +113,66 @@ def test_files_whose_names_are_exchanged(numbered, expected, tmp_path):
     assert read_recording(tmp_path / "bag").observations == expected
 
 
+def test_messages_that_contradict_others_are_told(expected, tmp_path):
+    """Two publishers of one topic: nobody knows which one is right."""
+    ours = [m for m in RUN if m.topic.endswith(("tracer_length", "probe_point"))]
+    at = {"tracer_length": -17, "probe_point": -56}  # bytes of a length, and of a position
+    others = []
+    for m in ours:
+        end = at[m.topic.rpartition("/")[2]]
+        (value,) = struct.unpack("<d", m.data[end : end + 8])
+        data = m.data[:end] + struct.pack("<d", value + 15e-6) + m.data[end + 8 :]
+        others.append(replace(m, data=data, channel=1, log_ns=m.log_ns + 1))
+    both = sorted([*RUN, *others], key=lambda m: m.log_ns)
+    found = read_recording(write_mcap(tmp_path / "a.mcap", both))
+    assert found.observations == expected
+    count = Counter(m.topic.rpartition("/")[2] for m in ours)
+    assert [text.partition(" say ")[0] for text in found.warnings()] == [
+        f"{count[role]} messages on {role}" for role in ("tracer_length", "probe_point")
+    ]
+
+
+@pytest.mark.parametrize(("every", "told"), [(16, False), (5, True)])
+def test_steps_without_an_observation_are_told(every, told, tmp_path):
+    """A few may be blocked; a fifth of them is worth a word."""
+    orders = np.cumsum([m.topic.endswith("probe_target") for m in RUN])
+    kept = [m for m, n in zip(RUN, orders, strict=True) if n % every or "tracer" not in m.topic]
+    words = read_recording(write_mcap(tmp_path / "a.mcap", kept)).warnings()[0]
+    assert words.startswith("6 of 32 steps were tried in vain, ") == told
+
+
+QUARTERS = [RUN[n * len(RUN) // 4 : (n + 1) * len(RUN) // 4] for n in range(4)]
+UNNUMBERED = {
+    "halves exchanged": [*QUARTERS[2], *QUARTERS[3], *QUARTERS[0], *QUARTERS[1]],
+    "quarters in another order": [m for n in (3, 1, 0, 2) for m in QUARTERS[n]],
+    "in no order at all": random.Random(8).sample(RUN, len(RUN)),
+}
+
+
+@pytest.mark.parametrize("how", UNNUMBERED)
+def test_without_numbers_the_stamps_tell(how, expected, tmp_path):
+    messages = changed(UNNUMBERED[how], lambda _, m: {"sequence": 0, "publish_ns": m.log_ns})
+    found = read_recording(write_mcap(tmp_path / "a.mcap", messages, chunk_size=30_000))
+    assert found.observations == expected
+    (words,) = found.warnings()
+    assert words.endswith("its messages were read by log times")
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("of_all", [True, False])
+def test_a_clock_that_was_set_while_some_of_it_came_again(numbered, of_all, tmp_path):
+    """Of the recorder alone, or of the whole machine: then the stamps go back as well."""
+    messages = set_back(RUN, 5)
+    if of_all:
+        messages = [stamped(m, m.publish_ns - 5 * SECOND * (n > len(RUN) / 2))
+                    for n, m in enumerate(messages)]  # fmt: skip
+    if not numbered:
+        messages = changed(messages, lambda *_: {"sequence": 0})
+    found = read_recording(write_mcap(tmp_path / "a.mcap", messages))
+    assert found.warnings()[0].startswith("log times go back 1 times, by up to 5.0 s")
+    assert sum(o.accepted for o in found.observations) >= 31
+
+
 def set_back(messages, seconds):
     half = len(messages) / 2
     return changed(messages, lambda n, m: {"log_ns": m.log_ns - seconds * SECOND * (n > half)})
@@ -120,10 +185,13 @@ def test_a_clock_that_was_set_is_no_other_order(expected, tmp_path):
     assert words.startswith("log times go back 1 times, by up to 20.0 s: the recorder's clock")
 
 
-@pytest.mark.parametrize("end", ["\r\n", "\n"])
-def test_definitions_of_windows_are_read(end, expected, tmp_path):
+@pytest.mark.parametrize("end", ["\r\n", "\n", "\r", " \t\r\n"])
+@pytest.mark.parametrize("begin", ["", "\ufeff"])
+def test_definitions_of_windows_are_read(begin, end, expected, tmp_path):
     path = write_mcap(
-        tmp_path / "a.mcap", RUN, definition=lambda name: definition_of(name).replace("\n", end)
+        tmp_path / "a.mcap",
+        RUN,
+        definition=lambda name: begin + definition_of(name).replace("\n", end),
     )
     assert read_recording(path).observations == expected
 
