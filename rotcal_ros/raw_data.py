@@ -12,7 +12,6 @@ import binascii
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
-from struct import pack
 from typing import Any, Final
 
 import numpy as np
@@ -25,6 +24,8 @@ MOST_INFLUENCES: Final = 1_500_000
 BY_CHANCE: Final = 0.2
 """Share of values without time, read coarsely, that two measurements may have in common."""
 _DIGITS: Final = 16
+_STEP: Final = 1e-10
+"""What values are rounded to, m or rad: no instrument reads it, and arithmetic changes less."""
 
 
 def _none() -> Ints:
@@ -101,10 +102,7 @@ class RawData:
     @classmethod
     def of(cls, observations: Sequence[Observation], dated_from_ns: int) -> RawData:
         """Return the hashes of what was captured; a window before ``dated_from_ns`` is no date."""
-        hashes = tuple(
-            hash_of(o.mean, (int(o.kind), o.station, o.target), o.table_angle)
-            for o in observations
-        )
+        hashes = tuple(hash_of(o.mean, int(o.kind)) for o in observations)
         begun = np.array([o.window_start_ns for o in observations], dtype=np.int64)
         ended = np.array([o.window_end_ns for o in observations], dtype=np.int64)
         if not len(begun) or begun.min() < dated_from_ns:
@@ -190,10 +188,14 @@ class RawData:
         return replace(found, influence=Influence.from_dict(data["influence"], len(hashes), m))
 
 
-def hash_of(values: Sequence[float], what: Sequence[int], angle: float) -> str:
-    """Return 16 hexadecimal digits for measured ``values`` (SI), ``what``, and an angle (rad)."""
-    whole = pack(f"<{len(what)}q{len(values)}d", *what, *values)
-    return sha256(whole + f"{angle:.9f}".encode()).hexdigest()[:_DIGITS]
+def hash_of(values: Sequence[float], kind: int) -> str:
+    """Return 16 hexadecimal digits for measured ``values`` (SI) of a kind.
+
+    Angles, and numbers of targets, stations and nests, are no part of it: they come from a plan
+    and its order, and a table of some of the data has its own.
+    """
+    whole = [kind, *(round(value / _STEP) for value in values)]
+    return sha256(f"{whole}".encode()).hexdigest()[:_DIGITS]
 
 
 def _packed(matrix: Floats) -> str:

@@ -8,14 +8,26 @@ from typing import Final
 import numpy as np
 
 from rotcal_ros.arrays import Floats
+from rotcal_ros.results import Result
 
-IN_WORDS: Final = (
-    "Every deviation has zero mean over the measured angles (zero-mean gauge).",
-    "In EXC, EYC and in EAC, EBC what turns with the table belongs to what stands on it and is "
-    "taken away.",
-)
-"""What the curves of such a method count from."""
 _PAIRS: Final = (("EXC", "EYC"), ("EAC", "EBC"))
+
+
+def in_words(result: Result) -> tuple[str, ...]:
+    """Return what the curves of such a method count from."""
+    over = "the measured angles"
+    if result.zeros.counts_from == "mean of each group":
+        over = "the measured angles of each group"
+    nothing = (
+        ": steps from group to group, and with them the ranges, mean nothing"
+        if result.zeros.free
+        else ""
+    )
+    return (
+        f"Every deviation has zero mean over {over} (zero-mean gauge){nothing}.",
+        "In EXC, EYC and in EAC, EBC what turns with the table belongs to what stands on it and "
+        "is taken away.",
+    )
 
 
 def without_axis_and_artefact(

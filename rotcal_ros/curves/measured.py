@@ -33,6 +33,7 @@ class MeasuredCurve:
     this component alone, empty for others; ``open_zeros`` says in words which offsets are open.
     ``raw_data``: what it rests on, whose influence is that on this curve alone, as merged as its
     values. ``serial`` and ``axis`` are of the item and axis that were measured; empty: not known.
+    ``shown``: the part of the stated noise that the residuals show, 1 where they show all or more.
     """
 
     angles: Floats
@@ -47,6 +48,7 @@ class MeasuredCurve:
     open_zeros: str = ""
     serial: str = ""
     axis: str = ""
+    shown: float = 1.0
 
     @property
     def free_columns(self) -> Floats:
@@ -75,6 +77,7 @@ def measured_curve(result: Result, component: str = "ECC") -> MeasuredCurve:
         raw_data=result.raw_data.of_curve(component).tied(merge),
         serial=result.circumstances.identity.serial,
         axis=result.circumstances.axis,
+        shown=min(result.sigma0, 1.0) if result.dof else 1.0,
     )
 
 

@@ -51,13 +51,14 @@ def of_observations_alone(curve: MeasuredCurve) -> MeasuredCurve:
     """Return a curve with the covariance of its observations alone, as it is where none tells.
 
     What else U holds, such as a scatter that was estimated and may not be there, makes independent
-    results agree better than U says: whether they agree too well is asked without it.
+    results agree better than U says, and so does noise that is stated larger than the residuals
+    show it: whether they agree too well is asked without either.
     """
     influence = curve.raw_data.influence
     if influence is None or not np.any(_matrix(influence)):
         return curve
-    own = _matrix(influence)
-    return replace(curve, covariance=own @ own.T)
+    own = curve.shown * _matrix(influence)
+    return replace(curve, covariance=own @ own.T) if np.any(own) else curve
 
 
 def _matrix(influence: Influence) -> Floats:

@@ -12,6 +12,7 @@ from rotcal_ros.evaluation.marks import marks
 from rotcal_ros.evaluation.withheld import withheld
 from rotcal_ros.figures import Figure, curves
 from rotcal_ros.figures.residuals import residual_figures
+from rotcal_ros.in_force import UNKNOWN
 from rotcal_ros.observations import Observation
 from rotcal_ros.report import (
     budget,
@@ -144,8 +145,10 @@ def _residuals_alone(result: Result, _truth: Mapping[str, Any] | None) -> Sequen
 
 def _zero(result: Result) -> Sequence[str]:
     """Return what the curves count from, in words."""
-    installed = result.method in method_names()
-    return find_method(result.method).zero(result) if installed else ()
+    if result.method in method_names():
+        return find_method(result.method).zero(result)
+    known = result.zeros.counts_from
+    return () if known == UNKNOWN else (f"Every deviation counts from: {known}.",)
 
 
 def _details(result: Result) -> list[tuple[str, str]]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from two_groups import ALTERNATING, ANGLES, ARCSEC, GRID, plate_problem
 
+from rotcal_ros.catalogue import find_method
 from rotcal_ros.curves.measured import MeasuredCurve, measured_curve
 from rotcal_ros.errors import DataError
 from rotcal_ros.evaluation.bidirectional import runs_of
@@ -185,3 +186,12 @@ def test_a_quick_check_against_parts_is_undecided():
         found = quick_check(measured_curve(earlier), measured_curve(new), rule)
         assert found.verdict == "undecided"
     assert quick_check(measured_curve(TWELVE), autocollimator(), rule).verdict == "still valid"
+
+
+def test_people_read_what_the_curves_count_from():
+    """Of two groups the page said 'zero mean over the measured angles', above a range of both."""
+    words = find_method("ball_plate").zero
+    assert "over the measured angles (zero-mean gauge)." in words(TWELVE)[0]
+    assert "of each group (zero-mean gauge): steps from group to group" in words(SIX)[0]
+    bounded = solve(plate_problem(group_allowance=1e-6))
+    assert words(bounded)[0].endswith("of each group (zero-mean gauge).")

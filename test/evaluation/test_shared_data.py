@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import rotcal_ros as rc
 from rotcal_ros.catalogue import changed, prepare
 from rotcal_ros.catalogue.configuration import read_configuration
 from rotcal_ros.catalogue.measurements import read_measurements
@@ -235,13 +236,78 @@ def test_a_subset_is_known_in_any_order(seed, n, data):
     )
 
 
+def solved_table(folder, targets, lengths):
+    """Write targets by their new numbers, and lengths as texts; solve them as the example is."""
+    folder.mkdir()
+    (folder / "targets.csv").write_text("\n".join(["target,x_m,y_m,z_m", *targets]) + "\n")
+    (folder / "lengths.csv").write_text("\n".join(["position,target,length_m", *lengths]) + "\n")
+    setup = read_configuration(EXAMPLES / "tracer.yaml")
+    return read_measurements(folder / "lengths.csv", setup, folder / "targets.csv").solve()
+
+
+def test_a_table_of_some_targets_has_its_own_numbers_for_them(tmp_path):
+    """It was taken for independent: 'ok', with U smaller than that of all data."""
+    lengths = [line.split(",") for line in (EXAMPLES / "lengths.csv").read_text().split()[1:]]
+    targets = [line.split(",") for line in (EXAMPLES / "targets.csv").read_text().split()[1:]]
+    whole = solved_table(tmp_path / "all", map(",".join, targets), map(",".join, lengths))
+    kept = [t for t, *_ in targets if int(t) % 3]
+    number = {t: str(k) for k, t in enumerate(kept)}
+    named = [",".join((number[t], *place)) for t, *place in targets if t in number]
+    # beside new numbers a detour by millimetres, which changes the last bits
+    rows = [(p, t, float(x) * 1e3 * 1e-3) for p, t, x in lengths if t in number]
+    same = [f"{p},{t},{x!r}" for p, t, x in rows]
+    again = [f"{p},{number[t]},{x!r}" for p, t, x in rows]
+    some = solved_table(tmp_path / "some", map(",".join, targets), same)
+    other = solved_table(tmp_path / "other", named, again)
+    curves = {n: measured_curve(r) for n, r in (("w", whole), ("s", some), ("o", other))}
+    found = compare(curves["w"], curves["o"])
+    assert any("same observations" in note for note in found.notes)
+    # errors of a target's coordinates are in both too, by whatever number it goes
+    assert found.chi2 == pytest.approx(compare(curves["w"], curves["s"]).chi2, rel=1e-3)
+    both = combine([CombinationInput.of("w", whole), CombinationInput.of("o", other)]).result
+    alone = combine([CombinationInput.of("w", whole)]).result
+    assert both.std["ECC"].mean() > 0.93 * alone.std["ECC"].mean()
+
+
+@pytest.mark.parametrize("some", [(0, 1, 3, 4, 7, 9), (0, 2, 4, 6, 8, 10)])
+def test_six_balls_of_twelve_in_a_table_of_their_own_are_the_same_data(tmp_path, some):
+    """Its plan goes round another number of times: the angles of its steps are other ones."""
+    rng = np.random.default_rng(12)
+    rows = [
+        (i, j, *(0.2 * np.array([np.cos(a), np.sin(a), 0.0]) + rng.normal(0.0, 3e-8, 3)))
+        for i in range(12)
+        for j in range(12)
+        for a in [TAU * (i + j) / 12]
+    ]
+    results = {}
+    for name, balls in (("all", range(12)), ("some", some)):
+        lines = [f"{i},{j},{x:.12f},{y:.12f},{z:.12f}" for i, j, x, y, z in rows if j in balls]
+        table, setup = tmp_path / f"{name}.csv", tmp_path / f"{name}.yaml"
+        table.write_text("\n".join(["position,ball_step,x_m,y_m,z_m", *lines]) + "\n")
+        setup.write_text(
+            f"method: ball_plate\nname: mine\ngrid: 12\nball_steps: {list(balls)}\n"
+            "circle_radius_m: 0.2\nball_diameter_m: 0.025\nmaterial: steel\n"
+            f"sigma_centre_m: 3.0e-8\nseparate_groups: {str(some[1] == 2).lower()}\n"
+        )
+        results[name] = rc.read_table(table, setup).solve()
+    here, there = results["all"].raw_data.shared_with(results["some"].raw_data)
+    assert len(here) == len(there) == 72
+    pair = [CombinationInput.of(n, r) for n, r in results.items()]
+    if some[1] == 2:  # nothing tells how errors go into the curves of separate groups
+        with pytest.raises(DataError, match="72 observations that are the same"):
+            combine(pair)
+    else:
+        alone = combine(pair[:1]).result.std["ECC"]
+        assert combine(pair).result.std["ECC"].mean() > 0.93 * alone.mean()
+
+
 def test_values_read_coarsely_agree_by_chance_and_are_not_called_the_same():
     rng = np.random.default_rng(5)
 
     def run():
         return RawData.of(
             [
-                observation(k, 0, 0.0, k, [round(1.0 + rng.normal(0.0, 0.5e-6), 7)], 1e-7)
+                observation(k, 0, 0.0, k, [round(1.0 + 1e-3 * k + rng.normal(0.0, 5e-7), 7)], 1e-7)
                 for k in range(200)
             ],
             DATED_NS,

@@ -4,6 +4,8 @@ Where scatter or error motion is estimated, U is wider than noise alone makes it
 results of a table that has none of it agree better than their U says.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,8 @@ from rotcal_ros.curves.measured import measured_curve
 from rotcal_ros.evaluation.combination import CombinationInput, combine
 from rotcal_ros.evaluation.compare import compare
 from rotcal_ros.methods import tracer
+from rotcal_ros.methods.ball_plate import BallPlateProblem
+from rotcal_ros.methods.ball_plate import solve as solve_plate
 from rotcal_ros.methods.tracer_six import SixProblem
 from rotcal_ros.methods.tracer_six import solve as solve_six
 
@@ -87,3 +91,33 @@ def test_the_same_lengths_with_fewer_digits_are(measure):
         assert found.verdict == "suspect"
         assert accused(found.warnings)
         assert accused(compare(*map(measured_curve, results)).notes)
+
+
+def plate(seed, stated):
+    """Six balls on a 30 degree grid, 30 nm of noise: a plate and a CMM of its own each time."""
+    rng = np.random.default_rng(seed)
+    position, ball = (k.ravel() for k in np.meshgrid(range(12), [0, 1, 3, 4, 7, 9], indexing="ij"))
+    angle = np.pi / 6.0 * (position + ball)
+    made, cmm = rng.normal(0.0, 2e-6, (12, 3)), rng.normal(0.0, 1e-6, (12, 3))
+    c, s = np.cos(np.pi / 6.0 * position), np.sin(np.pi / 6.0 * position)
+    x, y, z = made[ball].T
+    centres = 0.2 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    centres += np.column_stack([c * x - s * y, s * x + c * y, z]) + cmm[(position + ball) % 12]
+    centres += rng.normal(0.0, 3e-8, centres.shape)
+    return solve_plate(BallPlateProblem(12, 0.2, position, ball, centres, sigma=stated))
+
+
+@pytest.mark.parametrize("times", [2.0, 3.0])
+def test_noise_that_is_stated_with_care_accuses_nobody(times):
+    """Each result says that it finds less noise; together they were suspect, all of them."""
+    results = [plate(seed, times * 3e-8) for seed in range(12)]
+    assert all(r.verdict == "ok" and r.sigma0 < 0.7 for r in results)
+    pairs = list(zip(results[::2], results[1::2], strict=True))
+    assert sum(accused(together(*pair).warnings) for pair in pairs) <= 1
+    assert sum(accused(compare(*map(measured_curve, pair)).notes) for pair in pairs) <= 1
+
+
+def test_the_same_centres_with_fewer_digits_are_accused_all_the_same():
+    result = plate(1, 9e-8)
+    hidden = replace(result, raw_data=replace(result.raw_data, hashes=()))
+    assert accused(compare(measured_curve(result), measured_curve(hidden)).notes)

@@ -50,6 +50,6 @@ METHOD: Final = Method(
     table=TableReader(table.HEADERS, table.read),
     short_setup=table.short_setup,
     figures=figures,
-    zero=lambda _result: gauge.IN_WORDS,
+    zero=gauge.in_words,
     disturbances=DISTURBANCES,
 )

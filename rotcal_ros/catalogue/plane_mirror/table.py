@@ -97,18 +97,9 @@ def read_points(table: Table, angles: Floats) -> PlaneMirrorProblem:
 
 
 def _raw(points: PlaneMirrorProblem) -> RawData:
-    """Return the hashes of the points as they stand in the table, a nest's without an angle."""
-    named = zip(points.xyz, points.kind, points.station, points.nest, points.position, strict=True)
-    return RawData(
-        tuple(
-            hash_of(
-                xyz.tolist(),
-                (int(kind), int(station), int(nest)),
-                0.0 if position < 0 else float(points.angles[position]),
-            )
-            for xyz, kind, station, nest, position in named
-        )
-    )
+    """Return the hashes of the points as they stand in the table."""
+    named = zip(points.xyz.tolist(), points.kind, strict=True)
+    return RawData(tuple(hash_of(xyz, int(kind)) for xyz, kind in named))
 
 
 def _kind_and_station(row: Row) -> tuple[PointKind, str]:

@@ -16,8 +16,7 @@ import numpy as np
 from rotcal_ros.adjust.distributions import f_sf
 from rotcal_ros.arrays import Floats
 from rotcal_ros.methods.ball_plate.drift import VISIBLE, drift_columns
-from rotcal_ros.methods.ball_plate.model import Drift, Solution, rounding_variance
-from rotcal_ros.methods.ball_plate.noise import EXACT
+from rotcal_ros.methods.ball_plate.model import Drift, Solution, least_variance
 from rotcal_ros.methods.ball_plate.order_effects import (
     SIGNIFICANCE,
     Disturbance,
@@ -106,7 +105,8 @@ def find_drift(
     if kept[0] < VISIBLE or solution.dof < SPARE:
         return None
     right = np.einsum("nia,ni->a", columns, weight * solution.residuals)
-    amount, inverse, p_value, variance = _tested(effects.drift, right, solution, _least(problem))
+    least = _least(problem, solution)
+    amount, inverse, p_value, variance = _tested(effects.drift, right, solution, least)
     return DriftTest(amount, np.sqrt(variance * np.diag(inverse)), p_value, estimated=False)
 
 
@@ -121,10 +121,11 @@ def find_motion(
     each = np.einsum("nia,ni->na", motion_columns(problem)[order], pulled)
     later = np.cumsum(each[::-1], axis=0)[::-1]
     best: MotionTest | None = None
+    least = _least(problem, solution)
     for moment, knock in zip(effects.moments, effects.knocks, strict=True):
         if moment >= len(order):
             continue
-        amount, _, p_value, _ = _tested(knock, later[moment], solution, _least(problem))
+        amount, _, p_value, _ = _tested(knock, later[moment], solution, least)
         p_value = min(1.0, p_value * len(effects.knocks))
         if best is None or p_value < best.p_value:
             row = int(problem.rows[order[moment]])
@@ -132,10 +133,10 @@ def find_motion(
     return best
 
 
-def _least(problem: BallPlateProblem) -> float:
+def _least(problem: BallPlateProblem, solution: Solution) -> float:
     """Return the variance below which the rest is no noise; in units of ``std``, if given."""
     stated = 1.0 if problem.std is not None else problem.sigma or 0.0
-    return max(EXACT * rounding_variance(problem), (SETTLED * stated) ** 2)
+    return max(least_variance(problem, solution.estimate), (SETTLED * stated) ** 2)
 
 
 def _tested(

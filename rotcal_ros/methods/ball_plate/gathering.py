@@ -225,11 +225,10 @@ def _whitened(
     squares = np.sum(residuals**2, axis=0)
     squares = np.array([squares[0] + squares[1], squares[2]])
     found = np.sqrt(squares / np.maximum(free, 1.0))
-    found = np.maximum(found, np.sqrt(model.rounding_variance(problem)))
     found = np.maximum(found, 0.05 * found.max())
-    stated = 0.0 if sigma is None else sigma
+    stated = max(sigma or 0.0, float(np.sqrt(model.least_variance(problem, solution.estimate))))
     beyond = stated**2 * chi2_isf(0.01, free) / np.maximum(free, 1.0)
-    known = (found**2 <= beyond) & (stated > 0.0)
+    known = found**2 <= beyond
     used = np.where(known, stated, found)
     scale = used[[0, 0, 1]]
     whitened = residuals / scale

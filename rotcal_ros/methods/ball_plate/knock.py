@@ -73,7 +73,7 @@ def find_knock(
         return None
     gain, start, amount = best
     rest = (solution.weighted_square_sum - gain) / (solution.dof - 6)
-    scatter = max(rest, (sigma or 0.0) ** 2, model.rounding_variance(problem))
+    scatter = max(rest, (sigma or 0.0) ** 2, model.least_variance(problem, solution.estimate))
     if gain / 6.0 < scatter * f_isf(FALSE_ALARM / len(order), 6, solution.dof - 6):
         return None
     row = order[start]

@@ -20,6 +20,8 @@ from rotcal_ros.methods.ball_plate.problem import BallPlateProblem, on_circle
 N_CONSTRAINTS = 19
 ROUNDING = 4.0 * np.finfo(np.float64).eps
 """Smallest error of a coordinate that means anything, as part of the radius."""
+EXACT = 1e4
+"""Residuals with so many times the variance of rounding are noise; below, the data are exact."""
 FIELDS = ("plate", "cmm", "rotation", "translation", "axis_rotation", "axis_shift")
 TABLE_COMPONENTS = {
     "EXC": ("translation", 0),
@@ -128,12 +130,29 @@ def weighted_square_sum(problem: BallPlateProblem, residuals: Floats) -> float:
 
 
 def rounding_variance(problem: BallPlateProblem) -> float:
-    """Return the variance that rounding alone gives a centre, in units of ``std`` if there is one.
+    """Return the variance of rounding alone of a centre, in units of ``std`` if there is one."""
+    return float((ROUNDING * problem.radius / _smallest(problem)) ** 2)
 
-    Tests divide by no less, so that exact data are not judged by their last bits.
+
+def least_variance(problem: BallPlateProblem, found: Parameters) -> float:
+    """Return the variance of a centre that is no noise yet, in units of ``std`` if there is one.
+
+    So much is left of exact data: by their last bits, and because the model takes the CMM's error
+    to be the same wherever around its position the errors of the plate take a ball. How the plate
+    stands does not count, the table's own motion takes that. Tests divide by no less.
     """
-    own = 1.0 if problem.std is None else float(problem.std.min())
-    return float((ROUNDING * problem.radius / own) ** 2)
+    place = np.concatenate(
+        [np.tile(np.eye(3), (len(found.plate), 1, 1)), cross_unit(problem.angles[problem.balls])],
+        axis=2,
+    ).reshape(-1, 6)
+    made = found.plate.ravel()
+    made = made - place @ np.linalg.lstsq(place, made, rcond=None)[0]
+    products = 3.0 * np.sqrt(np.mean(made**2) * np.mean(found.cmm**2)) / problem.radius
+    return max(EXACT * rounding_variance(problem), float(products / _smallest(problem)) ** 2)
+
+
+def _smallest(problem: BallPlateProblem) -> float:
+    return 1.0 if problem.std is None else float(problem.std.min())
 
 
 def degrees_of_freedom(problem: BallPlateProblem) -> int:

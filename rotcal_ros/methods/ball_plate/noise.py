@@ -31,8 +31,6 @@ QUIETEST = 0.05
 along the other, and would get weights without sense."""
 PROBES = 3000
 """Degrees of freedom of all probes together, for the one trace that has no closed form."""
-EXACT = 1e4
-"""Residuals with so many times the variance of rounding are noise; below, the data are exact."""
 PLANE = "x and y"
 
 
@@ -160,9 +158,11 @@ def assess(
     (3,) is what the fits assumed because the ``first`` assessment said so; whether the axes
     differ is that one's word.
     """
-    sums, plane, dof_z, rounding = np.zeros(3), np.zeros((2, 2)), 0.0, 0.0
+    sums, plane, dof_z = np.zeros(3), np.zeros((2, 2)), 0.0
+    rounding, least = 0.0, 0.0
     for fit, turn in fits:
         rounding = max(rounding, model.rounding_variance(fit.problem))
+        least = max(least, model.least_variance(fit.problem, fit.solution.estimate))
         squares, expected, axial = _moments(fit, turn)
         sums += squares
         plane += expected
@@ -173,7 +173,7 @@ def assess(
     factors = np.sqrt(np.maximum(squares, rounding))
     factors = np.maximum(factors, QUIETEST * factors.max())
     dof = np.array([0.5 * (plane[0, 0] + plane[0, 1]), 0.5 * (plane[0, 0] - plane[0, 1]), dof_z])
-    if squares.max() < EXACT * rounding:
+    if squares.max() < least:
         p_axial = p_plane = 1.0
     elif first is None:
         p_axial, p_plane = _z_against_plane(sums, plane, dof_z), _x_against_y(sums, plane)

@@ -24,7 +24,7 @@ from rotcal_ros.methods.ball_plate.evidence import (
     stronger,
 )
 from rotcal_ros.methods.ball_plate.gathering import unseen
-from rotcal_ros.methods.ball_plate.model import of_component, rounding_variance
+from rotcal_ros.methods.ball_plate.model import least_variance, of_component
 from rotcal_ros.methods.ball_plate.noise import Noise
 from rotcal_ros.methods.ball_plate.order_effects import (
     OrderEffects,
@@ -142,7 +142,7 @@ def _scatter(fit: Fitted) -> Repeatability | None:
 
 def _sigma(noise: Noise, fit: Fitted) -> tuple[Floats, Floats]:
     """Return the standard deviations (3,) of fitted and of closing rows, no less than rounding."""
-    least = np.sqrt(rounding_variance(fit.problem))
+    least = np.sqrt(least_variance(fit.problem, fit.solution.estimate))
     fitted = np.maximum(noise.used / noise.weights, least)
     return fitted, fitted * noise.weights
 

@@ -110,7 +110,9 @@ def influence_of(solution: TracerSolution) -> Influence | None:
         lengths = felt.weighted(1.0 / grid.length_std[strip, target]).dense()
     lengths = scale * lengths
     targets = scale * cumulative.times(solution.covariance.felt.reshape(3 * m, -1))
-    causes = tuple(f"target {i} {axis}" for i in grid.target_ids.tolist() for axis in "xyz")
+    # Named by the place that is stated for a target: its number is another one in other tables.
+    places = (", ".join(f"{x:.4f}" for x in place) for place in grid.targets.tolist())
+    causes = tuple(f"{axis} of the target at {place} m" for place in places for axis in "xyz")
     return Influence(grid.row[strip, target], 1, {"ECC": np.hstack([lengths, targets])}, causes)
 
 
