@@ -240,9 +240,9 @@ class TimeOrders:
         silent = ~rearranged & (numbers[falls] == 0)
         known.unnumbered.take(times[LOG], steps, int(known.newest[LOG]))
         known.unnumbered.fall(-steps[falls][silent], alike=bool(alike[silent].all()))
-        told = ~rearranged & ~silent
-        known.back += int(np.count_nonzero(told))
-        known.back_ns = max(known.back_ns, -int(steps[falls][told].min(initial=0)))
+        set_back = ~rearranged & ~silent
+        known.back += int(np.count_nonzero(set_back))
+        known.back_ns = max(known.back_ns, -int(steps[falls][set_back].min(initial=0)))
         known.take(times)
         known.newest[LOG], known.stamp = times[LOG, -1], times[STAMP, -1]
         known.sequence, known.part = int(headers["sequence"][-1]), part

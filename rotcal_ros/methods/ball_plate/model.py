@@ -145,9 +145,9 @@ def least_variance(problem: BallPlateProblem, found: Parameters) -> float:
         [np.tile(np.eye(3), (len(found.plate), 1, 1)), cross_unit(problem.angles[problem.balls])],
         axis=2,
     ).reshape(-1, 6)
-    made = found.plate.ravel()
-    made = made - place @ np.linalg.lstsq(place, made, rcond=None)[0]
-    products = 3.0 * np.sqrt(np.mean(made**2) * np.mean(found.cmm**2)) / problem.radius
+    plate = found.plate.ravel()
+    plate = plate - place @ np.linalg.lstsq(place, plate, rcond=None)[0]
+    products = 3.0 * np.sqrt(np.mean(plate**2) * np.mean(found.cmm**2)) / problem.radius
     return max(EXACT * rounding_variance(problem), float(products / _smallest(problem)) ** 2)
 
 
