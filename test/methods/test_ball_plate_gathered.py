@@ -74,6 +74,16 @@ def test_half_of_a_position_against_the_other_is_ambiguous_and_inside_u():
         assert "nearly as well" in " ".join(result.warnings)
 
 
+def test_a_half_that_is_far_off_together_is_inside_u_whatever_noise_prefers():
+    """Which half of a position is off nothing tells, however far."""
+    for seed in range(100, 112):
+        which = np.random.default_rng(seed).choice(EIGHT, 4, replace=False)
+        problem, truth = world(seed, which, 3e-6)
+        result = solve(problem)
+        assert result.verdict == "suspect"
+        assert worst(result, truth) < 4.5, seed
+
+
 @pytest.mark.parametrize("column", ["position", "cmm"])
 def test_small_ones_are_seldom_ok_and_wrong(column):
     """The figure for 100 worlds of each size is in docs/ball_plate.md."""
