@@ -4,8 +4,9 @@
     python scripts/gathered_table.py --runs 100
 
 Worlds are drawn by plain geometry that shares no code with solvers and simulation
-(test/methods/gathered_worlds.py, benchmarks/six_scene.py). Each is solved with and without the
-disturbance, with the same noise. The tables of the pages, between two marks, are written again.
+(test/methods/gathered_worlds.py, plate_disturbed.py, benchmarks/six_scene.py). Each is solved with
+and without the disturbance, with the same noise. The tables of the pages, between two marks, are
+written again.
 """
 
 from __future__ import annotations
@@ -23,13 +24,14 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / part) for part in ("test/methods", "benchmarks", "scripts")]
 
 import gathered_worlds as worlds  # noqa: E402
+import plate_disturbed as plates  # noqa: E402
 import six_scene  # noqa: E402
 
 from rotcal_ros.arrays import Floats  # noqa: E402
 from rotcal_ros.components import COMPONENTS  # noqa: E402
 from rotcal_ros.errors import DataError  # noqa: E402
 from rotcal_ros.files import write_atomically  # noqa: E402
-from rotcal_ros.methods import plane_mirror, tracer, tracer_six  # noqa: E402
+from rotcal_ros.methods import ball_plate, plane_mirror, tracer, tracer_six  # noqa: E402
 from rotcal_ros.observations import PointKind  # noqa: E402
 from rotcal_ros.results import Result  # noqa: E402
 from rotcal_ros.units import MICROMETRE  # noqa: E402
@@ -37,17 +39,30 @@ from rotcal_ros.units import MICROMETRE  # noqa: E402
 SIZES_UM = (0.3, 0.6, 0.8, 1.0, 1.5, 2.0, 3.0, 5.0)
 SIZES_STD = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 10.0, 20.0)
 """Of what the mirror shows: in standard deviations of a reading across the beam."""
+SIZES_PLATE_UM = (0.3, 0.5, 1.0)
 LIMIT = 2.5
 PAGE = ROOT / "docs" / "tracer.md"
+PLATE_PAGE = ROOT / "docs" / "ball_plate.md"
 MIRROR_PAGE = ROOT / "docs" / "plane_mirror.md"
 MARKS = ("<!-- scripts/gathered_table.py -->\n", "<!-- end -->\n")
 
 
+class Seen(NamedTuple):
+    """What of a result is compared."""
+
+    verdict: str
+    deviations: dict[str, Floats]
+    std: dict[str, Floats]
+
+
 class Case(NamedTuple):
-    """What is disturbed: ``name`` for people, and the two results of a size and a number."""
+    """What is disturbed: ``name`` for people, and the two results of a size and a number.
+
+    None: refused. Then the truth, as :func:`_curves` has it.
+    """
 
     name: str
-    solved: Callable[[float, int], tuple[Result | None, Result | None, Floats]]
+    solved: Callable[[float, int], tuple[Result | Seen | None, Result | Seen | None, Floats]]
 
 
 def main() -> int:
@@ -60,10 +75,12 @@ def main() -> int:
     parser.add_argument("--cases", default="", help="only those whose name holds this")
     chosen = parser.parse_args()
     of_lengths = [case for case in cases() if chosen.cases in case.name]
+    of_plate = [case for case in plate_cases() if chosen.cases in case.name]
     of_mirror = [case for case in mirror_cases() if chosen.cases in case.name]
     heading = f"Of {chosen.runs} worlds ({chosen.six_runs} of six deviations), in percent:"
     write(PAGE, heading, "zero, pattern", "um", SIZES_UM, of_lengths, chosen)
     heading = f"Of {chosen.runs} worlds, in percent:"
+    write(PLATE_PAGE, heading, "displaced", "um", SIZES_PLATE_UM, of_plate, chosen)
     write(MIRROR_PAGE, heading, "place, pattern", "std", SIZES_STD, of_mirror, chosen)
     return 0
 
@@ -113,6 +130,48 @@ def cases() -> Iterator[Case]:
     for zero in ("per_station", "per_run"):
         for pattern in ("sector", "random", "half"):
             yield Case(f"six deviations, {zero}, {pattern}", _six(zero, pattern))
+
+
+def plate_cases() -> Iterator[Case]:
+    """Return what is tried with a plate: some of eight balls at one position."""
+    for count, pattern in (
+        (2, "neighbours"),
+        (2, "any"),
+        (3, "neighbours"),
+        (3, "any"),
+        (4, "any"),
+    ):
+        yield Case(f"{count} of 8, {pattern}", _plate(count, pattern))
+
+
+def _plate(count: int, pattern: str) -> Callable[[float, int], tuple]:
+    """Return what solves a plate, seen at the position: of all 216 numbers one stands out."""
+
+    def solve(size: float, number: int) -> tuple[Seen | None, Floats]:
+        rng = np.random.default_rng([number, count])
+        at, first = int(rng.integers(36)), int(rng.integers(8))
+        which = [plates.EIGHT[(first + k) % 8] for k in range(count)]
+        if pattern == "any":
+            which = rng.choice(plates.EIGHT, count, replace=False)
+        problem, truth = plates.at_one_place(number, which, size, at)
+        curves = np.array([truth.component(name)[at : at + 1] for name in COMPONENTS])
+        try:
+            result = ball_plate.solve(problem)
+        except DataError:
+            return None, curves
+        deviations = {name: result.deviations[name][at : at + 1] for name in COMPONENTS}
+        std = {name: result.std[name][at : at + 1] for name in COMPONENTS}
+        return Seen(result.verdict, deviations, std), curves
+
+    @cache
+    def sound(number: int) -> tuple[Seen | None, Floats]:
+        return solve(0.0, number)
+
+    def solved(size: float, number: int) -> tuple[Seen | None, Seen | None, Floats]:
+        plain, truth = sound(number)
+        return plain, solve(size, number)[0] if size else plain, truth
+
+    return solved
 
 
 def mirror_cases() -> Iterator[Case]:
@@ -221,7 +280,7 @@ def _six(zero: str, pattern: str) -> Callable[[float, int], tuple]:
     return solved
 
 
-def _curves(result: Result) -> tuple[Floats, Floats]:
+def _curves(result: Result | Seen) -> tuple[Floats, Floats]:
     names = [name for name in COMPONENTS if name in result.deviations]
     deviations = np.array([result.deviations[name] for name in names])
     return deviations, np.array([result.std[name] for name in names])

@@ -304,8 +304,10 @@ def blame(group: Group, belief: Belief = BELIEF) -> Blame | None:
     """Return the subset of ``group`` that most probably is wrong; None where none can be.
 
     Candidates: shifts of gathered and of any subsets, their complements, and what a forward
-    search by free errors finds; the best is polished by exchange of single elements. Compared are
-    :func:`~.explanations.free` explanations. ``group``: as in a :class:`Judgement`.
+    search by free errors finds; the best is polished by exchange of single elements. Compared is
+    that they are off by the same or, alike probable, each a little otherwise
+    (:func:`~.explanations.free`): what noise lends to errors of their own does not tell a shift of
+    one half from that of the other. ``group``: as in a :class:`Judgement`.
     """
     if most_of(group.size) < LEAST:
         return None
@@ -349,7 +351,7 @@ def _common(group: Group, subset: Bools) -> Floats:
 
 
 class _Tried:
-    """Merits of subsets as free explanations, each worked out once."""
+    """Merits of subsets that are off together, each worked out once."""
 
     def __init__(self, group: Group, belief: Belief) -> None:
         self.group, self.belief = group, belief
@@ -370,8 +372,9 @@ class _Tried:
         )
         if key in self._gathered:
             prior = np.logaddexp(prior, np.log(self.belief.gathered / len(self._gathered)))
-        bayes = log_sum(free(self.group, subset).log_bayes())[0] - np.log(len(SIZES))
-        return float(prior + bayes)
+        alike, apart = shifts(self.group, subset[None]), free(self.group, subset)
+        bayes = log_sum(np.concatenate([alike.log_bayes()[0], apart.log_bayes()[0]]))
+        return float(prior + bayes) - float(np.log(2 * len(SIZES)))
 
     @cached_property
     def limits(self) -> tuple[int, int]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from linear_worlds import lines, outputs, places_on_a_ring, residuals
 
+from rotcal_ros.adjust.explanations import without
 from rotcal_ros.adjust.groups import Dense
 from rotcal_ros.adjust.judgement import blame, judge
 from rotcal_ros.adjust.subsets import neighbourhoods
@@ -86,6 +87,22 @@ def test_a_half_against_the_other_is_ambiguous():
     assert tuple(np.flatnonzero(to_blame.subset)) in halves
     assert tuple(np.flatnonzero(to_blame.rivals[0])) in halves
     assert to_blame.ratios[0] >= 1.0
+
+
+def test_which_half_is_off_by_the_same_stays_open_whatever_noise_prefers():
+    """Residuals of a shift of one half are those of the other's: only noise tells them apart."""
+    design = lines(GROUPS, 8)
+    for seed in range(80):
+        errors = np.random.default_rng([seed, 8]).standard_normal(8 * GROUPS)
+        truth = np.arange(8) % 2 == seed % 2
+        errors[16:24] += 30.0 * truth
+        view = Dense(design, outputs(design, GROUPS), residuals(design, errors))
+        group = view.group("station", "station 2", np.arange(8), 16 + np.arange(8))
+        to_blame = blame(group)
+        left = without(group, truth) - to_blame.change
+        std = np.sqrt(view.std**2 + to_blame.covariance.diagonal())
+        assert (np.abs(left) / std).max() < 4.5, seed
+        assert to_blame.ambiguous, seed
 
 
 def test_one_outlier_is_left_to_screening():

@@ -1,7 +1,7 @@
 """A plate measured in an order of rows, with knocks and drift as displacements of its rows."""
 
 import numpy as np
-from plate_data import RADIUS, make_truth, measure, rotate_z
+from plate_data import RADIUS, grid_rows, in_cmm_order, make_truth, measure, rotate_z
 
 from rotcal_ros.components import COMPONENTS
 from rotcal_ros.methods.ball_plate.problem import BallPlateProblem
@@ -48,6 +48,24 @@ def measured(grid, balls, seed, order=None, noise=NOISE, displaced=None, **field
     centres = centres + noise * rng.normal(size=centres.shape)
     row = np.arange(len(table))
     return BallPlateProblem(grid, RADIUS, table, ball, centres, row=row, **fields), truth
+
+
+EIGHT = [0, 3, 7, 12, 18, 22, 27, 31]
+
+
+def at_one_place(seed, which=(), size=0.0, at=11, column="position", stated=True):
+    """A plate of which the balls ``which`` at one of 36 positions are off by ``size`` (m)."""
+    truth = make_truth(36, EIGHT, seed)
+    table, ball = grid_rows(36, EIGHT)
+    rng = np.random.default_rng([seed, 5])
+    centres = measure(36, EIGHT, truth, table, ball)
+    centres = centres + NOISE * rng.normal(size=centres.shape)
+    place = table if column == "position" else (table + ball) % 36
+    direction = rng.normal(size=3)
+    there = (place == at) & np.isin(ball, which)
+    centres[there] += size * direction / np.linalg.norm(direction)
+    sigma = NOISE if stated else None
+    return in_cmm_order(BallPlateProblem(36, RADIUS, table, ball, centres, sigma=sigma)), truth
 
 
 def errors(result, truth):
