@@ -38,6 +38,7 @@ NO_NODES = {
     "rate_trial",
     "readiness",
     "selftest",
+    "trial_motion",
     "trial_start",
 }
 """Programs beside the nodes that others start."""
