@@ -18,7 +18,6 @@ from rotcal_ros.bags.rosbag2_metadata import INFINITE_NS, OfferedQos, qos_text
 from rotcal_ros.errors import BagError
 from rotcal_ros.nodes.recording import Channel
 
-
 _FEEDBACK: Final = "_FeedbackMessage"
 
 
